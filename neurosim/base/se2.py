@@ -1,0 +1,79 @@
+"""Planar poses and displacements: the group SE(2).
+
+A pose is (x, y, theta) in metres and radians; the last axis of every array has length 3.
+Frames follow ROS REP 103: x forward, y left, heading counter-clockwise. Headings are not
+wrapped: a turn of 400 degrees is 400, not 40. Functions take NumPy arrays of any leading
+shape; ``arc`` and ``exp`` follow Lynch and Park, Modern Robotics (2017), section 3.3 in the
+plane.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def compose(pose: ArrayLike, displacement: ArrayLike) -> NDArray:
+    """Return the pose reached from ``pose`` by a displacement given in its own frame."""
+    pose, displacement = np.asarray(pose, float), np.asarray(displacement, float)
+    cos, sin = np.cos(pose[..., 2]), np.sin(pose[..., 2])
+    dx, dy = displacement[..., 0], displacement[..., 1]
+    return np.stack(
+        [
+            pose[..., 0] + cos * dx - sin * dy,
+            pose[..., 1] + sin * dx + cos * dy,
+            pose[..., 2] + displacement[..., 2],
+        ],
+        axis=-1,
+    )
+
+
+def between(start: ArrayLike, end: ArrayLike) -> NDArray:
+    """Return the displacement from ``start`` to ``end`` in the frame of ``start``."""
+    start, end = np.asarray(start, float), np.asarray(end, float)
+    cos, sin = np.cos(start[..., 2]), np.sin(start[..., 2])
+    x, y = end[..., 0] - start[..., 0], end[..., 1] - start[..., 1]
+    return np.stack([cos * x + sin * y, -sin * x + cos * y, end[..., 2] - start[..., 2]], axis=-1)
+
+
+def exp(twist: ArrayLike) -> NDArray:
+    """Return the displacement of a constant body twist (v_x, v_y, omega) held for unit time."""
+    twist = np.asarray(twist, float)
+    s, c = _sinc_cosc(twist[..., 2])
+    vx, vy = twist[..., 0], twist[..., 1]
+    return np.stack([s * vx - c * vy, c * vx + s * vy, twist[..., 2]], axis=-1)
+
+
+def log(displacement: ArrayLike) -> NDArray:
+    """Return the constant body twist whose exponential is ``displacement``.
+
+    The heading is taken as it is, not wrapped, so a displacement that turns by a whole number
+    of full turns (other than zero) and still moves has no logarithm: the result is not finite
+    there and large near it.
+    """
+    displacement = np.asarray(displacement, float)
+    s, c = _sinc_cosc(displacement[..., 2])
+    dx, dy = displacement[..., 0], displacement[..., 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = 1.0 / (s * s + c * c)
+        return np.stack(
+            [scale * (s * dx + c * dy), scale * (s * dy - c * dx), displacement[..., 2]], axis=-1
+        )
+
+
+def arc(displacement: ArrayLike, fraction: ArrayLike) -> NDArray:
+    """Return where the constant-twist arc to ``displacement`` stands after ``fraction`` of it.
+
+    Shapes broadcast: displacements (..., 3) against fractions (...,).
+    """
+    return exp(log(displacement) * np.asarray(fraction, float)[..., None])
+
+
+def _sinc_cosc(angle: NDArray) -> tuple[NDArray, NDArray]:
+    """Return sin(a)/a and (1 - cos(a))/a, by series near zero."""
+    small = np.abs(angle) < 1e-4
+    safe = np.where(small, 1.0, angle)
+    s = np.where(small, 1.0 - angle**2 / 6.0, np.sin(safe) / safe)
+    # 2 sin^2(a/2) rather than 1 - cos(a): no cancellation.
+    c = np.where(small, angle / 2.0, 2.0 * np.sin(safe / 2.0) ** 2 / safe)
+    return s, c

@@ -1,0 +1,1 @@
+"""Coloured markers in overhead video: camera model, tracker, clock, recordings, datasets."""
