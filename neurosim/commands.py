@@ -1,0 +1,105 @@
+"""Where motor commands come from: the paper's random ones, or a given list.
+
+Anything with ``command(index)`` and ``describe()`` is a source; the recorder takes it as an
+argument.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from neurosim.base.errors import UserError
+
+
+@dataclass(frozen=True)
+class Command:
+    """Motor speeds in percent of full speed, held for a duration in seconds."""
+
+    left: float
+    right: float
+    duration: float
+
+
+class CommandSource(Protocol):
+    """Where commands come from: anything that gives command number ``index``, from 0.
+
+    The same index gives the same command, so that an interrupted recording goes on as it would
+    have gone.
+    """
+
+    def command(self, index: int) -> Command:
+        """Return the command with this number."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return the settings that a resumed recording must share."""
+        ...
+
+
+@dataclass(frozen=True)
+class RandomCommands:
+    """The paper's random commands (section 5.1).
+
+    Attributes:
+        max_speed: largest speed, in percent of full speed.
+        durations: shortest and longest, in seconds.
+        straight: share of commands with equal speeds in one direction.
+        stopped: share of commands with both speeds zero; the rest is random.
+        seed: of the random numbers.
+    """
+
+    max_speed: float = 50.0
+    durations: tuple[float, float] = (0.5, 3.0)
+    straight: float = 0.3
+    stopped: float = 0.2
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.max_speed <= 100:
+            raise UserError(f"the largest speed must lie in 0..100 %, not {self.max_speed:g}")
+        if not 0 < self.durations[0] <= self.durations[1]:
+            raise UserError(
+                "durations must be above 0 s and the longest not below the shortest, "
+                f"not {self.durations[0]:g} and {self.durations[1]:g}"
+            )
+        if min(self.straight, self.stopped) < 0 or self.straight + self.stopped > 1:
+            raise UserError(
+                "the shares of straight and stopped commands must lie in 0..1 and sum to at "
+                f"most 1, not {self.straight:g} and {self.stopped:g}"
+            )
+
+    def command(self, index: int) -> Command:
+        """Return command ``index``; speeds are whole percents, as the NXT takes them."""
+        rng = np.random.default_rng([self.seed, index])
+        kind = rng.random()
+        speeds = rng.uniform(0, self.max_speed, 2) * rng.choice([-1, 1], 2)
+        duration = round(float(rng.uniform(*self.durations)), 3)
+        if kind < self.straight:
+            speeds[1] = speeds[0]
+        elif kind < self.straight + self.stopped:
+            speeds[:] = 0
+        left, right = (int(speed) for speed in np.round(speeds))
+        return Command(left, right, duration)
+
+    def describe(self) -> dict[str, Any]:
+        """Return the shares, limits and seed."""
+        return {"kind": "random", **asdict(self), "durations": list(self.durations)}
+
+
+@dataclass(frozen=True)
+class FixedCommands:
+    """A given list of commands, such as a controller's plan."""
+
+    commands: Sequence[Command]
+
+    def command(self, index: int) -> Command:
+        """Return command ``index``."""
+        return self.commands[index]
+
+    def describe(self) -> dict[str, Any]:
+        """Return the commands themselves."""
+        return {"kind": "fixed", "commands": [list(asdict(c).values()) for c in self.commands]}

@@ -1,0 +1,444 @@
+"""Drive a robot with commands and record what was sent, while a camera watches.
+
+Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands, motors that
+go straight from one command into the next, a perimeter line that the light sensors guard, and a
+lamp that flashes into the camera so that the video's clock can be found.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import sys
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import LineLog
+from neurosim.base.progress import Progress
+from neurosim.commands import Command, CommandSource
+from neurosim.robots.base import Robot
+from tracking.camera import Camera, VideoSink
+from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
+
+#: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats.
+FLASHES = ((0.6, True), (0.4, False), (0.3, True))
+#: Seconds of stillness before and after the flashes.
+STILL = 0.5
+
+
+@dataclass(frozen=True)
+class Guard:
+    """How the perimeter line is guarded with the light sensors.
+
+    Attributes:
+        at_line: what happens at a line: ``return`` inside and go on, ``end`` the session, or
+            ``ignore`` it.
+        contrast: by how much of 0..1 a sensor's reading must differ from that of the bare board
+            to be a line (or the floor).
+        retreat: metres to drive back over, away from the line; about half the distance from
+            line to line, so that a robot sent back has room ahead of it.
+        speed: of the retreat, in percent.
+        attempts: how often a command is sent again if it was cut.
+        lead_in: seconds to drive the previous command's speeds again before a command that was
+            cut is repeated: it then starts from what it would have started from.
+    """
+
+    at_line: Literal["return", "end", "ignore"] = "return"
+    contrast: float = 0.12
+    retreat: float = 0.7
+    speed: float = 40.0
+    attempts: int = 4
+    lead_in: float = 0.6
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """What a recording is made with, beside robot, camera and commands.
+
+    Attributes:
+        commands: how many different commands to send.
+        guard: of the perimeter line.
+        battery_limit: volts below which the recording pauses.
+        full_speed: wheel speed at 100 %, in m/s: only for how long a retreat takes.
+        markers, board: as in recording.json.
+    """
+
+    commands: int
+    guard: Guard = field(default_factory=Guard)
+    battery_limit: float = 6.5
+    full_speed: float = 0.5
+    markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
+    board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
+
+    def __post_init__(self) -> None:
+        if self.commands < 1:
+            raise UserError(f"a recording needs at least 1 command, not {self.commands}")
+
+
+class BatteryLow(UserError):
+    """The battery fell below its limit; the recording is readable and can be resumed."""
+
+
+def record(
+    out: str | Path,
+    robot: Robot,
+    camera: Camera | None,
+    source: CommandSource,
+    settings: RecordSettings,
+    *,
+    calibration: str | Path | None = None,
+    resume: bool = False,
+    finish: Callable[[Path, int], None] | None = None,
+    say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
+) -> Recording:
+    """Record a robot's commands and the video of what they did.
+
+    Args:
+        out: folder of the recording; new, or with ``resume`` one that was interrupted.
+        robot: the robot, not connected yet; its motors are stopped whatever happens.
+        camera: what films it, or None (a video from elsewhere is joined when tracking).
+        source: where commands come from.
+        settings: the rest.
+        calibration: calibration.json of the camera, copied into the recording.
+        resume: go on where the recording stopped, in a new session.
+        finish: called with (folder, session) when the session's files are closed, whatever
+            happened; the virtual lab writes its truth there.
+        say: takes messages for the user.
+
+    Raises:
+        UserError: if ``out`` is not what it should be, or a setting differs from those of the
+            recording to be resumed.
+        LinkLost: if the robot stopped answering; what was recorded stays.
+        BatteryLow: if the battery fell below the limit.
+    """
+    out = Path(out)
+    wanted = _wanted(robot, camera, source, settings)
+    recording = _resumed(out, wanted) if resume else None
+    with robot:
+        if recording is None:
+            recording = Recording.create(out, wanted)
+            if calibration is not None:
+                shutil.copyfile(calibration, out / "calibration.json")
+        elif calibration is not None:
+            _check_same_calibration(out, Path(calibration))
+        recording.meta["robot"] = robot.describe()
+        number = recording.sessions + 1
+        # The part's name is written down before there is a part: a kill at any moment leaves
+        # a recording whose files are all named in it.
+        video = f"video-{number:03d}.mkv" if camera is not None else None
+        session = recording.begin_session(video=video)
+        try:
+            with recording.command_log() as log, recording.frame_log() as frames:
+                sink = None
+                if camera is not None:
+                    sink = VideoSink(out / str(video), frames, session, camera.size, camera.fps)
+                    camera.start(sink.write)
+                try:
+                    done = _Session(recording, session, robot, source, settings, log, say).run()
+                finally:
+                    # Before the camera stops: it should still see the robot stand still, and
+                    # nothing that goes wrong with the video may leave the motors on.
+                    _stop_quietly(robot)
+                    if camera is not None:
+                        camera.stop()
+                    if sink is not None:
+                        sink.close()
+        finally:
+            if finish is not None:
+                finish(out, session)
+        if camera is not None and getattr(camera, "failed", False):
+            raise UserError(
+                f"the camera stopped delivering frames; {out} keeps what was filmed: "
+                "check the camera and go on with --resume"
+            )
+        recording.meta["complete"] = done
+        recording.save_meta()
+    return recording
+
+
+def _stop_quietly(robot: Robot) -> None:
+    # A dead line has been reported already; nothing more can be said over it.
+    with contextlib.suppress(UserError):
+        robot.stop()
+
+
+def _wanted(
+    robot: Robot, camera: Camera | None, source: CommandSource, settings: RecordSettings
+) -> dict[str, Any]:
+    wanted = {
+        "robot": robot.describe(),
+        "camera": camera.describe() if camera is not None else {"kind": "none"},
+        "settings": {
+            "commands": settings.commands,
+            "source": source.describe(),
+            "guard": asdict(settings.guard),
+            "battery_limit": settings.battery_limit,
+            "flashes": [list(flash) for flash in FLASHES],
+        },
+        "markers": settings.markers,
+        "board": settings.board,
+    }
+    return json.loads(json.dumps(wanted))  # tuples as lists, as they will be read back
+
+
+def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
+    recording = Recording(out)
+    if recording.meta["complete"]:
+        raise UserError(f"{out} is complete; there is nothing to resume")
+    for part in ("settings", "markers", "board"):
+        name = _difference(recording.meta.get(part, {}), wanted[part], part)
+        if name:
+            raise UserError(
+                f"{out} was recorded with another {name[0]} ({name[1]!r}, now {name[2]!r}); "
+                "resume with the same settings, or start a new recording"
+            )
+    for part in ("robot", "camera"):
+        was, now = recording.meta.get(part, {}).get("kind"), wanted[part].get("kind")
+        if was != now:
+            raise UserError(f"{out} was recorded with another {part} ({was!r}, now {now!r})")
+    return recording
+
+
+def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
+    if isinstance(was, dict) and isinstance(now, dict):
+        for key in [*was, *(key for key in now if key not in was)]:
+            found = _difference(was.get(key), now.get(key), f"{name}.{key}")
+            if found:
+                return found
+        return None
+    return None if was == now else (name, was, now)
+
+
+def _check_same_calibration(out: Path, calibration: Path) -> None:
+    kept = out / "calibration.json"
+    if not kept.exists():
+        shutil.copyfile(calibration, kept)
+    elif kept.read_bytes() != calibration.read_bytes():
+        raise UserError(f"{out} was recorded with another calibration than {calibration}")
+
+
+@dataclass
+class _Todo:
+    """A command that waits to be sent."""
+
+    index: int
+    attempt: int = 1
+
+
+class _Session:
+    """One session: from the flash at its start to the flash at its end."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        session: int,
+        robot: Robot,
+        source: CommandSource,
+        settings: RecordSettings,
+        log: LineLog,
+        say: Callable[[str], None],
+    ):
+        self._session = session
+        self._robot = robot
+        self._clock = robot.clock
+        self._source = source
+        self._settings = settings
+        self._guard = settings.guard
+        self._log = log
+        self._say = say
+        self._waiting = _waiting(recording, settings)
+        self._speeds = self._speeds_before_cut = (0.0, 0.0)
+        self._sent = 0.0
+        self._board: dict[str, float] = {}
+        # Random turns of the way back inside; not the commands' seed, and another one each
+        # session, so that a robot that was stuck does not repeat itself.
+        self._rng = np.random.default_rng([session, settings.commands])
+
+    def run(self) -> bool:
+        """Send what waits; return whether all of it was sent."""
+        self._flash()
+        self._learn_board()
+        total = self._settings.commands
+        with Progress("recording", total, "commands") as progress:
+            progress.advance(total - len(self._waiting))
+            since_battery = 0
+            while self._waiting:
+                if since_battery % 20 == 0:
+                    self._check_battery()
+                since_battery += 1
+                todo = self._waiting.popleft()
+                command = self._source.command(todo.index)
+                before = self._speeds
+                self._write("command", command.left, command.right, command.duration, todo.index)
+                if self._hold(command):
+                    progress.advance()
+                    continue
+                self._write("cut", 0, 0, number=todo.index)
+                if self._guard.at_line == "end":
+                    self._waiting.clear()
+                    break
+                self._return_inside(self._speeds_before_cut)
+                if todo.attempt < self._guard.attempts:
+                    self._waiting.appendleft(replace(todo, attempt=todo.attempt + 1))
+                    self._lead_in(before)
+                else:
+                    progress.advance()
+        self._write("stop", 0, 0)
+        self._flash()
+        self._write("end")
+        return True
+
+    # What is sent, and written down just before it is sent
+
+    def _write(
+        self,
+        kind: str,
+        left: float | None = None,
+        right: float | None = None,
+        duration: float | None = None,
+        number: int | None = None,
+    ) -> None:
+        now = round(self._clock.now(), 6)
+        self._log.append(self._session, number, kind, now, left, right, duration)
+        if kind in ("cut", "stop"):
+            self._speeds_before_cut = self._speeds
+            self._robot.stop()
+            self._speeds = (0.0, 0.0)
+        elif left is not None and right is not None:
+            self._robot.drive(left, right)
+            self._speeds = (left, right)
+        self._sent = now
+
+    def _flash(self) -> None:
+        self._wait(2 * STILL)
+        for seconds, on in FLASHES:
+            self._write("lamp-on" if on else "lamp-off")
+            self._robot.lamp(on)
+            self._wait(seconds)
+        self._write("lamp-off")
+        self._robot.lamp(False)
+        self._wait(STILL)
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + seconds)
+
+    def _hold(self, command: Command) -> bool:
+        """Let a command run its duration; return False as soon as a line is under a sensor."""
+        end = self._sent + command.duration
+        moving = command.left != 0 or command.right != 0
+        if moving and self._guard.at_line != "ignore" and self._board:
+            took = 0.0
+            # The last look must not make the next command late.
+            while (now := self._clock.now()) + 1.5 * took < end:
+                if self._on_line():
+                    return False
+                took = max(took, self._clock.now() - now)
+        self._clock.sleep_until(end)
+        return True
+
+    # The perimeter
+
+    def _lines(self) -> dict[str, float]:
+        readings = self._robot.read_sensors()
+        return {name: readings[name] for name in ("line_left", "line_right") if name in readings}
+
+    def _learn_board(self) -> None:
+        if self._guard.at_line == "ignore":
+            return
+        looks = [self._lines() for _ in range(5)]
+        self._board = {
+            name: float(np.median([look[name] for look in looks if name in look]))
+            for name in looks[0]
+        }
+        if not self._board:
+            self._say("no light sensors: the perimeter is not guarded, stay with the robot")
+
+    def _on_line(self) -> bool:
+        return any(
+            abs(value - self._board[name]) > self._guard.contrast
+            for name, value in self._lines().items()
+            if name in self._board
+        )
+
+    def _return_inside(self, speeds: tuple[float, float]) -> None:
+        """Back away from the line, far enough to have room, and turn some way.
+
+        Backing along the way it came is the one direction known to be inside; half the board's
+        width of it brings the robot near the middle, where a long straight run has the best
+        chance not to be cut again.
+        """
+        guard, full = self._guard, self._settings.full_speed
+        direction = -1.0 if sum(speeds) > 0 else 1.0
+        for _ in range(12):
+            speed = direction * guard.speed
+            seconds = guard.retreat / (guard.speed / 100 * full)
+            # The first stretch takes the sensors off the line they stand on.
+            self._manoeuvre(speed, speed, 0.25 * seconds, look=False)
+            if self._manoeuvre(speed, speed, 0.75 * seconds, look=True):
+                turn = float(self._rng.choice([-1, 1])) * guard.speed / 2
+                self._manoeuvre(turn, -turn, float(self._rng.uniform(0.3, 1.5)), look=True)
+                return
+            # Another line behind it: the far side, or a corner. Turn and try the other way.
+            turn = float(self._rng.choice([-1, 1])) * guard.speed / 2
+            self._manoeuvre(turn, -turn, float(self._rng.uniform(0.5, 1.5)), look=False)
+            direction = -direction
+        self._write("stop", 0, 0)
+        raise UserError(
+            "the robot does not find its way back inside the lines; "
+            "put it in the middle of the board and go on with --resume"
+        )
+
+    def _manoeuvre(self, left: float, right: float, seconds: float, *, look: bool) -> bool:
+        command = Command(round(left), round(right), seconds)
+        self._write("manoeuvre", command.left, command.right, round(seconds, 3))
+        if not look:
+            self._clock.sleep_until(self._sent + seconds)
+            return True
+        return self._hold(command)
+
+    def _lead_in(self, speeds: tuple[float, float]) -> None:
+        if any(speeds):
+            self._manoeuvre(*speeds, self._guard.lead_in, look=True)
+        else:
+            self._manoeuvre(0, 0, self._guard.lead_in, look=False)
+
+    # The battery
+
+    def _check_battery(self) -> None:
+        volts, limit = self._robot.battery(), self._settings.battery_limit
+        if volts >= limit:
+            return
+        self._write("stop", 0, 0)
+        self._write("pause")
+        raise BatteryLow(
+            f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "
+            "the robot back inside the lines and go on with --resume"
+        )
+
+
+def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
+    """Return the commands still to be sent: all that no session sent to their end."""
+    attempts: dict[int, int] = {}
+    settled: set[int] = set()
+    if (recording.path / "commands.csv").exists():
+        lines = [line for line in recording.commands() if line.is_motor]
+        for line, after in zip(lines, [*lines[1:], None], strict=True):
+            if line.kind != "command" or line.command is None:
+                continue
+            attempts[line.command] = attempts.get(line.command, 0) + 1
+            ran = after is not None and after.session == line.session and after.kind != "cut"
+            if ran or attempts[line.command] >= settings.guard.attempts:
+                settled.add(line.command)
+    todo = (
+        _Todo(index, attempts.get(index, 0) + 1)
+        for index in range(settings.commands)
+        if index not in settled
+    )
+    return deque(todo)

@@ -1,0 +1,367 @@
+"""Recordings: what was sent to a robot, the video of what it did, and the poses tracked in it.
+
+A recording is a folder. ``recording.json`` says with what it was made; ``commands.csv`` has one
+line for everything that was sent to the robot, written as it was sent; ``frames.csv`` has the
+camera time of every frame of the video parts; ``poses.csv`` and ``tracking.json`` come with
+tracking. Whatever interrupts a recording, what stands in its files can be read.
+
+A recording consists of sessions: the first start, and one more for every time it was resumed.
+Each session has a video part of its own and clocks of its own, which begin anywhere.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.files import (
+    LineLog,
+    check_new_folder,
+    integer,
+    number,
+    optional_number,
+    read_csv,
+    read_json,
+    write_csv,
+    write_json,
+)
+
+FORMAT, VERSION = "neurosim-recording", 1
+
+#: What a line of commands.csv can be.
+KINDS = (
+    "command",  # a numbered command, with its planned duration
+    "cut",  # the motors stopped early, at a line; carries the number of the command it cut
+    "manoeuvre",  # driving that is no data: getting back inside
+    "stop",
+    "lamp-on",
+    "lamp-off",
+    "pause",  # the battery is low
+    "end",  # the session ended as it should
+)
+#: The kinds that change what the motors do.
+MOTOR_KINDS = frozenset({"command", "cut", "manoeuvre", "stop"})
+
+_COMMAND_COLUMNS = ("session", "command", "kind", "time", "left", "right", "duration")
+_FRAME_COLUMNS = ("session", "frame", "time")
+_POSE_COLUMNS = ("session", "frame", "time", "x", "y", "theta", "quality")
+
+#: The paper's markers on this project's robot: pink in front, blue behind, in metres in the
+#: robot's frame (x forward, y left, origin on the board under the middle of the axle).
+DEFAULT_MARKERS: dict[str, Any] = {
+    "front": {"colour": "pink", "x": 0.07, "y": 0.0},
+    "rear": {"colour": "blue", "x": -0.09, "y": 0.0},
+    "height": 0.10,
+    "diameter": 0.06,
+    "lamp": {"x": -0.01, "y": 0.0},
+}
+#: The paper's board (section 6.1), in metres.
+DEFAULT_BOARD = {"length": 2.76, "width": 1.84}
+
+
+@dataclass(frozen=True)
+class CommandLine:
+    """One line of commands.csv; ``time`` in seconds on the session's robot clock."""
+
+    session: int
+    command: int | None
+    kind: str
+    time: float
+    left: float
+    right: float
+    duration: float
+    #: Where it stands in the file, for messages.
+    line: int = field(default=0, compare=False)
+
+    @property
+    def is_motor(self) -> bool:
+        """Whether the line changes what the motors do."""
+        return self.kind in MOTOR_KINDS
+
+
+@dataclass(frozen=True)
+class Poses:
+    """Tracked poses, one row a frame: seconds on the session's robot clock, metres, radians.
+
+    ``pose`` is NaN and ``quality`` 0 where the robot was lost.
+    """
+
+    session: NDArray  # [N] int
+    frame: NDArray  # [N] int
+    time: NDArray  # [N]
+    pose: NDArray  # [N, 3]
+    quality: NDArray  # [N]
+
+    def of_session(self, session: int) -> Poses:
+        """Return the rows of one session."""
+        rows = self.session == session
+        return Poses(
+            self.session[rows],
+            self.frame[rows],
+            self.time[rows],
+            self.pose[rows],
+            self.quality[rows],
+        )
+
+
+class Recording:
+    """A recording on disk.
+
+    Attributes:
+        path: its folder.
+        meta: what recording.json says.
+    """
+
+    def __init__(self, path: str | Path):
+        """Open a recording.
+
+        Raises:
+            FileError: if the folder has no recording.json that this version reads.
+        """
+        self.path = Path(path)
+        if not self.path.is_dir():
+            raise FileError(self.path, "no such recording; expected a folder made by record")
+        self.meta = read_json(
+            self.path / "recording.json",
+            FORMAT,
+            VERSION,
+            {"robot": dict, "sessions": list, "videos": list, "markers": dict, "board": dict},
+        )
+        _check_markers(self.path / "recording.json", self.meta["markers"])
+
+    @classmethod
+    def create(cls, path: str | Path, meta: Mapping[str, Any]) -> Recording:
+        """Make the folder of a new recording.
+
+        Args:
+            path: a folder that does not exist yet, or is empty.
+            meta: what recording.json is to say; ``markers`` and ``board`` have defaults.
+
+        Raises:
+            UserError: if there is something at ``path``.
+        """
+        path = Path(path)
+        check_new_folder(path)
+        path.mkdir(parents=True, exist_ok=True)
+        content = {
+            "created": _wall_clock(),
+            "complete": False,
+            "robot": {},
+            "camera": {},
+            "settings": {},
+            "markers": DEFAULT_MARKERS,
+            "board": DEFAULT_BOARD,
+            "units": {"time": "s", "left": "%", "right": "%", "duration": "s", "board": "m"},
+            "sessions": [],
+            "videos": [],
+            **meta,
+        }
+        write_json(path / "recording.json", FORMAT, VERSION, content)
+        return cls(path)
+
+    def save_meta(self) -> None:
+        """Write ``meta`` back to recording.json."""
+        content = {k: v for k, v in self.meta.items() if k not in ("format", "version")}
+        write_json(self.path / "recording.json", FORMAT, VERSION, content)
+
+    # Sessions and videos
+
+    @property
+    def sessions(self) -> int:
+        """The number of sessions; they are numbered from 1."""
+        return len(self.meta["sessions"])
+
+    def begin_session(self, *, video: str | None) -> int:
+        """Open the next session in recording.json and return its number."""
+        self.meta["sessions"].append({"started": _wall_clock()})
+        self.meta["videos"].append(video)
+        self.save_meta()
+        return self.sessions
+
+    def video(self, session: int) -> Path | None:
+        """Return the video part of a session, or None if it has none (yet)."""
+        videos = self.meta["videos"]
+        name = videos[session - 1] if session <= len(videos) else None
+        return None if name is None else self.path / name
+
+    def command_log(self) -> LineLog:
+        """Open commands.csv for appending; a torn last line is removed."""
+        return LineLog(self.path / "commands.csv", _COMMAND_COLUMNS)
+
+    def frame_log(self) -> LineLog:
+        """Open frames.csv for appending; a torn last line is removed."""
+        return LineLog(self.path / "frames.csv", _FRAME_COLUMNS)
+
+    # Reading
+
+    def commands(self) -> list[CommandLine]:
+        """Read commands.csv.
+
+        Raises:
+            FileError: naming line and field: a column that is missing, a word where a number
+                belongs, an unknown kind, a clock that goes backwards.
+        """
+        path = self.path / "commands.csv"
+        table = read_csv(
+            path,
+            {
+                "session": integer,
+                "command": _optional_integer,
+                "kind": _kind,
+                "time": number,
+                "left": optional_number,
+                "right": optional_number,
+                "duration": optional_number,
+            },
+            drop_torn_line=True,
+        )
+        lines = [
+            CommandLine(*values, line=place)
+            for place, values in enumerate(zip(*table.values(), strict=True), start=2)
+        ]
+        before: CommandLine | None = None
+        for entry in lines:
+            if entry.is_motor and (math.isnan(entry.left) or math.isnan(entry.right)):
+                raise FileError(path, "a motor command needs both speeds", line=entry.line)
+            if entry.kind == "command" and (entry.command is None or not entry.duration > 0):
+                raise FileError(
+                    path, "a command needs a number and a duration above 0", line=entry.line
+                )
+            if before is not None:
+                _check_order(path, before, entry)
+            before = entry
+        return lines
+
+    def frame_times(self, session: int) -> NDArray | None:
+        """Return camera times [N] in seconds of a session's frames; None without frames.csv."""
+        path = self.path / "frames.csv"
+        if not path.exists():
+            return None
+        table = read_csv(
+            path, {"session": integer, "frame": integer, "time": number}, drop_torn_line=True
+        )
+        rows = np.array(table["session"], int) == session
+        if not rows.any():
+            return None
+        times = np.array(table["time"], float)[rows]
+        backwards = np.flatnonzero(np.diff(times) <= 0)
+        if backwards.size:
+            line = int(np.flatnonzero(rows)[backwards[0] + 1]) + 2
+            raise FileError(path, "the camera's clock goes backwards", line=line, field="time")
+        return times
+
+    @property
+    def is_tracked(self) -> bool:
+        """Whether poses.csv is there."""
+        return (self.path / "poses.csv").exists()
+
+    def poses(self) -> Poses:
+        """Read poses.csv.
+
+        Raises:
+            FileError: if the recording has not been tracked, or the file is wrong somewhere.
+        """
+        path = self.path / "poses.csv"
+        if not path.exists():
+            raise FileError(self.path, "has no poses.csv; run neurosim track on it first")
+        table = read_csv(
+            path,
+            {
+                "session": integer,
+                "frame": integer,
+                "time": number,
+                "x": optional_number,
+                "y": optional_number,
+                "theta": optional_number,
+                "quality": number,
+            },
+        )
+        session = np.array(table["session"], int)
+        time = np.array(table["time"], float)
+        backwards = np.flatnonzero((np.diff(time) <= 0) & (np.diff(session) == 0))
+        if backwards.size:
+            raise FileError(
+                path, "the clock goes backwards", line=int(backwards[0]) + 3, field="time"
+            )
+        pose = np.stack([np.array(table[name], float) for name in ("x", "y", "theta")], axis=-1)
+        return Poses(
+            session, np.array(table["frame"], int), time, pose, np.array(table["quality"], float)
+        )
+
+    def write_poses(self, poses: Poses) -> None:
+        """Write poses.csv, whole or not at all: millimetres to 3, radians to 5 decimals."""
+        x, y, theta = (np.round(poses.pose[:, i], 6) for i in range(3))
+        columns = (poses.session, poses.frame, np.round(poses.time, 6), x, y, theta)
+        write_csv(
+            self.path / "poses.csv",
+            dict(zip(_POSE_COLUMNS, (*columns, np.round(poses.quality, 3)), strict=True)),
+        )
+
+
+def completed(lines: Iterable[CommandLine], slack: float = 0.15) -> list[tuple[int, int, int]]:
+    """Find the commands that ran their whole duration.
+
+    Args:
+        lines: a recording's command lines.
+        slack: how much earlier or later than planned, in seconds, the next motor line may come.
+
+    Returns:
+        Triples of indices into the motor lines: (the motor line before or -1, the command, the
+        motor line that ended it).
+    """
+    found = []
+    motor = [entry for entry in lines if entry.is_motor]
+    for i, entry in enumerate(motor[:-1]):
+        after = motor[i + 1]
+        if (
+            entry.kind == "command"
+            and after.kind != "cut"
+            and after.session == entry.session
+            and abs(after.time - entry.time - entry.duration) <= slack
+        ):
+            before = i - 1 if i and motor[i - 1].session == entry.session else -1
+            found.append((before, i, i + 1))
+    return found
+
+
+def _wall_clock() -> str:
+    return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
+
+
+def _optional_integer(text: str) -> int | None:
+    return None if text == "" else int(text)
+
+
+def _kind(text: str) -> str:
+    if text not in KINDS:
+        raise ValueError
+    return text
+
+
+def _check_order(path: Path, before: CommandLine, entry: CommandLine) -> None:
+    if entry.session < before.session:
+        raise FileError(path, "sessions are out of order", line=entry.line, field="session")
+    if entry.session == before.session and entry.time < before.time:
+        raise FileError(
+            path,
+            f"the clock goes backwards, from {before.time:g} s to {entry.time:g} s",
+            line=entry.line,
+            field="time",
+        )
+
+
+def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
+    for name in ("front", "rear"):
+        marker = markers.get(name)
+        if not isinstance(marker, dict) or not {"colour", "x", "y"} <= marker.keys():
+            raise FileError(path, "expected colour, x and y", field=f"markers.{name}")
+    if markers["front"]["colour"] == markers["rear"]["colour"]:
+        raise UserError(f"{path}: the two markers need different colours")
