@@ -14,6 +14,7 @@ import sys
 from collections import deque
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, Literal
 
@@ -42,8 +43,8 @@ class Guard:
             ``ignore`` it.
         contrast: by how much of 0..1 a sensor's reading must differ from that of the bare board
             to be a line (or the floor).
-        retreat: metres to drive back over, away from the line; about half the distance from
-            line to line, so that a robot sent back has room ahead of it.
+        retreat: metres to drive back over, away from the line: more than the longest straight
+            command, so that a robot sent back has room ahead of it.
         speed: of the retreat, in percent.
         attempts: how often a command is sent again if it was cut.
         lead_in: seconds to drive the previous command's speeds again before a command that was
@@ -52,8 +53,8 @@ class Guard:
 
     at_line: Literal["return", "end", "ignore"] = "return"
     contrast: float = 0.12
-    retreat: float = 0.7
-    speed: float = 40.0
+    retreat: float = 0.9
+    speed: float = 50.0
     attempts: int = 4
     lead_in: float = 0.6
 
@@ -370,9 +371,8 @@ class _Session:
     def _return_inside(self, speeds: tuple[float, float]) -> None:
         """Back away from the line, far enough to have room, and turn some way.
 
-        Backing along the way it came is the one direction known to be inside; half the board's
-        width of it brings the robot near the middle, where a long straight run has the best
-        chance not to be cut again.
+        Backing along the way it came is the one direction known to be inside, and most of a
+        board's width of it leaves room for a long straight run not to be cut again.
         """
         guard, full = self._guard, self._settings.full_speed
         direction = -1.0 if sum(speeds) > 0 else 1.0
@@ -429,7 +429,7 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
     settled: set[int] = set()
     if (recording.path / "commands.csv").exists():
         lines = [line for line in recording.commands() if line.is_motor]
-        for line, after in zip(lines, [*lines[1:], None], strict=True):
+        for line, after in zip_longest(lines, lines[1:]):
             if line.kind != "command" or line.command is None:
                 continue
             attempts[line.command] = attempts.get(line.command, 0) + 1

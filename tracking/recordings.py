@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -304,32 +304,6 @@ class Recording:
             self.path / "poses.csv",
             dict(zip(_POSE_COLUMNS, (*columns, np.round(poses.quality, 3)), strict=True)),
         )
-
-
-def completed(lines: Iterable[CommandLine], slack: float = 0.15) -> list[tuple[int, int, int]]:
-    """Find the commands that ran their whole duration.
-
-    Args:
-        lines: a recording's command lines.
-        slack: how much earlier or later than planned, in seconds, the next motor line may come.
-
-    Returns:
-        Triples of indices into the motor lines: (the motor line before or -1, the command, the
-        motor line that ended it).
-    """
-    found = []
-    motor = [entry for entry in lines if entry.is_motor]
-    for i, entry in enumerate(motor[:-1]):
-        after = motor[i + 1]
-        if (
-            entry.kind == "command"
-            and after.kind != "cut"
-            and after.session == entry.session
-            and abs(after.time - entry.time - entry.duration) <= slack
-        ):
-            before = i - 1 if i and motor[i - 1].session == entry.session else -1
-            found.append((before, i, i + 1))
-    return found
 
 
 def _wall_clock() -> str:

@@ -1,0 +1,38 @@
+# make demo: the whole road in the virtual lab.  make test: the tests.
+# Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
+
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test test-extras format clean
+
+demo: .venv/installed
+	$(BIN)/neurosim demo demo
+
+test: .venv/installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+
+# Nothing needs the heavy optional libraries yet; what does will be tested here.
+test-extras: .venv/installed-dev
+
+format: .venv/installed-dev
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+.venv/bin/python:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "neurosim needs Python 3.11 or newer; name one with make PYTHON=python3.12" >&2; exit 1; }
+	$(PYTHON) -m venv .venv
+
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+	touch $@
+
+.venv/installed-dev: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+	touch $@ .venv/installed
+
+clean:
+	rm -rf .venv build dist *.egg-info demo

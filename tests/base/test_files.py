@@ -1,0 +1,160 @@
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+
+
+def test_a_failed_write_leaves_the_old_file(tmp_path):
+    path = tmp_path / "a.txt"
+    files.write_text(path, "old")
+    with pytest.raises(RuntimeError), files.atomic_path(path) as partial:
+        partial.write_text("half")
+        raise RuntimeError
+    assert path.read_text() == "old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.txt"]
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    with pytest.raises(RuntimeError), files.new_folder(tmp_path / "out") as folder:
+        (folder / "half").write_text("x")
+        raise RuntimeError
+    assert list(tmp_path.iterdir()) == []
+    with files.new_folder(tmp_path / "out") as folder:
+        (folder / "whole").write_text("x")
+    assert (tmp_path / "out" / "whole").read_text() == "x"
+
+
+def test_a_folder_with_something_in_it_is_refused(tmp_path):
+    (tmp_path / "mine").write_text("precious")
+    with pytest.raises(UserError, match="is not empty"), files.new_folder(tmp_path):
+        pass
+    with pytest.raises(UserError, match="is a file"), files.new_folder(tmp_path / "mine"):
+        pass
+
+
+def test_json_keeps_its_content_and_says_format_and_version(tmp_path):
+    path = tmp_path / "a.json"
+    files.write_json(path, "thing", 2, {"x": np.float64(1.5), "y": np.arange(3)})
+    assert json.loads(path.read_text()) == {
+        "format": "thing",
+        "version": 2,
+        "x": 1.5,
+        "y": [0, 1, 2],
+    }
+    assert files.read_json(path, "thing", 2, {"x": (int, float), "y": list})["x"] == 1.5
+
+
+def test_json_has_no_word_for_nan(tmp_path):
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        files.write_json(tmp_path / "a.json", "thing", 1, {"x": math.nan})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"format": "thing", "version": 1, "x": 1', "line 1: is not whole JSON"),
+        ('{"format": "other", "version": 1, "x": 1}', "field 'format': expected 'thing'"),
+        ('{"format": "thing", "version": 9, "x": 1}', "reads version 1, found 9"),
+        ('{"format": "thing", "version": true, "x": 1}', "reads version 1, found True"),
+        ('{"format": "thing", "version": 1}', "field 'x': is missing"),
+        ('{"format": "thing", "version": 1, "x": "1"}', "field 'x': expected int, found '1'"),
+        ('{"format": "thing", "version": 1, "x": true}', "field 'x': expected int, found True"),
+        ("[]", "expected a JSON object"),
+    ],
+)
+def test_json_that_is_wrong_is_refused_in_one_sentence(tmp_path, text, says):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(FileError) as error:
+        files.read_json(path, "thing", 1, {"x": int})
+    assert says in str(error.value)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "line 1: is empty"),
+        ("a\n1\n", "field 'b': this column is missing"),
+        ("a,b\n1,x\n", "line 2, field 'b': expected a finite number, found 'x'"),
+        ("a,b\n1,1\n2,nan\n", "line 3, field 'b': expected a finite number, found 'nan'"),
+        ("a,b\n1.5,1\n", "line 2, field 'a': expected a whole number, found '1.5'"),
+        ("a,b\n1\n", "line 2: expected 2 fields, found 1"),
+    ],
+)
+def test_csv_that_is_wrong_is_refused_with_line_and_field(tmp_path, text, says):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(FileError) as error:
+        files.read_csv(path, {"a": files.integer, "b": files.number})
+    assert says in str(error.value)
+
+
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=20))
+def test_numbers_survive_a_csv_to_the_last_bit(tmp_path_factory, values):
+    path = tmp_path_factory.mktemp("csv") / "a.csv"
+    files.write_csv(path, {"a": values})
+    assert files.read_csv(path, {"a": files.number})["a"] == values
+
+
+def test_a_line_log_drops_a_torn_line_and_goes_on(tmp_path):
+    path = tmp_path / "log.csv"
+    with files.LineLog(path, ["a", "b"]) as log:
+        log.append(1, 0.1)
+        log.append(None, math.nan)
+    path.write_bytes(path.read_bytes() + b"3,0.")
+    columns = {"a": str, "b": files.optional_number}
+    assert files.read_csv(path, columns, drop_torn_line=True)["a"] == ["1", ""]
+    with files.LineLog(path, ["a", "b"]) as log:
+        log.append(4, 0.4)
+    assert path.read_text() == "a,b\n1,0.1\n,\n4,0.4\n"
+
+
+def test_a_line_log_of_other_columns_is_refused(tmp_path):
+    files.LineLog(tmp_path / "log.csv", ["a"]).close()
+    with pytest.raises(FileError, match="expected the columns a, b"):
+        files.LineLog(tmp_path / "log.csv", ["a", "b"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
+def test_every_line_before_a_kill_is_on_disk(tmp_path):
+    program = (
+        "import sys; from neurosim.base.files import LineLog\n"
+        f"log = LineLog({str(tmp_path / 'log.csv')!r}, ['n'])\n"
+        "for n in range(10**9):\n log.append(n); print(n, flush=True)\n"
+    )
+    child = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    seen = [int(child.stdout.readline()) for _ in range(50)][-1]
+    child.send_signal(signal.SIGKILL)
+    child.wait()
+    child.stdout.close()
+    table = files.read_csv(tmp_path / "log.csv", {"n": files.integer}, drop_torn_line=True)
+    assert table["n"][: seen + 1] == list(range(seen + 1))
+
+
+def test_tensors_that_were_cut_short_are_refused(tmp_path):
+    path = tmp_path / "w.safetensors"
+    files.write_tensors(path, {"w": np.ones((2, 3))})
+    assert files.read_tensors(path, {"w": (None, 3)})["w"].shape == (2, 3)
+    with pytest.raises(FileError, match=r"expected shape \(3, 2\), found \(2, 3\)"):
+        files.read_tensors(path, {"w": (3, 2)})
+    with pytest.raises(FileError, match="'v': this tensor is missing"):
+        files.read_tensors(path, {"v": (3,)})
+    path.write_bytes(path.read_bytes()[:-5])
+    with pytest.raises(FileError, match="cut short"):
+        files.read_tensors(path)
+    files.write_tensors(path, {"w": np.array([1.0, math.nan])})
+    with pytest.raises(FileError, match="not finite"):
+        files.read_tensors(path, {"w": (2,)})
