@@ -97,6 +97,7 @@ def record(
     calibration: str | Path | None = None,
     resume: bool = False,
     finish: Callable[[Path, int], None] | None = None,
+    lab: dict[str, Any] | None = None,
     say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
 ) -> Recording:
     """Record a robot's commands and the video of what they did.
@@ -111,6 +112,7 @@ def record(
         resume: go on where the recording stopped, in a new session.
         finish: called with (folder, session) when the session's files are closed, whatever
             happened; the virtual lab writes its truth there.
+        lab: what the virtual lab was made with, or None for a real robot.
         say: takes messages for the user.
 
     Raises:
@@ -120,7 +122,7 @@ def record(
         BatteryLow: if the battery fell below the limit.
     """
     out = Path(out)
-    wanted = _wanted(robot, camera, source, settings)
+    wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
     recording = _resumed(out, wanted) if resume else None
     with robot:
         if recording is None:
@@ -129,6 +131,7 @@ def record(
                 shutil.copyfile(calibration, out / "calibration.json")
         elif calibration is not None:
             _check_same_calibration(out, Path(calibration))
+        # Connected, it can say more: its name, its firmware.
         recording.meta["robot"] = robot.describe()
         number = recording.sessions + 1
         # The part's name is written down before there is a part: a kill at any moment leaves

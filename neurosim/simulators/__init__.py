@@ -1,0 +1,6 @@
+"""Simulators behind one protocol: state and command in, state out, for a whole batch."""
+
+from neurosim.simulators.base import Simulator, read_simulator
+from neurosim.simulators.motion import MotionNetwork
+
+__all__ = ["MotionNetwork", "Simulator", "read_simulator"]

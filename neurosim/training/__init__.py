@@ -1,0 +1,1 @@
+"""From a dataset to a simulator, and how well it predicts."""

@@ -1,0 +1,68 @@
+"""What several verbs share."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import click
+
+#: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
+PATH = click.Path(path_type=Path)
+
+json_option = click.option(
+    "--json", "as_json", is_flag=True, help="Print the result as JSON, for machines."
+)
+seed_option = click.option(
+    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all random draws."
+)
+
+
+class Size(click.ParamType):
+    """WIDTHxHEIGHT in pixels."""
+
+    name = "WxH"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[int, int]:
+        """Return (width, height)."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            width, height = (int(part) for part in value.lower().split("x"))
+        except ValueError:
+            self.fail(f"{value!r} is not a size such as 640x480", param, ctx)
+        if min(width, height) < 16:
+            self.fail(f"{value!r} is too small for a picture", param, ctx)
+        return width, height
+
+
+class Range(click.ParamType):
+    """Two numbers, LOW..HIGH."""
+
+    name = "LOW..HIGH"
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[float, float]:
+        """Return (low, high)."""
+        if isinstance(value, tuple):
+            return value
+        try:
+            low, high = (float(part) for part in value.split(".."))
+        except ValueError:
+            self.fail(f"{value!r} is not a range such as 0.5..3", param, ctx)
+        return low, high
+
+
+def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
+    """Print a verb's result: JSON for machines, or text for people."""
+    if as_json:
+        click.echo(json.dumps(result, indent=2, default=_plain))
+    else:
+        click.echo(text() if callable(text) else text)
+
+
+def _plain(value: Any) -> Any:
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return str(value)

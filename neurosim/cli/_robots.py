@@ -1,0 +1,147 @@
+"""The options that say which robot, and the rig (robot and camera) they stand for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from neurosim.base.errors import UserError
+from neurosim.cli._common import Size
+
+_OPTIONS = [
+    click.option(
+        "--robot",
+        default="virtual",
+        show_default=True,
+        help="virtual (the lab in software), nxt, or a driver that a package added.",
+    ),
+    click.option("--host", help="NXT over Bluetooth: its address, such as 00:16:53:01:02:03."),
+    click.option("--device", help="NXT over a device file, such as /dev/rfcomm0."),
+    click.option("--server", help="NXT behind nxt-server: HOST:PORT."),
+    click.option("--left", "left_port", default="B", show_default=True, help="Left motor's port."),
+    click.option(
+        "--right", "right_port", default="C", show_default=True, help="Right motor's port."
+    ),
+    click.option(
+        "--lamp",
+        default="A",
+        show_default=True,
+        help="The lamp: a motor port, color:PORT for the colour sensor's own, or none.",
+    ),
+    click.option(
+        "--light-left", default="1", show_default=True, help="Left light sensor's port, or none."
+    ),
+    click.option(
+        "--light-right", default="2", show_default=True, help="Right light sensor's port, or none."
+    ),
+    click.option("--invert", is_flag=True, help="The motors are mounted the other way round."),
+    click.option(
+        "--camera",
+        default=None,
+        help="A camera's number, a file or URL that OpenCV opens, or none.  [default: 0; the "
+        "virtual lab has its own]",
+    ),
+    click.option("--camera-size", type=Size(), help="Frame size.  [virtual default: 640x480]"),
+    click.option("--fps", type=click.FloatRange(min=1), help="Frame rate.  [virtual default: 30]"),
+    click.option(
+        "--lab-seed",
+        type=click.IntRange(min=0),
+        default=0,
+        show_default=True,
+        help="Which of the virtual lab's robots and boards.",
+    ),
+]
+
+
+def robot_options(command: Callable) -> Callable:
+    """Add the options that say which robot and camera."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+@dataclass
+class Rig:
+    """A robot, what films it, what to do when a session ends, and in which virtual lab."""
+
+    robot: Any
+    camera: Any
+    finish: Callable[[Path, int], None] | None
+    lab: dict[str, Any] | None
+
+
+@contextmanager
+def open_rig(
+    options: dict[str, Any], *, seed: int, start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+) -> Iterator[Rig]:
+    """Make the robot and camera that the options stand for.
+
+    Args:
+        options: the values of ``robot_options``; they are taken out of the dict.
+        seed: of the virtual lab's chances in this session.
+        start: pose at which a person puts the robot; in the lab, where it is put.
+    """
+    kind = options.pop("robot")
+    lab_seed = options.pop("lab_seed")
+    size, fps, source = (options.pop(name) for name in ("camera_size", "fps", "camera"))
+    if kind == "virtual":
+        from neurosim.lab import VirtualRig
+
+        with VirtualRig(
+            lab_seed,
+            noise_seed=seed,
+            start=start,
+            camera=source != "none",
+            camera_size=size or (640, 480),
+            fps=fps or 30.0,
+        ) as virtual:
+            yield Rig(virtual.robot, virtual.camera, virtual.write_truth, virtual.describe())
+        return
+    robot = _robot(kind, options)
+    yield Rig(robot, _camera(source, robot.clock.now, size, fps), None, None)
+
+
+def _robot(kind: str, options: dict[str, Any]) -> Any:
+    from neurosim.robots import robot_factory
+
+    server = options.pop("server")
+    host_port: dict[str, Any] = {}
+    if server:
+        name, _, port = server.rpartition(":")
+        if not port.isdigit():
+            raise UserError(f"--server {server!r}: expected HOST:PORT, such as localhost:2727")
+        host_port = {"server_host": name or "localhost", "server_port": int(port)}
+    factory = robot_factory(kind)
+    options_of_driver = dict(
+        host=options.pop("host"),
+        filename=options.pop("device"),
+        **host_port,
+        left=options.pop("left_port"),
+        right=options.pop("right_port"),
+        lamp=_or_none(options.pop("lamp")),
+        light_left=_or_none(options.pop("light_left")),
+        light_right=_or_none(options.pop("light_right")),
+        invert=options.pop("invert"),
+    )
+    try:
+        return factory(**options_of_driver)
+    except TypeError as error:
+        raise UserError(f"the driver {kind!r} does not take these options: {error}") from None
+
+
+def _or_none(text: str | None) -> str | None:
+    return None if text in (None, "none") else text
+
+
+def _camera(source: str | None, now: Callable[[], float], size: Any, fps: float | None) -> Any:
+    if source == "none":
+        return None
+    from tracking.camera import OpenCVCamera
+
+    number_or_name = int(source or 0) if source is None or source.isdigit() else source
+    return OpenCVCamera(number_or_name, now, size, fps)

@@ -1,0 +1,50 @@
+"""``neurosim dataset``: tracked recordings, or another format, -> dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from neurosim.base.errors import UserError
+from neurosim.cli._common import PATH, emit, json_option
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, required=True, type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder of the new dataset.")
+@click.option(
+    "--from",
+    "source",
+    type=click.Choice(["recording", "mrclam"]),
+    default="recording",
+    show_default=True,
+    help="mrclam: the UTIAS files *_Odometry.dat and *_Groundtruth.dat.",
+)
+@json_option
+def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool) -> None:
+    """Turn RECORDINGS that were tracked into rows of (command -> displacement)."""
+    from tracking.dataset import build
+    from tracking.mrclam import import_mrclam
+
+    if source == "mrclam":
+        made = import_mrclam(*_mrclam_files(recordings), out)
+    else:
+        made = build(list(recordings), out)
+    left_out = made.meta.get("left_out", {})
+    result = {"dataset": str(out), "rows": len(made.table), "left_out": left_out}
+    reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
+    emit(
+        result,
+        as_json,
+        f"{out}: {len(made.table)} rows; left out: {reasons or 'none'}.\n"
+        f"Next: neurosim train {out} -o SIMULATOR",
+    )
+
+
+def _mrclam_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
+    if len(paths) == 2 or (len(paths) == 1 and paths[0].is_dir()):
+        return paths
+    raise UserError(
+        "--from mrclam takes two files, odometry and ground truth, or one folder with both"
+    )

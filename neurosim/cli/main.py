@@ -1,0 +1,67 @@
+"""The ``neurosim`` command and how it ends: 0 on success only, errors in one sentence."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+import neurosim
+from neurosim.base.errors import UserError
+from neurosim.cli.calibrate import calibrate
+from neurosim.cli.dataset import dataset
+from neurosim.cli.demo import demo
+from neurosim.cli.evolve import evolve
+from neurosim.cli.lab import lab
+from neurosim.cli.record import record
+from neurosim.cli.report import report
+from neurosim.cli.run import run
+from neurosim.cli.track import track
+from neurosim.cli.train import evaluate, train
+
+
+class _InOrder(click.Group):
+    """Lists the verbs in the order of the road, not of the alphabet."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return list(self.commands)
+
+
+@click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(neurosim.__version__, message="%(prog)s %(version)s")
+def cli() -> None:
+    """A robot builds its own simulator.
+
+    Record what the robot does, learn a simulator from the recording, evolve a controller in the
+    simulator, drive the robot with it. Every verb reads what the verb before it wrote; start
+    with "neurosim demo DEMO", which walks the whole road in the virtual lab.
+    """
+
+
+for verb in (record, calibrate, track, dataset, train, evaluate, evolve, run, report, lab, demo):
+    cli.add_command(verb)
+
+
+def main() -> None:
+    """Run the command line; the only place where errors become exit codes."""
+    try:
+        cli.main(standalone_mode=False)
+    except click.exceptions.Exit as stop:
+        sys.exit(stop.exit_code)
+    except click.ClickException as error:
+        error.show()
+        sys.exit(error.exit_code)
+    except (KeyboardInterrupt, click.exceptions.Abort):
+        click.echo("neurosim: interrupted; what was written so far can be read", err=True)
+        sys.exit(130)
+    except UserError as error:
+        click.echo(f"neurosim: {error}", err=True)
+        sys.exit(1)
+    except BrokenPipeError:
+        # The reader of a pipe went away (head, less): not worth a word.
+        sys.stderr.close()
+        sys.exit(1)
+    except OSError as error:
+        # Disk full, no permission: the user's to put right, and the file is named.
+        click.echo(f"neurosim: {error.strerror or error}: {error.filename or ''}", err=True)
+        sys.exit(1)

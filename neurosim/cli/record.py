@@ -1,0 +1,133 @@
+"""``neurosim record``: robot + camera -> recording."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from neurosim.cli._common import PATH, Range, emit, json_option, seed_option
+from neurosim.cli._robots import open_rig, robot_options
+
+
+@click.command()
+@click.argument("out", type=PATH)
+@click.option("--commands", type=int, default=500, show_default=True, help="How many to send.")
+@robot_options
+@click.option("--max-speed", default=50.0, show_default=True, help="Largest speed, in percent.")
+@click.option(
+    "--durations",
+    type=Range(),
+    default="0.5..3",
+    show_default=True,
+    help="Shortest and longest, in s.",
+)
+@click.option("--straight", default=0.3, show_default=True, help="Share of equal speeds.")
+@click.option("--stopped", default=0.2, show_default=True, help="Share of stops.")
+@click.option(
+    "--at-line",
+    type=click.Choice(["return", "end", "ignore"]),
+    default="return",
+    show_default=True,
+    help="What to do where a light sensor sees a line.",
+)
+@click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
+@click.option("--battery-limit", default=6.5, show_default=True, help="Pause below it, in V.")
+@click.option(
+    "--calibration", type=PATH, help="The camera's calibration.json, kept with the recording."
+)
+@click.option("--markers", default="pink,blue", show_default=True, help="Colours: FRONT,REAR.")
+@click.option("--resume", is_flag=True, help="Go on with a recording that was interrupted.")
+@seed_option
+@json_option
+def record(
+    out: Path,
+    commands: int,
+    max_speed: float,
+    durations: tuple[float, float],
+    straight: float,
+    stopped: float,
+    at_line: Any,
+    line_contrast: float,
+    battery_limit: float,
+    calibration: Path | None,
+    markers: str,
+    resume: bool,
+    seed: int,
+    as_json: bool,
+    **robot: Any,
+) -> None:
+    """Drive a robot with random commands and film it, into the folder OUT.
+
+    Put the robot in the middle of the board first. Lamp flashes at the beginning and at the end
+    join the video's clock and the robot's.
+    """
+    from neurosim.commands import RandomCommands
+    from neurosim.record import Guard, RecordSettings
+    from neurosim.record import record as record_
+
+    source = RandomCommands(max_speed, durations, straight, stopped, seed)
+    settings = RecordSettings(
+        commands,
+        Guard(at_line, line_contrast),
+        battery_limit,
+        markers=marker_settings(markers),
+    )
+    # Each session of a resumed recording meets other chances, as it would on a real robot.
+    session = _sessions(out) if resume else 0
+    with open_rig(robot, seed=seed + 1000 * session) as rig:
+        made = record_(
+            out,
+            rig.robot,
+            rig.camera,
+            source,
+            settings,
+            calibration=calibration,
+            resume=resume,
+            finish=rig.finish,
+            lab=rig.lab,
+        )
+    lines = made.commands()
+    cut = sum(line.kind == "cut" for line in lines)
+    sent = sum(line.kind == "command" for line in lines)
+    result = {
+        "recording": str(out),
+        "commands": commands,
+        "sent": sent,
+        "cut": cut,
+        "sessions": made.sessions,
+        "robot_seconds": sum(
+            max(line.time for line in lines if line.session == s)
+            for s in range(1, made.sessions + 1)
+            if any(line.session == s for line in lines)
+        ),
+    }
+    emit(
+        result,
+        as_json,
+        f"{out}: {commands} commands ({sent} sent, {cut} cut at the line), "
+        f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
+        f"Next: neurosim track {out}",
+    )
+
+
+def marker_settings(colours: str) -> dict[str, Any]:
+    """Return the default markers with these colours, FRONT,REAR."""
+    from neurosim.base.errors import UserError
+    from tracking.recordings import DEFAULT_MARKERS
+
+    names = [name.strip() for name in colours.split(",")]
+    if len(names) != 2 or not all(names) or names[0] == names[1]:
+        raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")
+    front, rear = (
+        {**DEFAULT_MARKERS[which], "colour": name}
+        for which, name in zip(("front", "rear"), names, strict=True)
+    )
+    return {**DEFAULT_MARKERS, "front": front, "rear": rear}
+
+
+def _sessions(out: Path) -> int:
+    from tracking.recordings import Recording
+
+    return Recording(out).sessions

@@ -1,0 +1,75 @@
+"""``neurosim track``: a recording's video, or any video, -> poses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from neurosim.base.errors import UserError
+from neurosim.cli._common import PATH, emit, json_option
+
+
+@click.command()
+@click.argument("recording", type=PATH)
+@click.option("--colours", help="Of the markers: FRONT,REAR.  [default: as recorded; pink,blue]")
+@click.option("--calibration", type=PATH, help="[default: the one kept with the recording]")
+@click.option("--overlay", type=PATH, help="Also write a video with what was found drawn over it.")
+@click.option(
+    "--video",
+    "videos",
+    multiple=True,
+    type=PATH,
+    help="Of a session that was filmed with something else; once for each.",
+)
+@click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
+@click.option(
+    "--height", default=0.0, show_default=True, help="Of a video file's markers over the board, m."
+)
+@json_option
+def track(
+    recording: Path,
+    colours: str | None,
+    calibration: Path | None,
+    overlay: Path | None,
+    videos: tuple[Path, ...],
+    out: Path | None,
+    height: float,
+    as_json: bool,
+) -> None:
+    """Find the two markers in every frame of RECORDING, or of a video file by itself.
+
+    Of a recording, the poses go into its poses.csv, in metres, on the robot's clock. A video file
+    needs -o; without a calibration its poses are in pixels.
+    """
+    from tracking.track import track as track_
+    from tracking.track import track_video
+
+    pair = _pair(colours) if colours else None
+    if recording.is_file():
+        if out is None:
+            raise UserError(f"{recording} is a video file; name a folder for its poses with -o")
+        front, rear = pair or ("pink", "blue")
+        result = track_video(
+            recording, front, rear, out, calibration=calibration, height=height, overlay=overlay
+        )
+        result.pop("poses")
+        where, then = out, ""
+    else:
+        if out is not None:
+            raise UserError("-o is for video files; a recording's poses go into its own folder")
+        result = track_(recording, pair, calibration, overlay, videos)
+        where, then = recording, f"\nNext: neurosim dataset {recording} -o DATASET"
+    emit(
+        result,
+        as_json,
+        f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
+        f"median quality {result['quality']:.2f}.{then}",
+    )
+
+
+def _pair(colours: str) -> tuple[str, str]:
+    names = [name.strip() for name in colours.split(",")]
+    if len(names) != 2 or not all(names):
+        raise UserError(f"--colours {colours!r}: expected two colours, such as pink,blue")
+    return names[0], names[1]

@@ -1,0 +1,120 @@
+"""``neurosim train`` and ``neurosim evaluate``: dataset -> simulator, and how good it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from neurosim.cli._common import PATH, emit, json_option, seed_option
+
+_ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
+
+
+@click.command()
+@click.argument("dataset", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
+@click.option(
+    "--trainer",
+    default="ga",
+    show_default=True,
+    help="ga: the paper's, every weight a gene. exponents: the product units' exponents are "
+    "genes, the rest is solved for; far better in far less time.",
+)
+@click.option("--generations", type=click.IntRange(min=1), help="[default: the trainer's own]")
+@click.option("--product-units", type=click.IntRange(min=0), default=10, show_default=True)
+@click.option("--summation-units", type=click.IntRange(min=0), default=10, show_default=True)
+@click.option("--hidden-activation", type=_ACTIVATION, default="linear", show_default=True)
+@click.option("--output-activation", type=_ACTIVATION, default="linear", show_default=True)
+@click.option("--population", type=click.IntRange(min=2), help="[ga: 250]")
+@click.option("--tournament", type=click.IntRange(min=1), help="[ga: 50]")
+@click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [ga: 0.8]")
+@click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [ga: 0.05]")
+@click.option("--device", default="cpu", show_default=True, help="As PyTorch names it.")
+@click.option("--resume", is_flag=True, help="Go on with training that was interrupted.")
+@seed_option
+@json_option
+def train(
+    dataset: Path,
+    out: Path,
+    trainer: str,
+    generations: int | None,
+    product_units: int,
+    summation_units: int,
+    hidden_activation: str,
+    output_activation: str,
+    device: str,
+    resume: bool,
+    seed: int,
+    as_json: bool,
+    **genetic: Any,
+) -> None:
+    """Train a simulator from DATASET; its last fifth in time is held out."""
+    from neurosim.training import train as train_
+
+    simulator = train_(
+        dataset,
+        out,
+        trainer=trainer,
+        generations=generations,
+        seed=seed,
+        hidden=(product_units, summation_units),
+        activations=(hidden_activation, output_activation),
+        settings={name: value for name, value in genetic.items() if value is not None},
+        device=device,
+        resume=resume,
+    )
+    errors = simulator.meta["test_errors"]
+    result = {"simulator": str(out), "test_errors": errors, **simulator.meta["wall_clock"]}
+    emit(
+        result,
+        as_json,
+        f"{out}: mean absolute error on the held-out fifth: {_in_words(errors)} "
+        f"({result['training_seconds']:.0f} s).\n"
+        f"Next: neurosim evolve {out} --task nine-rectangles -o CONTROLLER",
+    )
+
+
+def _in_words(errors: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} {error['mean_absolute_error']:.2f} {error['unit']}"
+        for name, error in errors.items()
+    )
+
+
+@click.command()
+@click.argument("simulator", type=PATH)
+@click.argument("dataset", type=PATH)
+@click.option("--all-rows", is_flag=True, help="Also the rows that training has seen.")
+@json_option
+def evaluate(simulator: Path, dataset: Path, all_rows: bool, as_json: bool) -> None:
+    """Print Table 2 of Pretorius et al. (2009) for SIMULATOR on DATASET, beside the paper's."""
+    from neurosim.training import evaluate as evaluate_
+
+    result = evaluate_(simulator, dataset, held_out_only=not all_rows)
+    emit(result, as_json, lambda: _table_2(result))
+
+
+#: As the paper orders and names them.
+_ROWS = (("dtheta", "change in angle"), ("dx", "change in y (dx)"), ("dy", "change in x (-dy)"))
+
+
+def _table_2(result: dict[str, Any]) -> str:
+    lines = [f"{result['rows']} rows: {result['which']}", ""]
+    columns = [("ours", result["errors"]), ("paper", result["paper"])]
+    if result["baseline"]:
+        columns.append(("unicycle", result["baseline"]["errors"]))
+    head = "".join(f"{name:>12} MSE{'error':>10}    " for name, _ in columns)
+    lines.append(f"{'':20}{head}")
+    for key, label in _ROWS:
+        cells = "".join(
+            f"{table[key]['mse']:>16.3f}{table[key]['mean_absolute_error']:>10.3f} "
+            f"{table[key]['unit']:3}"
+            for _, table in columns
+        )
+        lines.append(f"{label:20}{cells}")
+    lines += ["", "MSE in the square of the error's unit; error: mean absolute error."]
+    if result["baseline"]:
+        lines.append(f"unicycle: {result['baseline']['description']}.")
+    return "\n".join(lines)

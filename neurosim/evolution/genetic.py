@@ -1,0 +1,201 @@
+"""The genetic algorithm of Pretorius et al. 2009 (Table 1), ask and tell.
+
+It knows only fitness: whoever evaluates a population asks for it, evaluates it in any way, and
+tells what came out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurosim.evolution.operators import gaussian_mutation, sbx, tournament
+
+#: Makes children of pairs: (population [..., P, G], first parents' indices [..., N], second
+#: parents' indices [..., N], generator) -> two tensors [..., N, G].
+Crossover = Callable[[Tensor, Tensor, Tensor, torch.Generator], tuple[Tensor, Tensor]]
+
+
+@dataclass(frozen=True)
+class GeneticSettings:
+    """Settings of a genetic algorithm; the defaults are Table 1 of Pretorius et al. 2009.
+
+    The paper does not say what the last four are.
+
+    Attributes:
+        population: individuals.
+        crossover: chance that a pair of parents is crossed; the others are copied.
+        mutation: chance of each gene of a child to be changed.
+        tournament: individuals in a tournament.
+        eta: distribution index of simulated binary crossover.
+        mutation_scale: standard deviation of a change.
+        elites: the best individuals, kept unchanged: with one, the best fitness never falls.
+    """
+
+    population: int = 250
+    crossover: float = 0.8
+    mutation: float = 0.05
+    tournament: int = 50
+    eta: float = 15.0
+    mutation_scale: float = 0.1
+    elites: int = 1
+
+    def __post_init__(self) -> None:
+        if self.population < 2 or self.tournament < 1:
+            raise ValueError("a population has at least 2 individuals, a tournament at least 1")
+        if not 0 <= self.elites < self.population:
+            raise ValueError("elites must be fewer than the population")
+        if not (0 <= self.crossover <= 1 and 0 <= self.mutation <= 1):
+            raise ValueError("crossover and mutation are probabilities")
+
+
+class GeneticAlgorithm:
+    """A generational genetic algorithm, one run or several independent ones at once.
+
+    ::
+
+        ga = GeneticAlgorithm(initial, GeneticSettings(), generator)
+        for _ in range(generations):
+            ga.tell(fitness(ga.ask()))
+        ga.best
+
+    Attributes:
+        generation: how many populations have been evaluated.
+        best: the best individual told of so far, [..., G].
+        best_fitness: its fitness, [...], float64.
+    """
+
+    def __init__(
+        self,
+        initial: Tensor,
+        settings: GeneticSettings,
+        generator: torch.Generator,
+        *,
+        crossover: Crossover | None = None,
+        mutation: Callable[[Tensor, torch.Generator], Tensor] | None = None,
+        bounds: tuple[Tensor | float, Tensor | float] | None = None,
+    ):
+        """Start from a first population.
+
+        Args:
+            initial: [..., P, G]; leading dimensions are independent runs.
+            settings: sizes and probabilities.
+            generator: source of all random numbers, on the device of ``initial``.
+            crossover: in place of :func:`~neurosim.evolution.operators.sbx`; it is given
+                indices, so that it may look at what else is known of a parent.
+            mutation: in place of :func:`~neurosim.evolution.operators.gaussian_mutation`.
+            bounds: lowest and highest value of a gene, for the two default operators.
+        """
+        if initial.shape[-2] != settings.population:
+            raise ValueError(f"expected {settings.population} individuals, got {initial.shape[-2]}")
+        self.settings = settings
+        self.generation = 0
+        self.best = initial[..., 0, :].clone()
+        self.best_fitness = torch.full(
+            initial.shape[:-2], -torch.inf, dtype=torch.float64, device=initial.device
+        )
+        self._population = initial.clone()
+        self._generator = generator
+        self._crossover = crossover or self._sbx
+        self._mutation = mutation or self._gaussian
+        self._bounds = bounds
+
+    def ask(self) -> Tensor:
+        """Return the population to evaluate, [..., P, G]; treat it as read-only."""
+        return self._population
+
+    def tell(self, fitness: Tensor) -> None:
+        """Take the fitness of the population asked for, [..., P], and make the next one.
+
+        The higher is the better; NaN is worse than anything.
+        """
+        fitness = fitness.to(self.best_fitness)
+        if fitness.shape != self._population.shape[:-1]:
+            raise ValueError(
+                f"expected fitness of shape {tuple(self._population.shape[:-1])}, "
+                f"got {tuple(fitness.shape)}"
+            )
+        fitness = torch.where(fitness.isnan(), -torch.inf, fitness)
+        self._remember_best(fitness)
+        self._population = self._next_population(fitness)
+        self.generation += 1
+
+    def state(self) -> dict[str, Tensor]:
+        """Return all that the next generations depend on, as tensors on the CPU.
+
+        A run that is loaded from it goes on bit for bit as this one would have.
+        """
+        return {
+            "population": self._population.cpu().clone(),
+            "best": self.best.cpu().clone(),
+            "best_fitness": self.best_fitness.cpu().clone(),
+            "generation": torch.tensor(self.generation),
+            "generator": self._generator.get_state(),
+        }
+
+    def load(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from what :meth:`state` returned."""
+        if state["population"].shape != self._population.shape:
+            raise ValueError("the state is of another population or number of genes")
+        self._population = state["population"].to(self._population)
+        self.best = state["best"].to(self.best)
+        self.best_fitness = state["best_fitness"].to(self.best_fitness)
+        self.generation = int(state["generation"])
+        self._generator.set_state(state["generator"])
+
+    def _remember_best(self, fitness: Tensor) -> None:
+        top, place = fitness.max(-1)
+        individual = _pick(self._population, place.unsqueeze(-1)).squeeze(-2)
+        better = top > self.best_fitness
+        self.best = torch.where(better.unsqueeze(-1), individual, self.best)
+        self.best_fitness = torch.where(better, top, self.best_fitness)
+
+    def _next_population(self, fitness: Tensor) -> Tensor:
+        settings = self.settings
+        pairs = (settings.population - settings.elites + 1) // 2
+        parents = tournament(fitness, settings.tournament, 2 * pairs, self._generator)
+        first, second = parents[..., :pairs], parents[..., pairs:]
+        crossed_a, crossed_b = self._crossover(self._population, first, second, self._generator)
+        cross = (
+            torch.rand(first.shape, generator=self._generator, device=fitness.device)
+            < settings.crossover
+        ).unsqueeze(-1)
+        children = torch.cat(
+            [
+                torch.where(cross, crossed_a, _pick(self._population, first)),
+                torch.where(cross, crossed_b, _pick(self._population, second)),
+            ],
+            dim=-2,
+        )
+        children = self._mutation(children, self._generator)
+        elites = fitness.topk(settings.elites, dim=-1).indices
+        children = children[..., : settings.population - settings.elites, :]
+        return torch.cat([_pick(self._population, elites), children], dim=-2)
+
+    def _sbx(
+        self, population: Tensor, first: Tensor, second: Tensor, generator: torch.Generator
+    ) -> tuple[Tensor, Tensor]:
+        return sbx(
+            _pick(population, first),
+            _pick(population, second),
+            self.settings.eta,
+            generator,
+            bounds=self._bounds,
+        )
+
+    def _gaussian(self, genes: Tensor, generator: torch.Generator) -> Tensor:
+        return gaussian_mutation(
+            genes,
+            self.settings.mutation,
+            self.settings.mutation_scale,
+            generator,
+            bounds=self._bounds,
+        )
+
+
+def _pick(population: Tensor, indices: Tensor) -> Tensor:
+    """Return the individuals [..., N, G] of ``population`` [..., P, G] at ``indices`` [..., N]."""
+    return torch.take_along_dim(population, indices.unsqueeze(-1), -2)

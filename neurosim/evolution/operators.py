@@ -1,0 +1,105 @@
+"""Operators of real-coded genetic algorithms, as plain functions on tensors.
+
+Every function takes its random numbers from the generator it is given, and works on the device
+of its tensors. Leading dimensions are independent runs.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+
+def tournament(fitness: Tensor, size: int, count: int, generator: torch.Generator) -> Tensor:
+    """Return the winners of ``count`` tournaments, each among ``size`` drawn with replacement.
+
+    Args:
+        fitness: [..., P]; the higher wins.
+        size: individuals in a tournament.
+        count: tournaments.
+        generator: source of the draws, on the device of ``fitness``.
+
+    Returns:
+        Indices of the winners, [..., count].
+
+    Source: Goldberg and Deb, A comparative analysis of selection schemes used in genetic
+    algorithms, FOGA 1991.
+    """
+    *runs, population = fitness.shape
+    drawn = torch.randint(
+        population, (*runs, count, size), generator=generator, device=fitness.device
+    )
+    drawn_fitness = torch.take_along_dim(fitness, drawn.flatten(-2), -1).view(drawn.shape)
+    best = drawn_fitness.argmax(-1, keepdim=True)
+    return torch.take_along_dim(drawn, best, -1).squeeze(-1)
+
+
+def sbx(
+    a: Tensor,
+    b: Tensor,
+    eta: float,
+    generator: torch.Generator,
+    *,
+    gene_probability: float = 0.5,
+    bounds: tuple[Tensor | float, Tensor | float] | None = None,
+) -> tuple[Tensor, Tensor]:
+    """Return two children of each pair of parents by simulated binary crossover.
+
+    The children of a gene lie about the parents' mean, ``beta`` times as far apart as the
+    parents, where ``beta`` is drawn so that near children are as likely as one-point crossover
+    of binary strings makes them.
+
+    Args:
+        a, b: parents, [..., G].
+        eta: distribution index; the larger, the nearer the children to their parents.
+        generator: source of the draws.
+        gene_probability: chance that a gene is crossed; one that is not passes from each
+            parent to its child unchanged (Deb and Agrawal cross half of them).
+        bounds: lowest and highest value of a gene; children are clamped to them. Without
+            bounds the children's mean is the parents'.
+
+    Returns:
+        Children, each [..., G].
+
+    Source: Deb and Agrawal, Simulated binary crossover for continuous search space, Complex
+    Systems 9, 1995.
+    """
+    u = torch.rand(a.shape, generator=generator, device=a.device, dtype=a.dtype)
+    crossed = torch.rand(a.shape, generator=generator, device=a.device, dtype=a.dtype)
+    # u is below 1, so that neither branch divides by zero.
+    beta = torch.where(u <= 0.5, 2.0 * u, 0.5 / (1.0 - u)).pow_(1.0 / (eta + 1.0))
+    # As a shift from each parent, not about their mean: equal parents have exactly equal
+    # children, however large the numbers.
+    shift = 0.5 * (1.0 - beta) * (b - a) * (crossed < gene_probability)
+    first, second = a + shift, b - shift
+    if bounds is not None:
+        first, second = _clamp(first, bounds), _clamp(second, bounds)
+    return first, second
+
+
+def gaussian_mutation(
+    genes: Tensor,
+    probability: float,
+    scale: Tensor | float,
+    generator: torch.Generator,
+    *,
+    bounds: tuple[Tensor | float, Tensor | float] | None = None,
+) -> Tensor:
+    """Return ``genes`` with normally distributed noise added to some of them.
+
+    Args:
+        genes: [..., G].
+        probability: chance of each gene to be changed.
+        scale: standard deviation of the change, one for all or one a gene, [G].
+        generator: source of the draws.
+        bounds: lowest and highest value of a gene; what was changed is clamped to them.
+    """
+    draws = {"generator": generator, "device": genes.device, "dtype": genes.dtype}
+    changed = torch.rand(genes.shape, **draws) < probability
+    mutated = genes + torch.randn(genes.shape, **draws) * scale * changed
+    return mutated if bounds is None else _clamp(mutated, bounds)
+
+
+def _clamp(genes: Tensor, bounds: tuple[Tensor | float, Tensor | float]) -> Tensor:
+    low, high = (torch.as_tensor(b, dtype=genes.dtype, device=genes.device) for b in bounds)
+    return torch.minimum(torch.maximum(genes, low), high)

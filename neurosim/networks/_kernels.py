@@ -1,0 +1,164 @@
+"""The compiled inner loops of population_error and product_gram."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+
+#: Rows that are worked on at a time: their outputs stay in the first-level cache.
+_ROWS = 256
+
+_f = np.float32
+_njit = numba.njit(fastmath={"contract", "reassoc", "nsz", "arcp"}, error_model="numpy", cache=True)
+
+
+@numba.njit(fastmath={"contract", "nsz"}, inline="always")
+def _exp2(z):
+    """Return 2 to the power of z, |z| < 126, to about 1e-7 relative.
+
+    Plain arithmetic, which the compiler turns into vector instructions; a call to the library's
+    exponential stays one number at a time. The polynomial is 2^f for |f| <= 1/2 (Taylor's series
+    of exp(f ln 2), sixth order), the integer part goes into the exponent's bits.
+    """
+    whole = np.floor(z + _f(0.5))
+    f = z - whole
+    p = _f(1.5403530e-4)
+    p = p * f + _f(1.3333558e-3)
+    p = p * f + _f(9.6181291e-3)
+    p = p * f + _f(5.5504109e-2)
+    p = p * f + _f(2.4022651e-1)
+    p = p * f + _f(6.9314718e-1)
+    p = p * f + _f(1.0)
+    bits = (np.int32(whole) + np.int32(127)) << np.int32(23)
+    return p * np.int32(bits).view(np.float32)
+
+
+@_njit
+def _add_unit(out, weight, exponents, log2, start, rows, limit):
+    """Add weight times a product unit's magnitude to out, for some rows."""
+    if exponents.shape[0] == 5:
+        # Without the detour through memory; both kinds of robots have five inputs.
+        w0, w1, w2, w3, w4 = exponents[0], exponents[1], exponents[2], exponents[3], exponents[4]
+        c0, c1 = log2[0, start : start + rows], log2[1, start : start + rows]
+        c2, c3 = log2[2, start : start + rows], log2[3, start : start + rows]
+        c4 = log2[4, start : start + rows]
+        for j in range(rows):
+            total = w0 * c0[j] + w1 * c1[j] + w2 * c2[j] + w3 * c3[j] + w4 * c4[j]
+            out[j] += weight * _exp2(min(max(total, -limit), limit))
+        return
+    z = np.zeros(_ROWS, np.float32)
+    for i in range(exponents.shape[0]):
+        w = exponents[i]
+        column = log2[i, start : start + rows]
+        for j in range(rows):
+            z[j] += w * column[j]
+    for j in range(rows):
+        out[j] += weight * _exp2(min(max(z[j], -limit), limit))
+
+
+@_njit
+def _dot(a, b):
+    total = _f(0.0)
+    for j in range(a.shape[0]):
+        total += a[j] * b[j]
+    return total
+
+
+@numba.njit(
+    fastmath={"contract", "reassoc", "nsz", "arcp"},
+    error_model="numpy",
+    parallel=True,
+    cache=True,
+)
+def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, limit):
+    """Return the sum of squared errors of each network.
+
+    Args:
+        exponents: of product units, [O, P, K, I]; all arrays are single precision.
+        signed: weight of each product unit times its cosine, by sign pattern, [O, P, M, K].
+        weights, bias: the summation units' linear map, [O, P, I] and [O, P].
+        log2: base-2 logarithms of the inputs' magnitudes, [I, N].
+        x: inputs, [I, N].
+        targets: [O, N].
+        spans: first row and end of each sign pattern, [M, 2].
+        limit: bound of a product unit's base-2 logarithm.
+
+    Returns:
+        [O, P], float64.
+    """
+    groups, population, units, inputs = exponents.shape
+    sums = np.empty((groups, population))
+    for network in numba.prange(groups * population):
+        g, p = network // population, network % population
+        out = np.empty(_ROWS, np.float32)
+        total = 0.0
+        for pattern in range(spans.shape[0]):
+            for start in range(spans[pattern, 0], spans[pattern, 1], _ROWS):
+                rows = min(_ROWS, spans[pattern, 1] - start)
+                target = targets[g, start : start + rows]
+                for j in range(rows):
+                    out[j] = bias[g, p] - target[j]
+                for i in range(inputs):
+                    w = weights[g, p, i]
+                    column = x[i, start : start + rows]
+                    for j in range(rows):
+                        out[j] += w * column[j]
+                for k in range(units):
+                    weight = signed[g, p, pattern, k]
+                    _add_unit(out, weight, exponents[g, p, k], log2, start, rows, limit)
+                block = _f(0.0)
+                for j in range(rows):
+                    block += out[j] * out[j]
+                total += block
+        sums[g, p] = total
+    return sums
+
+
+@numba.njit(
+    fastmath={"contract", "reassoc", "nsz", "arcp"},
+    error_model="numpy",
+    parallel=True,
+    cache=True,
+)
+def gram(exponents, signs, log2, factor, others, spans, limit):
+    """Return sums over rows of products of columns.
+
+    Args:
+        exponents: of product units, [C, K, I]; all arrays are single precision.
+        signs: cosine of each product unit by sign pattern, [C, M, K].
+        log2: base-2 logarithms of the inputs' magnitudes, [I, N].
+        factor: of each row, [N].
+        others: further columns, [F, N].
+        spans: first row and end of each sign pattern, [M, 2].
+        limit: bound of a product unit's base-2 logarithm.
+
+    Returns:
+        Each product unit (times factor) with each product unit and each other column,
+        [C, K, K + F], float64.
+    """
+    population, units, _ = exponents.shape
+    sums = np.zeros((population, units, units + others.shape[0]))
+    for c in numba.prange(population):
+        values = np.empty((units, _ROWS), np.float32)
+        for pattern in range(spans.shape[0]):
+            for start in range(spans[pattern, 0], spans[pattern, 1], _ROWS):
+                rows = min(_ROWS, spans[pattern, 1] - start)
+                of_row = factor[start : start + rows]
+                for k in range(units):
+                    row = values[k, :rows]
+                    for j in range(rows):
+                        row[j] = _f(0.0)
+                    sign = signs[c, pattern, k]
+                    _add_unit(row, sign, exponents[c, k], log2, start, rows, limit)
+                    for j in range(rows):
+                        row[j] *= of_row[j]
+                for k in range(units):
+                    row = values[k, :rows]
+                    for m in range(k, units):
+                        sums[c, k, m] += _dot(row, values[m, :rows])
+                    for m in range(others.shape[0]):
+                        sums[c, k, units + m] += _dot(row, others[m, start : start + rows])
+        for k in range(units):
+            for m in range(k):
+                sums[c, k, m] = sums[c, m, k]
+    return sums

@@ -1,0 +1,48 @@
+"""Rows of data sorted by which of their inputs are negative."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurosim.networks.product_units import ProductSummationNetwork
+
+#: Numbers in one block of a population's values, so that it fits a cache or a GPU's memory.
+_BLOCK = {"cpu": 1 << 20, "cuda": 1 << 27}
+
+
+class SortedRows:
+    """What the product units of all networks see alike.
+
+    Attributes:
+        order: the rows' places in the data, [N].
+        x: sorted inputs, [I, N], single precision.
+        log: ln of their magnitudes, [I, N].
+        patterns: 1 where an input is negative, [M, I].
+        spans: first row and end of each pattern.
+    """
+
+    def __init__(self, network: ProductSummationNetwork, x: Tensor):
+        negative = x < 0
+        patterns, which = torch.unique(negative, dim=0, return_inverse=True)
+        self.order = torch.argsort(which, stable=True)
+        self.x = x[self.order].float().T.contiguous()
+        self.log = network.log_magnitude(x[self.order]).float().T.contiguous()
+        self.patterns = patterns.float()
+        counts = torch.bincount(which, minlength=len(patterns)).cpu().numpy()
+        ends = np.cumsum(counts)
+        self.spans = np.stack([ends - counts, ends], axis=1)
+
+    def signs(self, exponents: Tensor) -> Tensor:
+        """Return the cosines of product units [..., P, I], by pattern: [..., M, P]."""
+        return torch.cos(torch.pi * (exponents @ self.patterns.T)).transpose(-1, -2)
+
+    def log2(self) -> np.ndarray:
+        """Return the logarithms to base 2, for the kernels."""
+        return (self.log * np.float32(1.0 / np.log(2.0))).numpy()
+
+    def blocks(self, start: int, end: int, width: int) -> list[tuple[int, int]]:
+        """Cut rows into blocks, ``width`` numbers a row."""
+        rows = max(1, _BLOCK.get(self.x.device.type, 1 << 20) // max(1, width))
+        return [(a, min(a + rows, end)) for a in range(start, end, rows)]

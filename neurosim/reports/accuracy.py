@@ -1,0 +1,191 @@
+"""The simulator's part of the page: Table 2, Figures 3 to 5, the learning curve."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from neurosim.reports import charts
+from neurosim.reports.artefacts import Artefact, Artefacts
+from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
+from neurosim.reports.predictions import READABLE, UNITS, HeldOut, dataset_of, held_out
+from neurosim.training.evaluate import PAPER
+
+#: Outputs in the paper's order, with the paper's words for them.
+OUTPUTS = {
+    "dtheta": "change in angle",
+    "dx": "change in y-coordinate (our dx, forward)",
+    "dy": "change in x-coordinate (our -dy, to the right)",
+}
+AXES = {
+    "dtheta": "change in angle (deg)",
+    "dx": "dx, forward (cm)",
+    "dy": "dy, to the left (cm)",
+}
+_FIGURES = {"dtheta": "Figure 3", "dx": "Figure 4", "dy": "Figure 5"}
+SHOWN = 50
+
+
+def test(artefacts: Artefacts) -> dict[int, HeldOut]:
+    """Return predictions of held-out commands, by the simulator's place in ``artefacts``."""
+    found = {}
+    for place, simulator in enumerate(artefacts.simulators):
+        pair = dataset_of(simulator, artefacts.datasets)
+        if pair is not None:
+            found[place] = held_out(simulator, *pair)
+    return found
+
+
+def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
+    """Write the section on how well the simulators predict single commands."""
+    blocks: list[Block] = []
+    if not artefacts.simulators:
+        blocks.append(_missing("how well single commands are predicted", "a simulator"))
+    else:
+        blocks += _table(artefacts, tests)
+        for place, simulator in enumerate(artefacts.simulators):
+            if place in tests:
+                blocks += _figures(simulator, tests[place], f"s{place}", artefacts)
+        if len(tests) < len(artefacts.simulators):
+            blocks.append(
+                _missing(
+                    "predicted against actual values of held-out commands",
+                    "the dataset that the simulator was trained on",
+                )
+            )
+    return Section("accuracy", "How well single commands are predicted", blocks)
+
+
+def learning(artefacts: Artefacts) -> Section | None:
+    """Write the section on how the simulators were learned; None without simulators."""
+    pictures = []
+    for place, simulator in enumerate(artefacts.simulators):
+        lines = history(simulator.meta)
+        if lines:
+            pictures.append(_learning_curve(simulator, lines, f"l{place}"))
+    if not artefacts.simulators:
+        return None
+    blocks: list[Block] = [Row(pictures)] if pictures else []
+    if not pictures:
+        blocks.append(Text("The simulator's folder holds no history of its training.", True))
+    return Section("learning", "How the simulator was learned", blocks)
+
+
+def history(meta: Mapping[str, Any]) -> dict[str, tuple[list[float], list[float]]]:
+    """Return the training history by output: generations, and mean squared errors in cm², deg²."""
+    names = [column["name"] for column in meta["outputs"]]
+    entries = meta.get("history") or []
+    generations = [entry["generation"] for entry in entries]
+    return {
+        name: (generations, [READABLE[name] ** 2 * entry["mse"][place] for entry in entries])
+        for place, name in enumerate(names)
+        if entries
+    }
+
+
+def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
+    groups = [("paper", 2)]
+    rows = [[words, *_errors(name, PAPER[name])] for name, words in OUTPUTS.items()]
+    notes = []
+    for place, simulator in enumerate(artefacts.simulators):
+        if place in tests:
+            table, how = tests[place].errors(), f"tested on {tests[place].how}"
+        elif simulator.meta.get("test_errors"):
+            table, how = (
+                simulator.meta["test_errors"],
+                "tested when it was trained (simulator.json)",
+            )
+        else:
+            continue
+        groups.append((simulator.name, 2))
+        notes.append(f"{simulator.name} was {how}.")
+        for row, name in zip(rows, OUTPUTS, strict=True):
+            row += _errors(name, table[name])
+    for test_ in list(tests.values())[:1]:
+        ideal = test_.baseline_errors()
+        if ideal is not None:
+            groups.append((test_.baseline[0], 2))
+            for row, name in zip(rows, OUTPUTS, strict=True):
+                row += _errors(name, ideal[name])
+    notes.append(
+        "MSE, the mean squared error of equation 1, is in cm² and deg². The paper's figures are "
+        "of another robot and other data (Pretorius et al. 2009, Table 2): they say what size of "
+        "error that road led to, not which method is better."
+    )
+    return [
+        Table(
+            "Table 2: errors on held-out commands",
+            ["", *["MSE", "mean abs. error"] * len(groups)],
+            rows,
+            note=" ".join(notes),
+            groups=groups,
+        )
+    ]
+
+
+def _errors(name: str, found: Mapping[str, Any]) -> list[str]:
+    return [f"{found['mse']:.3f}", _error(name, found["mean_absolute_error"])]
+
+
+def _figures(simulator: Artefact, test_: HeldOut, prefix: str, artefacts: Artefacts) -> list[Block]:
+    blocks: list[Block] = []
+    whose = f" ({simulator.name})" if len(artefacts.simulators) > 1 else ""
+    shown = min(SHOWN, len(test_.actual))
+    clouds = []
+    for column, name in ((2, "dtheta"), (0, "dx"), (1, "dy")):
+        actual = READABLE[name] * test_.actual[:, column]
+        predicted = READABLE[name] * test_.predicted[:, column]
+        error = float(np.mean(np.abs(predicted[:shown] - actual[:shown])))
+        words = (
+            f"{OUTPUTS[name]}: predicted and actual values of the first {shown} held-out commands"
+        )
+        svg = charts.series(
+            actual[:shown], predicted[:shown], AXES[name],
+            f"{words}; they differ by {error:.2f} {UNITS[name]} on average", f"{prefix}{name}",
+        )  # fmt: skip
+        caption = (
+            f"{_FIGURES[name]} of the paper{whose}: {words}; "
+            f"mean absolute error of these {_error(name, error)}."
+        )
+        blocks.append(Picture(svg, caption, wide=True))
+        cloud = charts.scatter(
+            actual, predicted, AXES[name],
+            f"{OUTPUTS[name]}: predicted over actual values of all held-out commands",
+            f"{prefix}{name}all",
+        )  # fmt: skip
+        clouds.append(Picture(cloud, f"All {len(actual)} held-out commands{whose}: {AXES[name]}."))
+    return [*blocks, Row(clouds)]
+
+
+def _learning_curve(simulator: Artefact, lines: Mapping[str, Any], prefix: str) -> Picture:
+    training = simulator.meta.get("training", {})
+    last = {name: errors[-1] for name, (_, errors) in lines.items()}
+    generations = max(int(x[-1]) for x, _ in lines.values())
+    labels = {f"{name} ({UNITS[name]}²)": line for name, line in lines.items()}
+    svg = charts.curves(
+        labels, "training MSE (cm², deg²)", f"training error over {generations} generations", prefix
+    )
+    end = ", ".join(f"{name} {value:.3g} {UNITS[name]}²" for name, value in last.items())
+    details = [
+        f"{what} {training[key]}"
+        for key, what in (("trainer", "trainer"), ("seed", "seed"))
+        if key in training
+    ]
+    seconds = simulator.meta.get("wall_clock", {}).get("training_seconds")
+    if seconds is not None:
+        details.append(f"{seconds:.0f} s")
+    return Picture(
+        svg,
+        f"{simulator.name}: mean squared error on the training rows over {generations} "
+        f"generations; at the end {end}{'; ' + ', '.join(details) if details else ''}.",
+    )
+
+
+def _error(name: str, value: float) -> str:
+    return f"{value:.3f} {UNITS[name]}"
+
+
+def _missing(what: str, add: str) -> Text:
+    return Text(f"Not shown: {what}. Add the folder of {add} to see it.", missing=True)

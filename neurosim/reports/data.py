@@ -1,0 +1,119 @@
+"""The dataset's part of the page: rows, what was left out, and what cutting at the lines did."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from neurosim.reports import charts
+from neurosim.reports.accuracy import AXES
+from neurosim.reports.artefacts import Artefact, Artefacts
+from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
+from neurosim.reports.predictions import READABLE, UNITS
+from tracking.dataset import Dataset
+
+
+def section(artefacts: Artefacts) -> Section:
+    """Write the section on the data that was learned from."""
+    blocks: list[Block] = []
+    for place, (artefact, dataset) in enumerate(artefacts.datasets):
+        blocks += _rows(artefact, dataset)
+        blocks.append(_histograms(artefact, dataset, f"d{place}"))
+        if artefact.meta.get("cutting"):
+            blocks += _cutting(artefact.name, artefact.meta["cutting"])
+    if not artefacts.datasets:
+        text = "Not shown: rows, what was left out, and the displacements. "
+        blocks.append(Text(text + "Add the folder of a dataset to see it.", missing=True))
+    return Section("dataset", "The dataset", blocks)
+
+
+def _rows(artefact: Artefact, dataset: Dataset) -> list[Block]:
+    left_out = {reason: count for reason, count in artefact.meta["left_out"].items() if count}
+    total = sum(left_out.values())
+    moving = np.hypot(*dataset.output_array()[:, :2].T)
+    moving = moving[moving > 0.01]
+    text = (
+        f"{artefact.name}: {len(dataset)} usable rows, one per command, with the inputs "
+        f"{', '.join(dataset.inputs)}; {total} commands were left out."
+    )
+    if moving.size:
+        text += (
+            f" Commands that move the robot by more than 1 cm displace it by "
+            f"{100 * moving.mean():.1f} cm on average (about 25 cm in the paper)."
+        )
+    blocks: list[Block] = [Text(text)]
+    if left_out:
+        meaning = artefact.meta.get("reasons", {})
+        rows = [
+            [
+                f"{reason}: {meaning[reason]}" if reason in meaning else reason,
+                str(count),
+                f"{count / (total + len(dataset)):.1%}",
+            ]
+            for reason, count in left_out.items()
+        ]
+        blocks.append(
+            Table(
+                f"{artefact.name}: commands left out, by reason",
+                ["reason", "commands", "of all"],
+                rows,
+            )
+        )
+    return blocks
+
+
+def _histograms(artefact: Artefact, dataset: Dataset, prefix: str) -> Row:
+    pictures = []
+    for name, values in zip(dataset.outputs, dataset.output_array().T, strict=True):
+        readable = READABLE[name] * values
+        words = (
+            f"{AXES[name]} of {len(values)} commands: mean {readable.mean():.1f}, standard "
+            f"deviation {readable.std():.1f}, from {readable.min():.1f} to {readable.max():.1f} "
+            f"{UNITS[name]}"
+        )
+        svg = charts.histogram(readable, AXES[name], words, f"{prefix}{name}")
+        pictures.append(Picture(svg, f"{artefact.name}: {words}."))
+    return Row(pictures)
+
+
+def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
+    kinds = {
+        "random": "random speeds",
+        "equal": "equal speeds, straight",
+        "stop": "stop",
+    }
+    by_kind = [
+        [kinds.get(kind, kind), *_fates(counts)] for kind, counts in cutting["by_class"].items()
+    ]
+    by_duration = [
+        [f"{entry['from']:g} to {entry['to']:g} s", *_fates(entry)]
+        for entry in cutting.get("by_duration", ())
+    ]
+    reach = cutting.get("equal_reach", {})
+    note = "A command is cut when a light sensor meets the board's perimeter line."
+    if reach.get("ratio") is not None:
+        note += (
+            f" Straight commands that were completed reach {reach['ratio']:.0%} as far (speed "
+            "times duration, on average) as those that were sent: 100 % would mean that cutting "
+            "has taken no long runs away."
+        )
+    head = ["sent", "cut", "completed", "share cut"]
+    tables: list[Block] = [
+        Table(f"{name}: what cutting at the lines did", ["commands", *head], by_kind, note=note)
+    ]
+    if by_duration:
+        caption = f"{name}: commands cut, by planned duration"
+        tables.append(Table(caption, ["duration", *head], by_duration))
+    return tables
+
+
+def _fates(counts: Mapping[str, Any]) -> list[str]:
+    sent = counts["sent"]
+    return [
+        str(sent),
+        str(counts["cut"]),
+        str(counts["completed"]),
+        f"{counts['cut'] / sent:.1%}" if sent else "none sent",
+    ]

@@ -1,0 +1,81 @@
+"""What a simulator says of held-out commands, beside what the robot did."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.files import sha256
+from neurosim.reports.artefacts import Artefact
+from neurosim.simulators import read_simulator
+from neurosim.training.evaluate import errors, predict
+from neurosim.training.unicycle import unicycle
+from tracking.dataset import Dataset
+
+#: From metres and radians to what people read: centimetres and degrees.
+READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
+UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """Predicted and actual displacements of commands that training never saw.
+
+    Attributes:
+        predicted, actual: (N, 3) dx, dy in m, dtheta in rad.
+        baseline: what the ideal robot is, and its displacements (N, 3); None if the inputs are
+            not those of one.
+        how: which rows these are, in words.
+    """
+
+    predicted: NDArray
+    actual: NDArray
+    baseline: tuple[str, NDArray] | None
+    how: str
+
+    def errors(self) -> dict[str, dict[str, Any]]:
+        """Return the simulator's errors by output, in cm and degrees (equation 1)."""
+        return errors(self.predicted, self.actual)
+
+    def baseline_errors(self) -> dict[str, dict[str, Any]] | None:
+        """Return the ideal robot's errors likewise."""
+        return None if self.baseline is None else errors(self.baseline[1], self.actual)
+
+
+def dataset_of(
+    simulator: Artefact, datasets: list[tuple[Artefact, Dataset]]
+) -> tuple[Dataset, bool] | None:
+    """Return the dataset to test a simulator on, and whether it was trained on it.
+
+    The one that it was trained on comes first; else the first with the same inputs.
+    """
+    names = [column["name"] for column in simulator.meta["inputs"]]
+    fitting = [pair for pair in datasets if list(pair[1].inputs) == names]
+    source = simulator.meta.get("source", {}).get("sha256")
+    for artefact, dataset in fitting:
+        if source == sha256(artefact.path / "dataset.csv"):
+            return dataset, True
+    return (fitting[0][1], False) if fitting else None
+
+
+def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> HeldOut:
+    """Predict the commands of a dataset that a simulator was not trained on.
+
+    Raises:
+        FileError: if the simulator's files are wrong.
+    """
+    network = read_simulator(simulator.path)
+    seen, rows = dataset, dataset
+    how = f"all {len(rows)} commands of another dataset than the one it was trained on"
+    if trained_on_it:
+        share = simulator.meta["training"]["held_out"]
+        seen, rows = dataset.split(share)
+        how = f"the last {share:.0%} of its dataset in time, {len(rows)} commands"
+    ideal = unicycle(seen)
+    baseline = None
+    if ideal is not None:
+        baseline = ideal.description, ideal.displacement(rows.input_array())
+    return HeldOut(predict(network, rows), rows.output_array(), baseline, how)

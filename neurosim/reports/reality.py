@@ -1,0 +1,270 @@
+"""The trials' part of the page: Figures 6 and 7, and how errors grow from command to command."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.reports import charts
+from neurosim.reports.artefacts import Artefacts, Trial
+from neurosim.reports.course import course
+from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
+from tracking.recordings import DEFAULT_BOARD
+
+#: More trials than this are drawn no longer one by one.
+MOST_DRAWN = 24
+
+
+def courses(artefacts: Artefacts) -> Section:
+    """Write the section with the predicted and the actual path of every trial."""
+    trials = artefacts.trials
+    blocks: list[Block] = []
+    if not trials:
+        text = "Not shown: the predicted and the actual path over the course. "
+        blocks.append(Text(text + "Add the folder of a trial to see it.", missing=True))
+    else:
+        pictures = [
+            _course(trial, f"c{place}", len(trials) > 1)
+            for place, trial in enumerate(trials[:MOST_DRAWN])
+        ]
+        blocks.append(pictures[0] if len(pictures) == 1 else Row(pictures))
+        if len(trials) > MOST_DRAWN:
+            blocks.append(Text(f"The first {MOST_DRAWN} of {len(trials)} trials are drawn."))
+        if len(trials) > 1:
+            blocks += [_rates(trials), _each(trials)]
+        blocks += _commands(trials)
+    return Section("course", "The course: predicted and actual path", blocks)
+
+
+def growth(artefacts: Artefacts) -> Section:
+    """Write the section on how the errors grow from command to command."""
+    trials = [trial for trial in artefacts.trials if not np.isnan(trial.errors).all()]
+    blocks: list[Block] = []
+    if not trials:
+        text = "Not shown: how the error grows from command to command. "
+        blocks.append(Text(text + "Add the folder of a trial to see it.", missing=True))
+    else:
+        position = [100 * trial.errors[:, 0] for trial in trials]
+        heading = [np.degrees(trial.errors[:, 1]) for trial in trials]
+        many = f"{len(trials)} trials; each thin, their median bold" if len(trials) > 1 else ""
+        blocks.append(
+            Row(
+                [
+                    _fan(position, "position error (cm)", many, "gp"),
+                    _fan(heading, "heading error (deg)", many, "gh"),
+                ]
+            )
+        )
+        if len(trials) > 1:  # one alone has its errors beside its commands
+            blocks.append(_growth_table(position, heading))
+        blocks.append(
+            Text("A plan is driven blind: the error after a command includes all before it.")
+        )
+    return Section("growth", "How the error grows from command to command", blocks)
+
+
+def pooled(trials: Sequence[Trial], column: int) -> NDArray:
+    """Return the errors of all commands that were seen: column 0 in m, column 1 in rad."""
+    if not trials:
+        return np.empty(0)
+    errors = np.concatenate([trial.errors[:, column] for trial in trials])
+    return errors[~np.isnan(errors)]
+
+
+def final(trials: Sequence[Trial], column: int) -> NDArray:
+    """Return the errors after the last command, of the trials in which the robot was seen there."""
+    ends = np.array([trial.errors[-1, column] for trial in trials if len(trial.errors)])
+    return ends[~np.isnan(ends)]
+
+
+def label(trial: Trial) -> str:
+    """Return what to call a trial: its folder's name, with its parent's if that says more."""
+    parent = trial.path.resolve().parent.name
+    return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
+
+
+def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
+    """Return the 95 % interval of a rate (Wilson 1927)."""
+    rate, square = successes / trials, z * z / trials
+    middle = (rate + square / 2) / (1 + square)
+    half = z * math.sqrt(rate * (1 - rate) / trials + square / (4 * trials)) / (1 + square)
+    return max(0.0, middle - half), min(1.0, middle + half)
+
+
+def _course(trial: Trial, prefix: str, small: bool) -> Picture:
+    meta = trial.meta
+    outcome = "completed" if trial.completes else "not completed"
+    count = len(meta["commands"])
+    words = (
+        f"{label(trial)}: predicted and actual path over the course, {count} commands; {outcome}"
+    )
+    svg = course(
+        meta["task"], meta["predicted"]["poses"], meta["actual"]["poses"],
+        meta["actual"].get("path") or [], words, prefix,
+        rest=meta["predicted"].get("rest"),
+        board=trial.recording.get("board", DEFAULT_BOARD), small=small,
+    )  # fmt: skip
+    caption = (
+        f"{words}. Fitness {_figure(meta['predicted'].get('fitness'))} predicted, "
+        f"{_figure(meta['actual'].get('fitness'))} actual."
+    )
+    offset = _placed(meta.get("start"))
+    if offset:
+        caption += f" {offset}"
+    if meta.get("ended_early"):
+        caption += " The drive ended early: the robot was stopped before its last command."
+    if meta["virtual"]:
+        caption += " Virtual lab."
+    return Picture(svg, caption)
+
+
+def _placed(start: Any) -> str:
+    if not start or not start.get("planned") or not start.get("actual"):
+        return ""
+    (x, y, heading), (planned_x, planned_y, planned_heading) = start["actual"], start["planned"]
+    distance = 100 * math.hypot(x - planned_x, y - planned_y)
+    turned = math.degrees(abs(math.remainder(heading - planned_heading, math.tau)))
+    return f"The robot stood {distance:.1f} cm and {turned:.1f} deg from the planned start."
+
+
+def _rates(trials: Sequence[Trial]) -> Table:
+    groups: dict[str, list[Trial]] = {}
+    for trial in trials:
+        groups.setdefault(f"{len(trial.meta['commands'])} commands", []).append(trial)
+    if len(groups) > 1:
+        groups["all"] = list(trials)
+    rows = []
+    for name, group in groups.items():
+        done = sum(trial.completes for trial in group)
+        foreseen = sum(bool(trial.meta["predicted"].get("completes")) for trial in group)
+        low, high = wilson(done, len(group))
+        rows.append(
+            [
+                name, str(len(group)), str(foreseen), str(done), f"{done / len(group):.0%}",
+                f"{low:.0%} to {high:.0%}", _mean(100 * pooled(group, 0), "cm"),
+                _median(100 * final(group, 0), "cm"), _median(np.degrees(final(group, 1)), "deg"),
+            ]
+        )  # fmt: skip
+    return Table(
+        "How often the course was completed",
+        [
+            "plans of", "trials", "predicted to complete", "completed", "rate", "95 % interval",
+            "error, mean over commands", "error at the end, median",
+            "heading error at the end, median",
+        ],
+        rows,
+        note="Commands are those given; null commands are not counted. The interval is Wilson's.",
+    )  # fmt: skip
+
+
+def _each(trials: Sequence[Trial]) -> Table:
+    rows = [
+        [
+            label(trial), str(len(trial.meta["commands"])), "yes" if trial.completes else "no",
+            _figure(trial.meta["predicted"].get("fitness")),
+            _figure(trial.meta["actual"].get("fitness")), _mean(100 * pooled([trial], 0), "cm"),
+            _mean(100 * final([trial], 0), "cm"), _mean(np.degrees(final([trial], 1)), "deg"),
+        ]
+        for trial in trials
+    ]  # fmt: skip
+    head = [
+        "trial", "commands", "completed", "fitness predicted", "fitness actual",
+        "error, mean over commands", "error at the end", "heading error at the end",
+    ]  # fmt: skip
+    return Table("Every trial", head, rows, folded=len(rows) > 12)
+
+
+def _commands(trials: Sequence[Trial]) -> list[Block]:
+    head = [
+        "command", "left (%)", "right (%)", "duration (s)", "predicted x, y (m)",
+        "predicted heading (deg)", "actual x, y (m)", "actual heading (deg)", "error (cm)",
+        "heading error (deg)",
+    ]  # fmt: skip
+    tables: list[Block] = []
+    for trial in trials[:MOST_DRAWN]:
+        rows = []
+        poses = zip(trial.predicted[1:], trial.meta["actual"]["poses"][1:], strict=True)
+        both = zip(trial.meta["commands"], poses, trial.errors, strict=False)
+        for number, (command, (predicted, actual), error) in enumerate(both, start=1):
+            rows.append(
+                [
+                    str(number), f"{command[0]:.1f}", f"{command[1]:.1f}", f"{command[2]:.2f}",
+                    *_pose(predicted), *_pose(actual, predicted[2]),
+                    *("not seen" if math.isnan(error[0]) else text for text in (
+                        f"{100 * error[0]:.1f}", f"{math.degrees(error[1]):.1f}",
+                    )),
+                ]
+            )  # fmt: skip
+        caption = f"{label(trial)}: commands, and the poses they led to"
+        rows += _rest(trial)
+        tables.append(Table(caption, head, rows, folded=len(trials) > 1))
+    return tables
+
+
+def _rest(trial: Trial) -> list[list[str]]:
+    """Return the row of the pose at rest, once the motors have run down; none if it has none."""
+    predicted, actual = (trial.meta[part].get("rest") for part in ("predicted", "actual"))
+    if predicted is None:
+        return []
+    row = ["at rest", "", "", "", *_pose(predicted), *_pose(actual, predicted[2])]
+    if actual is None:
+        return [[*row, "not seen", "not seen"]]
+    away = 100 * math.dist(actual[:2], predicted[:2])
+    turned = math.degrees(abs(math.remainder(actual[2] - predicted[2], math.tau)))
+    return [[*row, f"{away:.1f}", f"{turned:.1f}"]]
+
+
+def _pose(pose: Any, near: float | None = None) -> tuple[str, str]:
+    """Return place and heading in words; the heading by whole turns the nearest to ``near``."""
+    if pose is None:
+        return "not seen", "not seen"
+    heading = pose[2]
+    if near is not None:  # a track begins at a heading that is known up to whole turns only
+        heading = near + math.remainder(heading - near, math.tau)
+    return f"{pose[0]:.3f}, {pose[1]:.3f}", f"{math.degrees(heading):.1f}"
+
+
+def _fan(lines: Sequence[NDArray], axis: str, many: str, prefix: str) -> Picture:
+    middle = charts.median(charts.ragged(lines))
+    seen = np.flatnonzero(~np.isnan(middle))
+    words = (
+        f"{axis} after each command, from {middle[seen[0]]:.1f} after command {seen[0] + 1} "
+        f"to {middle[seen[-1]]:.1f} after command {seen[-1] + 1}"
+        f"{' (medians)' if many else ''}"
+    )
+    svg = charts.fan(lines, axis, words, prefix, x_axis="command")
+    return Picture(svg, f"{words[0].upper()}{words[1:]}{'; ' + many if many else ''}.")
+
+
+def _growth_table(position: Sequence[NDArray], heading: Sequence[NDArray]) -> Table:
+    rows = []
+    tables = charts.ragged(position), charts.ragged(heading)
+    for number in range(tables[0].shape[1]):
+        away, turned = (table[:, number][~np.isnan(table[:, number])] for table in tables)
+        if not away.size:
+            rows.append([str(number + 1), "0", *["not seen"] * 6])
+            continue
+        figures = [f(values) for values in (away, turned) for f in (np.median, np.mean, np.max)]
+        rows.append([str(number + 1), str(len(away)), *(f"{value:.1f}" for value in figures)])
+    head = ["after command", "trials in which it was seen"] + [
+        f"{what}, {statistic} ({unit})"
+        for what, unit in (("position", "cm"), ("heading", "deg"))
+        for statistic in ("median", "mean", "largest")
+    ]
+    return Table("Distance between predicted and actual pose after each command", head, rows)
+
+
+def _figure(value: Any) -> str:
+    return "unknown" if value is None else f"{value:.4g}"
+
+
+def _mean(values: NDArray, unit: str) -> str:
+    return f"{values.mean():.1f} {unit}" if values.size else "not seen"
+
+
+def _median(values: NDArray, unit: str) -> str:
+    return f"{np.median(values):.1f} {unit}" if values.size else "not seen"

@@ -1,0 +1,171 @@
+"""The report: one HTML page of any mix of recordings, datasets, simulators, controllers, trials."""
+
+from __future__ import annotations
+
+import datetime
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import write_text
+from neurosim.reports import accuracy, data, plans, provenance, reality
+from neurosim.reports.artefacts import Artefacts, gather
+from neurosim.reports.page import Page
+from neurosim.reports.predictions import UNITS, HeldOut
+
+
+def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, Any]:
+    """Write one self-contained HTML page.
+
+    Args:
+        folders: any mix of recording, dataset, simulator, controller and trial folders,
+            recognised by the JSON in them. What is missing is left out of the page, with a line
+            that says what to add to see it.
+        out: the HTML file; an older one is replaced.
+
+    Returns:
+        ``verdict`` (a sentence or two), ``virtual`` (whether data is from the virtual lab, None
+        if nothing says so), and what there is of ``trials``, ``completed``,
+        ``mean_position_error`` (m, over all commands), ``final_position_error`` (m, median over
+        trials, after the last command), ``mean_heading_error``, ``final_heading_error`` (rad),
+        and ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
+
+    Raises:
+        UserError: if nothing is named, or ``out`` is a folder.
+        FileError: if a folder is of no known kind, or a file in one is missing or wrong.
+    """
+    out = Path(out)
+    if out.is_dir():
+        raise UserError(f"{out} is a folder; name an HTML file to write")
+    artefacts = gather(folders)
+    tests = accuracy.test(artefacts)
+    summary = summarise(artefacts, tests)
+    sections = [
+        reality.courses(artefacts),
+        reality.growth(artefacts),
+        accuracy.section(artefacts, tests),
+        accuracy.learning(artefacts),
+        plans.section(artefacts),
+        data.section(artefacts),
+        provenance.section(artefacts),
+    ]
+    page = Page(
+        title=_title(artefacts),
+        verdict=summary["verdict"],
+        good=_good(artefacts),
+        virtual=bool(artefacts.virtual),
+        figures=_key_figures(summary),
+        sections=[section for section in sections if section is not None],
+        footer=(
+            f"Written {datetime.datetime.now().astimezone().isoformat(timespec='seconds')} "
+            f"with {provenance.versions()}. To make it again: neurosim report "
+            f"{shlex.join(map(str, [*folders, '-o', out]))}"
+        ),
+    )
+    write_text(out, page.html())
+    return summary
+
+
+def summarise(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> dict[str, Any]:
+    """Return the verdict and the key figures; see :func:`write_report`."""
+    trials = artefacts.trials
+    summary: dict[str, Any] = {"verdict": "", "virtual": artefacts.virtual}
+    if trials:
+        summary["trials"] = len(trials)
+        summary["completed"] = sum(trial.completes for trial in trials)
+        for column, what in enumerate(("position", "heading")):
+            pooled, final = reality.pooled(trials, column), reality.final(trials, column)
+            if pooled.size:
+                summary[f"mean_{what}_error"] = float(pooled.mean())
+            if final.size:
+                summary[f"final_{what}_error"] = float(np.median(final))
+    if tests:
+        summary["test"] = {
+            artefacts.simulators[place].name: test.errors() for place, test in tests.items()
+        }
+    summary["verdict"] = _verdict(artefacts, summary)
+    return summary
+
+
+def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
+    if artefacts.trials:
+        text = f"{_completed(artefacts)} {_distance(summary, artefacts)}"
+    elif "test" in summary:
+        name, errors = next(iter(summary["test"].items()))
+        error = {output: found["mean_absolute_error"] for output, found in errors.items()}
+        text = (
+            f"The simulator {name} predicts a held-out command to within {error['dx']:.2f} cm "
+            f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average. "
+            "No trial was given: whether the robot completes the course is not known."
+        )
+    else:
+        text = "No trial was given: whether the robot completes the course is not known."
+    return f"{text} (Virtual lab.)" if artefacts.virtual else text
+
+
+def _completed(artefacts: Artefacts) -> str:
+    trials = artefacts.trials
+    done = sum(trial.completes for trial in trials)
+    if len(trials) > 1:
+        return f"The robot completed the course in {done} of {len(trials)} trials."
+    if done:
+        return "The robot completed the course."
+    foreseen = trials[0].meta["predicted"].get("completes")
+    but = ", though the simulator said that it would" if foreseen else ""
+    return f"The robot did not complete the course{but}."
+
+
+def _distance(summary: Mapping[str, Any], artefacts: Artefacts) -> str:
+    if "mean_position_error" not in summary:
+        return "The camera did not see where it went, so how far it strayed is not known."
+    text = (
+        "After a command it was, on average over commands, "
+        f"{100 * summary['mean_position_error']:.1f} cm and "
+        f"{np.degrees(summary['mean_heading_error']):.1f} degrees from where the simulator said it "
+        "would be"
+    )
+    if "final_position_error" not in summary:
+        if all(trial.meta.get("ended_early") for trial in artefacts.trials):
+            return f"{text}; the drive ended before its last command."
+        return f"{text}; at the end it was not seen."
+    several = " (median)" if summary["trials"] > 1 else ""
+    return f"{text}; at the end, {100 * summary['final_position_error']:.1f} cm{several}."
+
+
+def _good(artefacts: Artefacts) -> bool | None:
+    trials = artefacts.trials
+    return 2 * sum(trial.completes for trial in trials) > len(trials) if trials else None
+
+
+def _title(artefacts: Artefacts) -> str:
+    if artefacts.trials:
+        name = str(artefacts.trials[0].meta["task"].get("name", "")).replace("-", " ")
+        count = len(artefacts.trials)
+        return f"From a robot to a plan: {name}, {count} trial{'s' * (count != 1)}"
+    kinds = dict.fromkeys(artefact.kind for artefact in artefacts.everything)
+    return f"From a robot to a plan: {', '.join(kinds)}"
+
+
+def _key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
+    figures = []
+    if "trials" in summary:
+        figures.append((f"{summary['completed']} of {summary['trials']}", "trials completed"))
+    several = ", median" if summary.get("trials", 0) > 1 else ""
+    for key, name in (
+        ("mean_position_error", "position error, mean over commands"),
+        ("final_position_error", f"position error at the end{several}"),
+    ):
+        if key in summary:
+            figures.append((f"{100 * summary[key]:.1f} cm", name))
+    if "final_heading_error" in summary:
+        degrees = np.degrees(summary["final_heading_error"])
+        figures.append((f"{degrees:.1f} deg", f"heading error at the end{several}"))
+    for errors in list(summary.get("test", {}).values())[:1]:
+        for output, what in (("dx", "forward"), ("dy", "sideways"), ("dtheta", "angle")):
+            value = f"{errors[output]['mean_absolute_error']:.3g} {UNITS[output]}"
+            figures.append((value, f"error of a held-out command, {what}"))
+    return figures

@@ -1,0 +1,110 @@
+"""How well a simulator predicts: Table 2 of Pretorius et al. 2009, for us."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import UserError
+from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.training.unicycle import unicycle
+from tracking.dataset import Dataset
+
+#: Table 2 of the paper: final MSE (cm^2, deg^2) and average absolute error (cm, deg), by the
+#: names that its outputs have here (its change in y is our dx, its change in x our -dy).
+PAPER = {
+    "dx": {"mse": 12.909, "mean_absolute_error": 2.143},
+    "dy": {"mse": 18.559, "mean_absolute_error": 2.782},
+    "dtheta": {"mse": 26.412, "mean_absolute_error": 3.585},
+}
+
+#: What a person reads: centimetres and degrees.
+_FACTORS = {"dx": (100.0, "cm"), "dy": (100.0, "cm"), "dtheta": (180.0 / np.pi, "deg")}
+
+
+def evaluate(
+    simulator: str | Path, dataset: str | Path, held_out_only: bool = True
+) -> dict[str, Any]:
+    """Compare what a simulator predicts with what happened.
+
+    Args:
+        simulator: a simulator folder.
+        dataset: a dataset folder.
+        held_out_only: of the dataset that the simulator was trained on, use only the rows that
+            training has not seen; of any other dataset all rows are used.
+
+    Returns:
+        ``rows`` used, ``which`` of them in words, ``held_out`` (bool), ``errors`` by output
+        (``mse``, ``mean_absolute_error``, ``unit``) of the simulator, the same of ``paper`` and
+        of the ideal unicycle (``baseline``: description and errors; None where the inputs are
+        not a unicycle's).
+
+    Raises:
+        FileError: if a file is missing or wrong.
+        UserError: if the dataset's inputs are not the simulator's.
+    """
+    network = read_simulator(simulator)
+    rows = Dataset.read(dataset)
+    if rows.inputs != network.input_names:
+        raise UserError(
+            f"{dataset} has the inputs {', '.join(rows.inputs)}, but {simulator} takes "
+            f"{', '.join(network.input_names)}; name a dataset of the same robot"
+        )
+    own = network.meta.get("source", {}).get("sha256") == files.sha256(
+        Path(dataset) / "dataset.csv"
+    )
+    fitted_to = used = rows
+    if own:
+        fitted_to, held_out = rows.split(network.meta["training"]["held_out"])
+        used = held_out if held_out_only else rows
+    ideal = unicycle(fitted_to)
+    baseline = None
+    if ideal is not None:
+        predicted = ideal.displacement(used.input_array())
+        baseline = {
+            "description": ideal.description,
+            "errors": errors(predicted, used.output_array()),
+        }
+    which = "all rows of another dataset than it was trained on"
+    if own:
+        which = "the last rows, held out of training" if held_out_only else "all rows, seen or not"
+    return {
+        "rows": len(used),
+        "which": which,
+        "held_out": own and held_out_only,
+        "errors": table_of_errors(network, used),
+        "paper": {name: {**PAPER[name], "unit": _FACTORS[name][1]} for name in PAPER},
+        "baseline": baseline,
+    }
+
+
+def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
+    """Return the displacements (N, 3) that a simulator predicts for a dataset's rows."""
+    inputs = torch.from_numpy(rows.input_array()).to(network.genes.device)
+    return network.displacement(inputs).cpu().numpy()
+
+
+def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str, Any]]:
+    """Return a simulator's errors on a dataset's rows, as :func:`errors`."""
+    return errors(predict(network, rows), rows.output_array())
+
+
+def errors(predicted: NDArray, actual: NDArray) -> dict[str, dict[str, Any]]:
+    """Return MSE (equation 1) and mean absolute error of displacements (N, 3), by output.
+
+    In cm and deg, as the paper has them; the key ``unit`` says which.
+    """
+    table = {}
+    for place, (name, (factor, unit)) in enumerate(_FACTORS.items()):
+        difference = factor * (predicted[:, place] - actual[:, place])
+        table[name] = {
+            "mse": float(np.mean(difference**2)),
+            "mean_absolute_error": float(np.mean(np.abs(difference))),
+            "unit": unit,
+        }
+    return table

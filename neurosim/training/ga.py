@@ -1,0 +1,79 @@
+"""The trainer of Pretorius et al. 2009: a genetic algorithm in which every weight is a gene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurosim.evolution import GeneticAlgorithm, GeneticSettings
+from neurosim.networks import PopulationError, ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.training.base import TrainingData, root_mean_square
+
+
+@dataclass(frozen=True)
+class GaSettings(GeneticSettings):
+    """Table 1, and what the paper does not say.
+
+    Attributes:
+        initial: first weights are drawn between minus and plus this.
+    """
+
+    initial: float = 0.5
+
+
+class GaTrainer:
+    """One independent genetic algorithm an output; fitness is 1 / MSE (equation 1).
+
+    Inputs are scaled to [-1, 1] by their largest magnitude and outputs to a root mean square of
+    one, so that the same first weights and the same mutation suit every output.
+    """
+
+    source = "Pretorius, du Plessis, Cilliers 2009, section 5.3 and Table 1"
+    settings_type = GaSettings
+    default_generations = 15_000
+
+    def __init__(
+        self,
+        data: TrainingData,
+        network: ProductSummationNetwork,
+        settings: GaSettings,
+        seed: int,
+        device: str = "cpu",
+    ):
+        self._data = data
+        self._network = network
+        self._scale = root_mean_square(data.y)
+        self._error = PopulationError(
+            network, data.scaled_inputs.to(device), (data.y / self._scale).T.to(device)
+        )
+        generator = torch.Generator(device).manual_seed(seed)
+        shape = (data.y.shape[1], settings.population, network.genes)
+        first = torch.rand(shape, generator=generator, device=device) * 2.0 - 1.0
+        self._ga = GeneticAlgorithm(settings.initial * first, settings, generator)
+
+    def advance(self) -> Tensor:
+        """Work one generation; return the least mean squared error so far, [3], in SI units."""
+        self._ga.tell(1.0 / self._error(self._ga.ask()))
+        return self._scale.square() / self._ga.best_fitness.cpu()
+
+    def result(self) -> MotionNetwork:
+        """Return the three best networks so far."""
+        return MotionNetwork(
+            self._data.inputs,
+            self._network,
+            self._ga.best.cpu(),
+            self._data.input_scale,
+            self._scale,
+        )
+
+    def state(self) -> dict[str, Tensor]:
+        """Return the genetic algorithm's state."""
+        return self._ga.state()
+
+    def load(self, state: Mapping[str, Tensor]) -> None:
+        """Go on from a state, bit for bit."""
+        self._ga.load(state)

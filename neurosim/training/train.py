@@ -1,0 +1,223 @@
+"""From a dataset to a simulator."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from neurosim.base import files
+from neurosim.base.errors import UserError
+from neurosim.base.progress import Progress
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.training.base import Trainer, TrainingData
+from neurosim.training.checkpoint import Checkpoint
+from neurosim.training.evaluate import table_of_errors
+from neurosim.training.trainers import trainer_class, trainer_settings
+from tracking.dataset import Dataset
+
+#: The share of rows, last in time, that is never seen by training.
+HELD_OUT = 0.2
+
+#: Fewer rows than this are not a recording of a robot.
+MIN_ROWS = 20
+
+#: About as many generations stand in the history.
+_HISTORY = 200
+
+
+def train(
+    dataset: str | Path,
+    out: str | Path,
+    *,
+    trainer: str = "ga",
+    generations: int | None = None,
+    seed: int = 0,
+    hidden: tuple[int, int] = (10, 10),
+    activations: tuple[str, str] = ("linear", "linear"),
+    settings: Mapping[str, Any] | None = None,
+    device: str = "cpu",
+    resume: bool = False,
+    checkpoint_every: float = 5.0,
+    progress: bool = True,
+) -> MotionNetwork:
+    """Learn a simulator from all but the last fifth of a dataset's rows, and write it to ``out``.
+
+    While it runs, ``OUT.checkpoint`` holds what an interrupted training goes on from; one that
+    was interrupted and resumed ends with the same simulator, bit for bit.
+
+    Args:
+        dataset: a dataset folder.
+        out: the simulator folder to write.
+        trainer: a name in :data:`neurosim.training.trainers.TRAINERS`.
+        generations: how long to train; by default as long as the trainer says.
+        seed: of all random numbers.
+        hidden: number of product units and of summation units.
+        activations: of the hidden units and of the output: linear, tanh or sigmoid.
+        settings: the trainer's own settings that are not to be its defaults.
+        device: where to compute, as PyTorch names it.
+        resume: go on with the interrupted training of ``out``.
+        checkpoint_every: seconds between checkpoints; no more than this is lost.
+        progress: show progress on stderr.
+
+    Raises:
+        UserError: if the dataset is too small, a setting cannot be, ``out`` is taken, or what is
+            to be resumed is not there or was begun with other settings.
+        FileError: if a file is missing or wrong.
+    """
+    files.check_new_folder(out)
+    chosen = trainer_settings(trainer, dict(settings or {}))
+    kind = trainer_class(trainer)
+    generations = kind.default_generations if generations is None else generations
+    if generations < 1:
+        raise UserError(f"the number of generations must be at least 1, not {generations}")
+    _check_device(device)
+    rows = Dataset.read(dataset)
+    if len(rows) < MIN_ROWS:
+        raise UserError(
+            f"{dataset} has {len(rows)} rows, of which the last fifth is held out; training needs "
+            f"at least {MIN_ROWS}: record more commands"
+        )
+    earlier, later = rows.split(HELD_OUT)
+    data = training_data(earlier)
+    begun = {
+        "trainer": trainer,
+        "source": kind.source,
+        "generations": generations,
+        "seed": seed,
+        "device": device,
+        "hidden": list(hidden),
+        "activations": list(activations),
+        "held_out": HELD_OUT,
+        **asdict(chosen),
+    }
+    source = {"dataset": Path(dataset).name, "sha256": files.sha256(Path(dataset) / "dataset.csv")}
+    try:
+        network = ProductSummationNetwork(len(rows.inputs), *hidden, *activations)
+        learner = kind(data, network, chosen, seed, device)
+    except ValueError as error:
+        raise UserError(f"trainer {trainer!r} cannot be set so: {error}") from None
+
+    checkpoint = Checkpoint(out)
+    settings_now = {**begun, "dataset_sha256": source["sha256"]}
+    if resume:
+        run = _resumed(learner, checkpoint, settings_now)
+    else:
+        checkpoint.begin(settings_now)
+        run = _Run()
+    _advance(learner, checkpoint, generations, run, checkpoint_every, progress)
+    simulator = learner.result()
+    simulator.meta = {
+        "training": {**begun, "rows": len(earlier), "held_out_rows": len(later)},
+        "history": [
+            {"generation": int(generation), "mse": mse} for generation, *mse in run.history
+        ],
+        "test_errors": table_of_errors(simulator, later),
+        "source": source,
+        "wall_clock": {"training_seconds": round(run.seconds, 1)},
+    }
+    with files.new_folder(out) as folder:
+        simulator.write(folder)
+    checkpoint.remove()
+    return simulator
+
+
+def training_data(dataset: Dataset) -> TrainingData:
+    """Return a dataset's rows as tensors."""
+    return TrainingData(
+        dataset.meta["inputs"],
+        torch.from_numpy(dataset.input_array()),
+        torch.from_numpy(dataset.output_array()),
+    )
+
+
+@dataclass
+class _Run:
+    """How far a training has come."""
+
+    generation: int = 0
+    history: list[list[float]] = field(default_factory=list)  # [generation, three MSE]
+    seconds: float = 0.0
+
+
+def _advance(
+    learner: Trainer,
+    checkpoint: Checkpoint,
+    generations: int,
+    run: _Run,
+    checkpoint_every: float,
+    progress: bool,
+) -> None:
+    stride = max(1, generations // _HISTORY)
+    began, saved, before = time.monotonic(), time.monotonic(), run.seconds
+    with Progress("training", generations, "generations") if progress else _Silent() as bar:
+        bar.advance(run.generation)
+        while run.generation < generations:
+            mse = learner.advance().tolist()
+            run.generation += 1
+            now = time.monotonic()
+            run.seconds = before + now - began
+            if run.generation in (1, generations) or run.generation % stride == 0:
+                run.history.append([run.generation, *mse])
+            if now - saved >= checkpoint_every:
+                _save(learner, checkpoint, run)
+                saved = now
+            bar.advance(1, note=_figures(mse))
+
+
+class _Silent:
+    """A progress bar that shows nothing."""
+
+    def __enter__(self) -> _Silent:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        pass
+
+    def advance(self, amount: float = 1.0, note: str = "") -> None:
+        pass
+
+
+def _figures(mse: list[float]) -> str:
+    dx, dy, dtheta = (math.sqrt(value) for value in mse)
+    return f"rms {100 * dx:.2f} cm, {100 * dy:.2f} cm, {math.degrees(dtheta):.2f} deg"
+
+
+def _save(learner: Trainer, checkpoint: Checkpoint, run: _Run) -> None:
+    state: dict[str, Tensor] = {f"trainer.{k}": v for k, v in learner.state().items()}
+    state["run.generation"] = torch.tensor(run.generation)
+    state["run.history"] = torch.tensor(run.history, dtype=torch.float64)
+    state["run.seconds"] = torch.tensor(run.seconds, dtype=torch.float64)
+    checkpoint.save(state)
+
+
+def _resumed(learner: Trainer, checkpoint: Checkpoint, settings: Mapping[str, Any]) -> _Run:
+    state = checkpoint.resume(settings)
+    if state is None:
+        return _Run()
+    tensors = {name: torch.from_numpy(value) for name, value in state.items()}
+    try:
+        learner.load(
+            {k.removeprefix("trainer."): v for k, v in tensors.items() if k.startswith("trainer.")}
+        )
+        return _Run(
+            int(tensors["run.generation"]),
+            tensors["run.history"].tolist(),
+            float(tensors["run.seconds"]),
+        )
+    except (KeyError, ValueError, RuntimeError):
+        raise checkpoint.damaged() from None
+
+
+def _check_device(device: str) -> None:
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):
+        raise UserError(f"PyTorch has no device {device!r} on this computer; try cpu") from None

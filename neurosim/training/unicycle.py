@@ -1,0 +1,79 @@
+"""The ideal unicycle, the baseline that every learned simulator has to beat.
+
+It drives at constant forward and angular velocity for the whole of a command, whatever it did
+before: no motor lag, no slip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from tracking.dataset import Dataset
+
+
+@dataclass(frozen=True)
+class Unicycle:
+    """Predicts displacements of exact circular arcs.
+
+    Attributes:
+        inputs: names of the columns of an input array.
+        forward: metres per second for each unit of v, or of mean motor command.
+        turning: radians per second for each unit of w, or of right minus left motor command.
+        description: where the two come from.
+    """
+
+    inputs: tuple[str, ...]
+    forward: float
+    turning: float
+    description: str
+
+    def displacement(self, inputs: NDArray) -> NDArray:
+        """Return the displacements (N, 3) that follow from inputs (N, I)."""
+        speed, turn, duration = _drive(self.inputs, inputs)
+        zero = np.zeros_like(speed)
+        return se2.exp(
+            np.stack(
+                [self.forward * speed * duration, zero, self.turning * turn * duration], axis=-1
+            )
+        )
+
+
+def unicycle(rows: Dataset) -> Unicycle | None:
+    """Return the unicycle for a dataset, None if its inputs are not those of one.
+
+    Where the inputs are velocities (v in m/s, w in rad/s) nothing is fitted. Where they are motor
+    commands, the two factors that take them to velocities are fitted to ``rows`` by least squares.
+    """
+    names = rows.inputs
+    if {"v", "w", "duration"} <= set(names):
+        return Unicycle(names, 1.0, 1.0, "ideal unicycle")
+    if not {"left", "right", "duration"} <= set(names):
+        return None
+    speed, turn, duration = _drive(names, rows.input_array())
+    dx, dy, dtheta = rows.output_array().T
+    # Seen from half way round, an arc's displacement is straight ahead, its chord long.
+    ahead = np.cos(dtheta / 2) * dx + np.sin(dtheta / 2) * dy
+    chord = np.sinc(dtheta / (2 * np.pi))
+    return Unicycle(
+        names,
+        _slope(chord * speed * duration, ahead),
+        _slope(turn * duration, dtheta),
+        "ideal differential drive, two factors fitted",
+    )
+
+
+def _drive(names: tuple[str, ...], inputs: NDArray) -> tuple[NDArray, NDArray, NDArray]:
+    column = {name: inputs[..., place] for place, name in enumerate(names)}
+    if "v" in column:
+        return column["v"], column["w"], column["duration"]
+    mean = (column["left"] + column["right"]) / 2
+    return mean, column["right"] - column["left"], column["duration"]
+
+
+def _slope(x: NDArray, y: NDArray) -> float:
+    power = float(x @ x)
+    return float(x @ y) / power if power > 0 else 0.0

@@ -1,0 +1,63 @@
+"""A body and a clock that only remember: what stands behind a virtual brick in tests."""
+
+import threading
+from dataclasses import dataclass
+
+
+@dataclass
+class Output:
+    power: int = 0
+    mode: int = 0
+    regulation: int = 0
+    turn_ratio: int = 0
+    run_state: int = 0
+    tacho_limit: int = 0
+    tacho_count: int = 0
+    block_tacho_count: int = 0
+    rotation_count: int = 0
+
+
+class Body:
+    """Remembers what it is told; every sensor port gives the same raw value."""
+
+    def __init__(self, raw=460, millivolts=7900):
+        self.outputs = [Output() for _ in range(3)]
+        self.types = [(0, 0)] * 4
+        self.raw, self.millivolts = raw, millivolts
+        self.resets = []
+
+    def set_output(self, port, power, mode, regulation, turn_ratio, run_state, tacho_limit):
+        counts = self.outputs[port]
+        self.outputs[port] = Output(
+            power, mode, regulation, turn_ratio, run_state, tacho_limit, counts.tacho_count
+        )
+
+    def output(self, port):
+        return self.outputs[port]
+
+    def reset_tacho(self, port, relative):
+        self.resets.append((port, relative))
+
+    def set_input(self, port, type, mode):
+        self.types[port] = (type, mode)
+
+    def input(self, port):
+        return (True, self.raw, *self.types[port])
+
+    def battery_millivolts(self):
+        return self.millivolts
+
+
+class LabClock:
+    """Stands until it is asked to move."""
+
+    def __init__(self):
+        self.time = 0.0
+        self._lock = threading.Lock()
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, time):
+        with self._lock:
+            self.time = max(self.time, time)

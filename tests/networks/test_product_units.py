@@ -1,0 +1,175 @@
+import math
+
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neurosim.networks import (
+    LOG_LIMIT,
+    PopulationError,
+    Prediction,
+    ProductGram,
+    ProductSummationNetwork,
+    Weights,
+)
+
+
+def tensor(*values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def unit(exponents, x, floor=0.02):
+    network = ProductSummationNetwork(len(exponents), 1, 0, floor=floor)
+    return network.product_units(tensor(exponents), tensor(x)).item()
+
+
+def test_a_product_unit_multiplies_powers():
+    # 0.5^2 * 0.25^-1 = 1; 0.5^3 = 0.125
+    assert unit([2.0, -1.0], [0.5, 0.25]) == pytest.approx(1.0)
+    assert unit([3.0, 0.0], [0.5, 0.9]) == pytest.approx(0.125)
+
+
+def test_a_negative_input_gives_the_real_part_of_the_complex_power():
+    assert unit([1.0], [-0.5]) == pytest.approx(-0.5)
+    assert unit([2.0], [-0.5]) == pytest.approx(0.25)
+    assert unit([0.5], [-0.25]) == pytest.approx(0.0, abs=1e-15)  # the root is 0.5 i
+    power = (complex(-0.4) ** 1.3) * (complex(-0.7) ** 0.4) * 0.9**-0.6
+    principal = 0.4**1.3 * 0.7**0.4 * 0.9**-0.6 * math.cos(math.pi * 1.7)
+    assert unit([1.3, 0.4, -0.6], [-0.4, -0.7, 0.9]) == pytest.approx(principal)
+    assert power.real == pytest.approx(principal)
+
+
+def test_a_zero_input_counts_as_the_floor():
+    assert unit([2.0], [0.0], floor=0.1) == pytest.approx(0.01)
+    assert unit([-1.0], [0.0], floor=0.1) == pytest.approx(10.0)
+    assert unit([0.0], [0.0]) == 1.0
+    assert unit([1.0], [-0.001], floor=0.1) == pytest.approx(-0.1)  # its sign stays
+
+
+def test_no_exponent_overflows():
+    assert unit([1e6], [0.5]) == pytest.approx(math.exp(-LOG_LIMIT))
+    assert unit([-1e6], [0.5]) == pytest.approx(math.exp(LOG_LIMIT))
+
+
+def by_hand():
+    network = ProductSummationNetwork(2, 1, 1)
+    genes = network.join(
+        Weights(
+            exponents=tensor([1.0, 2.0]),
+            product_weights=tensor(3.0),
+            summation=tensor([0.5, -1.0]),
+            summation_bias=tensor(0.25),
+            summation_weights=tensor(2.0),
+            bias=tensor(-0.125)[0],
+        )
+    )
+    return network, genes.unsqueeze(0)
+
+
+def test_a_whole_network_worked_by_hand():
+    network, genes = by_hand()
+    assert genes.tolist() == [[1.0, 2.0, 3.0, 0.5, -1.0, 0.25, 2.0, -0.125]]
+    # x = (-0.5, 0.5): product -0.125, sum -0.25 - 0.5 + 0.25 = -0.5
+    assert network.forward(genes, tensor([-0.5, 0.5])).item() == pytest.approx(
+        3 * -0.125 + 2 * -0.5 - 0.125
+    )
+
+
+def test_activations_of_hidden_units_and_output():
+    network, genes = by_hand()
+    curved = ProductSummationNetwork(2, 1, 1, "tanh", "sigmoid")
+    net = 3 * math.tanh(-0.125) + 2 * math.tanh(-0.5) - 0.125
+    found = curved.forward(genes, tensor([-0.5, 0.5])).item()
+    assert found == pytest.approx(1 / (1 + math.exp(-net)))
+
+
+def test_the_papers_network_has_131_weights():
+    # 10 x 5 + 10 product, 10 x 5 + 10 + 10 summation, 1 bias
+    assert ProductSummationNetwork(5).genes == 131
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"products": 0, "summations": 0},
+        {"hidden_activation": "relu"},
+        {"floor": 0.0},
+        {"products": -1},
+    ],
+)
+def test_impossible_networks_are_refused(wrong):
+    with pytest.raises(ValueError, match=r"unit|activation|floor"):
+        ProductSummationNetwork(5, **wrong)
+
+
+def rows_with_zeros_and_negatives(g, rows, inputs):
+    x = torch.rand(rows, inputs, generator=g, dtype=torch.float64) * 2 - 1
+    x[torch.rand(rows, inputs, generator=g) < 0.2] = 0.0
+    return x
+
+
+shapes = {
+    "inputs": st.integers(1, 7),
+    "products": st.integers(0, 4),
+    "summations": st.integers(1, 4),
+    "rows": st.integers(1, 700),
+    "spread": st.sampled_from([0.5, 2.0, 30.0]),  # up to exponents that reach the limit
+    "seed": st.integers(0, 1000),
+}
+
+
+@pytest.mark.parametrize("kernel", [True, False])
+@given(**shapes)
+@settings(max_examples=20, deadline=None)
+def test_the_fast_error_is_the_plain_one(kernel, inputs, products, summations, rows, spread, seed):
+    g = torch.Generator().manual_seed(seed)
+    network = ProductSummationNetwork(inputs, products, summations)
+    x = rows_with_zeros_and_negatives(g, rows, inputs)
+    targets = torch.randn(2, rows, generator=g, dtype=torch.float64)
+    genes = (spread * torch.randn(2, 5, network.genes, generator=g)).float()
+    fast = PopulationError(network, x, targets, kernel=kernel)(genes)
+    plain = [(network.forward(genes[o].double(), x) - targets[o]).square().mean(-1) for o in (0, 1)]
+    # A unit's size is exp of a sum that is rounded to single precision, relative to its terms.
+    torch.testing.assert_close(fast, torch.stack(plain), rtol=2e-4 * max(1, spread), atol=1e-6)
+
+
+def test_the_error_of_curved_networks_is_the_plain_one():
+    g = torch.Generator().manual_seed(3)
+    network = ProductSummationNetwork(5, 3, 2, "tanh", "sigmoid")
+    x = rows_with_zeros_and_negatives(g, 300, 5)
+    targets = torch.rand(2, 300, generator=g, dtype=torch.float64)
+    genes = torch.randn(2, 5, network.genes, generator=g)
+    fast = PopulationError(network, x, targets)(genes)
+    for o in (0, 1):
+        plain = (network.forward(genes[o].double(), x) - targets[o]).square().mean(-1)
+        torch.testing.assert_close(fast[o], plain, rtol=1e-4, atol=1e-7)
+    with pytest.raises(ValueError, match="linear"):
+        PopulationError(network, x, targets, kernel=True)
+
+
+@given(**shapes)
+@settings(max_examples=20, deadline=None)
+def test_fast_predictions_are_the_plain_ones(inputs, products, summations, rows, spread, seed):
+    g = torch.Generator().manual_seed(seed)
+    network = ProductSummationNetwork(inputs + 3, products, summations)  # on both sides of 8
+    x = rows_with_zeros_and_negatives(g, rows, inputs + 3)
+    genes = spread * torch.randn(3, network.genes, generator=g, dtype=torch.float64)
+    plain = network.forward(genes, x).T
+    torch.testing.assert_close(Prediction(network, genes)(x), plain, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("inputs", [2, 5])
+def test_the_gram_matrix_is_the_mean_of_products_of_columns(inputs, compiled):
+    g = torch.Generator().manual_seed(4)
+    network = ProductSummationNetwork(inputs, 3, 1)
+    x = rows_with_zeros_and_negatives(g, 600, inputs)
+    factor = torch.randn(600, generator=g, dtype=torch.float64)
+    others = torch.randn(2, 600, generator=g, dtype=torch.float64)
+    exponents = torch.randn(4, 3, inputs, generator=g, dtype=torch.float64)
+    gram = ProductGram(network, x, factor, others, kernel=compiled)(exponents)
+    for c in range(4):
+        columns = torch.cat([network.product_units(exponents[c], x) * factor, others])
+        expected = columns @ columns.T / 600
+        torch.testing.assert_close(gram[c], expected, rtol=1e-4, atol=1e-4)

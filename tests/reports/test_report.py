@@ -1,0 +1,327 @@
+"""The page: whole, self-contained, and its numbers those of the folders."""
+
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from report_artefacts import (
+    LEGS,
+    TASK,
+    make_controller,
+    make_dataset,
+    make_simulator,
+    make_trial,
+    predicted_poses,
+)
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.reports import write_report
+
+VOID = {"meta", "br", "link", "img", "hr", "input"}
+
+
+class Page(HTMLParser):
+    """Text, attributes and tables of a page; fails where an element is not closed in order."""
+
+    def __init__(self, path):
+        super().__init__()
+        self.open, self.ids, self.references, self.words = [], [], [], []
+        self.tables, self.svgs, self.captions = [], [], []
+        self.tags = set()
+        self.feed(path.read_text(encoding="utf-8"))
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.add(tag)
+        attributes = dict(attributes)
+        self.ids += [attributes["id"]] if "id" in attributes else []
+        self.references += [attributes[key] for key in ("href", "src", "xlink:href")
+                            if key in attributes]  # fmt: skip
+        self.references += re.findall(
+            r"url\(([^)]*)\)", " ".join(filter(None, attributes.values()))
+        )
+        if tag == "svg":
+            self.svgs.append(attributes)
+        if tag == "table":
+            self.tables.append([])
+        if tag == "tr":
+            self.tables[-1].append([])
+        if tag in ("td", "th"):
+            self.tables[-1][-1].append("")
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attributes):
+        self.handle_starttag(tag, attributes)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+        if self.open and self.open[-1] in ("td", "th"):
+            self.tables[-1][-1][-1] += data
+
+    @property
+    def text(self):
+        return re.sub(r"\s+", " ", " ".join(self.words))
+
+    def table(self, first_head):
+        """Return the rows of the table whose head begins with these words."""
+        (found,) = [rows for rows in self.tables
+                    if any(row[: len(first_head)] == first_head for row in rows[:2])]  # fmt: skip
+        return found
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A report of one folder of every kind."""
+    root = tmp_path_factory.mktemp("whole")
+    folders = [make_dataset(root / "data")]
+    folders.append(make_simulator(root / "net", folders[0]))
+    folders.append(make_controller(root / "plan"))
+    folders.append(make_trial(root / "trial-a", seed=3, unseen=(4,)))
+    summary = write_report(folders, root / "page.html")
+    return folders, summary, root / "page.html", Page(root / "page.html")
+
+
+def test_page_stands_alone(whole):
+    page = whole[3]
+    assert page.references
+    assert all(reference.startswith("#") for reference in page.references)
+    assert not page.tags & {"script", "link", "img", "iframe", "object"}
+    source = whole[2].read_text()
+    assert "@import" not in source
+    assert "http" not in source
+
+
+def test_ids_are_unique_and_references_lead_somewhere(whole):
+    page = whole[3]
+    assert len(page.ids) == len(set(page.ids))
+    assert {reference[1:] for reference in page.references} <= set(page.ids)
+
+
+def test_every_figure_is_told_in_words(whole):
+    page = whole[3]
+    # Course, two of growth, three series and scatters, learning, evolution, three histograms.
+    assert len(page.svgs) == 1 + 2 + 3 + 3 + 1 + 1 + 3
+    assert all(svg["role"] == "img" and svg["aria-label"] for svg in page.svgs)
+
+
+def test_figures_use_the_colours_of_the_page_only(whole):
+    for svg in re.findall(r"<svg.*?</svg>", whole[2].read_text(), flags=re.DOTALL):
+        assert not set(re.findall(r"#[0-9a-f]{6}\b", svg)) - {"#000000"}
+
+
+def test_verdict_gives_the_trials_own_errors(whole):
+    _, summary, _, page = whole
+    trial = files.read_json(whole[0][3] / "trial.json", "neurosim-trial", 1)
+    position = [error["position"] for error in trial["errors"] if error]
+    heading = [abs(error["heading"]) for error in trial["errors"] if error]
+    assert len(position) == len(LEGS) - 1
+    assert summary["mean_position_error"] == pytest.approx(np.mean(position))
+    assert summary["final_position_error"] == position[-1]
+    assert summary["mean_heading_error"] == pytest.approx(np.mean(heading))
+    assert (summary["trials"], summary["completed"], summary["virtual"]) == (1, 1, True)
+    assert summary["verdict"].startswith("The robot completed the course.")
+    assert (
+        f"{100 * np.mean(position):.1f} cm and {np.degrees(np.mean(heading)):.1f} degrees"
+        in (summary["verdict"])
+    )
+    assert f"at the end, {100 * position[-1]:.1f} cm" in summary["verdict"]
+    assert "(Virtual lab.)" in summary["verdict"]
+    assert summary["verdict"] in page.text
+
+
+def test_commands_and_poses_are_the_trials(whole):
+    rows = whole[3].table(["command", "left (%)"])[1:]
+    trial = files.read_json(whole[0][3] / "trial.json", "neurosim-trial", 1)
+    assert len(rows) == len(LEGS)
+    x, y, heading = predicted_poses()[1]
+    assert rows[0][:6] == ["1", "40.0", "40.0", "2.00", f"{x:.3f}, {y:.3f}", "90.0"]
+    assert rows[3][6:] == ["not seen"] * 4
+    assert float(rows[8][8]) == pytest.approx(100 * trial["errors"][8]["position"], abs=0.051)
+    assert heading == pytest.approx(np.pi / 2)
+
+
+def test_table_2_against_an_independent_reckoning(whole):
+    from neurosim.simulators import read_simulator
+    from tracking.dataset import Dataset
+
+    folders, summary, _, page = whole
+    rows = Dataset.read(folders[0]).table.iloc[120:]
+    network = read_simulator(folders[1])
+    import torch
+
+    state = torch.zeros(30, 5, dtype=torch.float64)
+    state[:, 3:] = torch.tensor(rows[["prev_left", "prev_right"]].to_numpy())
+    command = torch.tensor(rows[["left", "right", "duration"]].to_numpy())
+    predicted = network.step(state, command)[:, :3].numpy()
+    error = (predicted - rows[["dx", "dy", "dtheta"]].to_numpy()) * [100, 100, 180 / np.pi]
+    table = page.table(["", "MSE"])
+    assert [name for name in table[0] if name] == [
+        "paper", "net", "ideal differential drive, two factors fitted"
+    ]  # fmt: skip
+    papers = [["26.412", "3.585 deg"], ["12.909", "2.143 cm"], ["18.559", "2.782 cm"]]
+    for row, column, paper in zip(table[2:], (2, 0, 1), papers, strict=True):
+        assert row[1:3] == paper
+        assert float(row[3]) == pytest.approx(np.mean(error[:, column] ** 2), abs=5.1e-4)
+        assert float(row[4].split()[0]) == pytest.approx(
+            np.mean(np.abs(error[:, column])), abs=5.1e-4
+        )
+    assert summary["test"]["net"]["dx"]["mse"] == pytest.approx(np.mean(error[:, 0] ** 2))
+
+
+def test_dataset_counts(whole):
+    page = whole[3]
+    assert page.table(["reason"])[1:] == [
+        ["cut: cut short at a line", "7", f"{7 / 159:.1%}"],
+        ["jump", "2", f"{2 / 159:.1%}"],
+    ]
+    assert "150 usable rows" in page.text
+    meta = files.read_json(whole[0][0] / "dataset.json", "neurosim-dataset", 1)
+    random = meta["cutting"]["by_class"]["random"]
+    assert page.table(["commands", "sent"])[1][1:4] == [
+        str(random[key]) for key in ("sent", "cut", "completed")
+    ]
+
+
+def test_provenance_names_every_file_with_its_sum(whole):
+    folders, _, _, page = whole
+    rows = {row[0]: row[2] for row in page.table(["file"])[1:]}
+    for folder in folders:
+        for path in folder.iterdir():
+            assert rows[f"{folder.name}/{path.name}"] == files.sha256(path)
+    assert rows["rec/commands.csv"] == "ab" * 32
+    assert "seed" in page.text
+    assert "2024-05-06T07:08:09+00:00" in page.text
+
+
+def test_several_trials(tmp_path):
+    trials = [
+        make_trial(tmp_path / f"t{k}", seed=k, completes=k != 1, unseen=(9,) if k == 0 else ())
+        for k in range(4)
+    ]
+    summary = write_report(trials, tmp_path / "page.html")
+    page = Page(tmp_path / "page.html")
+    read = [files.read_json(trial / "trial.json", "neurosim-trial", 1) for trial in trials]
+    ends = [trial["errors"][8]["position"] for trial in read[1:]]
+    assert summary["completed"] == 3
+    assert summary["final_position_error"] == pytest.approx(np.median(ends))
+    row = page.table(["plans of"])[1]
+    # Wilson's interval of 3 in 4, by hand: (0.75 + 0.4802) / 1.9604 -+ 0.3269.
+    assert row[:6] == ["9 commands", "4", "4", "3", "75%", "30% to 95%"]
+    growth = page.table(["after command"])[1:]
+    assert [line[1] for line in growth] == ["4"] * 8 + ["3"]
+    third = [100 * trial["errors"][2]["position"] for trial in read]
+    expected = [f"{f(third):.1f}" for f in (np.median, np.mean, np.max)]
+    assert growth[2][2:5] == expected
+
+
+def test_missing_parts_are_named(tmp_path):
+    write_report([make_dataset(tmp_path / "data")], tmp_path / "page.html")
+    text = Page(tmp_path / "page.html").text
+    assert "Add the folder of a trial to see it." in text
+    assert "Add the folder of a simulator to see it." in text
+    assert "whether the robot completes the course is not known" in text
+
+
+def test_simulator_alone_shows_what_its_training_found(tmp_path):
+    data = make_dataset(tmp_path / "data")
+    write_report([make_simulator(tmp_path / "net", data)], tmp_path / "page.html")
+    page = Page(tmp_path / "page.html")
+    assert page.table(["", "MSE"])[3][3:] == ["7.125", "1.375 cm"]
+    assert "Add the folder of the dataset that the simulator was trained on" in page.text
+
+
+def test_another_dataset_is_used_whole(tmp_path):
+    data, other = make_dataset(tmp_path / "data"), make_dataset(tmp_path / "other", 40, seed=9)
+    net = make_simulator(tmp_path / "net", data)
+    write_report([net, other], tmp_path / "page.html")
+    assert "all 40 commands of another dataset" in Page(tmp_path / "page.html").text
+    write_report([net, other, data], tmp_path / "page.html")
+    assert "the last 20% of its dataset in time, 30 commands" in Page(tmp_path / "page.html").text
+
+
+def test_real_robot_is_not_called_virtual(tmp_path):
+    folders = [make_dataset(tmp_path / "data", virtual=False),
+               make_trial(tmp_path / "trial", virtual=False, completes=False)]  # fmt: skip
+    summary = write_report(folders, tmp_path / "page.html")
+    assert summary["virtual"] is False
+    assert summary["verdict"].startswith(
+        "The robot did not complete the course, though the simulator said that it would."
+    )
+    assert "Virtual lab" not in Page(tmp_path / "page.html").text
+
+
+def test_robot_never_seen(tmp_path):
+    trial = make_trial(tmp_path / "trial", unseen=range(10))
+    summary = write_report([trial], tmp_path / "page.html")
+    assert "did not see" in summary["verdict"]
+    assert "mean_position_error" not in summary
+    Page(tmp_path / "page.html")
+
+
+def test_names_are_escaped(tmp_path):
+    trial = make_trial(tmp_path / "a<b&c")
+    write_report([trial], tmp_path / "page.html")
+    assert "a<b&c: predicted" in Page(tmp_path / "page.html").text
+
+
+def test_what_cannot_be_read_is_named(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(UserError, match=r"empty.*none of trial\.json"):
+        write_report([tmp_path / "empty"], tmp_path / "page.html")
+    with pytest.raises(UserError, match=r"nowhere.*no such folder"):
+        write_report([tmp_path / "nowhere"], tmp_path / "page.html")
+    with pytest.raises(UserError, match="at least one"):
+        write_report([], tmp_path / "page.html")
+    trial = make_trial(tmp_path / "trial")
+    with pytest.raises(UserError, match="is a folder"):
+        write_report([trial], tmp_path)
+    document = files.read_json(trial / "trial.json", "neurosim-trial", 1)
+    document["predicted"]["poses"].pop()
+    files.write_json(trial / "trial.json", "neurosim-trial", 1, document)
+    with pytest.raises(FileError, match=r"trial\.json.*predicted\.poses.*expected 10 poses"):
+        write_report([trial], tmp_path / "page.html")
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_path_between_poses_is_the_constant_twist_arc():
+    from neurosim.reports.course import planned_path
+
+    path = planned_path(
+        [(0, 0, 0), (0.5, 0.5, np.pi / 2)]
+    )  # a quarter of a circle, centre (0, 0.5)
+    assert np.hypot(path[:, 0], path[:, 1] - 0.5) == pytest.approx(0.5)
+    assert np.hypot(*np.diff(path[:, :2], axis=0).T).max() <= 0.02
+    # A whole turn that ends elsewhere has no arc: straight.
+    path = planned_path([(0, 0, 0), (0.3, 0, 2 * np.pi)])
+    assert path[:, 1] == pytest.approx(0.0)
+    assert path[-1] == pytest.approx([0.3, 0, 2 * np.pi])
+    assert len(planned_path([(0, 0, 0), (0, 0, 0), (0, 0, 1)])) == 3
+
+
+def test_rectangles_lie_as_the_task_judges_them():
+    from neurosim.reports.course import layout
+    from neurosim.tasks.nine_rectangles import NineRectangles
+
+    places = layout(TASK)
+    assert sorted(places) == [-1, 1, 2, 3, 4, 5, 6, 7, 8]
+    for number, (x, y) in places.items():
+        assert NineRectangles().region([x, y, 0.0]) == (0 if number == 8 else number)
+    assert layout({"name": "something else"}) == {}
+
+
+def test_importing_the_room_is_quick():
+    code = (
+        "import sys, neurosim.reports; "
+        "print([name for name in ('matplotlib', 'torch', 'pandas') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,502 @@
+"""The NXT driver through the real nxt-python, on virtual bricks and on things that are none."""
+
+import os
+import socket
+import sys
+import threading
+import time
+
+import nxt.backend.usb
+import pytest
+import usb.core
+from brick_body import Body, LabClock
+
+from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.lab.brick import VirtualBrick
+from neurosim.lab.serve import PtyServer, Radio, SocketServer
+from neurosim.robots import nxt_link
+from neurosim.robots.base import Robot
+from neurosim.robots.nxt import NXT
+
+needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
+
+BRAKED = (7, 1, 0, 0x20, 0)  # on, brake, regulated; speed regulation; no turn; running; no limit
+SHORT = 0.3
+
+
+class Rig:
+    """A virtual brick being served, and how a driver reaches it."""
+
+    def __init__(self, kind=SocketServer, **options):
+        self.clock = LabClock()
+        self.body = Body()
+        self.radio = Radio(VirtualBrick(self.body, "Pippin"), self.clock, jitter=0.0)
+        self.server = kind(self.radio)
+        self.options = {"clock": self.clock, "deadline": 5.0, **options}
+        if kind is PtyServer:
+            self.options["filename"] = self.server.path
+        else:
+            self.options["server_host"], self.options["server_port"] = self.server.address
+
+    def robot(self, **options):
+        return NXT(**{**self.options, **options})
+
+    def motors(self):
+        return [(output.power, output.mode) for output in self.body.outputs]
+
+
+@pytest.fixture(params=[pytest.param(PtyServer, marks=needs_pty), SocketServer])
+def rig(request):
+    rig = Rig(request.param)
+    yield rig
+    rig.server.stop()
+
+
+@pytest.fixture
+def one():
+    rig = Rig()
+    yield rig
+    rig.server.stop()
+
+
+@pytest.fixture
+def pty():
+    if sys.platform == "win32":
+        pytest.skip("no pseudo-terminals on Windows")
+    rig = Rig(PtyServer)
+    yield rig
+    rig.server.stop()
+
+
+def one_sentence(error):
+    text = str(error.value)
+    assert text
+    assert "\n" not in text
+    assert "Traceback" not in text
+    return text
+
+
+def test_drive_sets_both_motors_regulated_and_for_ever(rig):
+    with rig.robot() as robot:
+        assert isinstance(robot, Robot)
+        robot.drive(40.4, -100)
+        left, right = rig.body.outputs[1], rig.body.outputs[2]
+        for output, power in ((left, 40), (right, -100)):
+            assert output.power == power
+            got = output.mode, output.regulation, output.turn_ratio, output.run_state
+            assert (*got, output.tacho_limit) == BRAKED
+        robot.stop()
+        assert [output.power for output in rig.body.outputs] == [0, 0, 0]
+        assert rig.body.outputs[1].mode == 7
+
+
+def test_drive_returns_when_the_lab_has_taken_it(one):
+    with one.robot() as robot:
+        before = one.clock.now()
+        robot.drive(10, 20)
+        # Two telegrams and the question leave together; the answer takes another 20 ms.
+        assert one.clock.now() - before == pytest.approx(0.0425, abs=1e-6)
+
+
+def test_the_brick_is_kept_awake(one):
+    heard = []
+    plain = one.radio.deliver
+    one.radio.deliver = lambda telegram: heard.append(telegram[1]) or plain(telegram)
+    with one.robot() as robot:
+        for _ in range(100):
+            robot.drive(10, 20)
+            one.clock.sleep_until(one.clock.now() + 1.0)
+    assert heard.count(0x0D) == 3  # at the start, and two in 100 s
+
+
+def test_mirrored_motors_and_other_ports(one):
+    body = one.body
+    with one.robot(left="C", right="a", lamp="B", invert=True) as robot:
+        robot.drive(30, 50)
+        assert [output.power for output in body.outputs] == [-50, 0, -30]
+        robot.lamp(True)
+        assert body.outputs[1].power == 100
+        body.outputs[2].rotation_count, body.outputs[0].rotation_count = -360, 720
+        assert robot.odometry() == (360.0, -720.0)
+
+
+@pytest.mark.parametrize("speed", [101, -100.5, float("nan"), float("inf")])
+def test_impossible_speeds_are_refused_before_anything_is_sent(one, speed):
+    with one.robot() as robot:
+        sent = one.radio.telegrams
+        with pytest.raises(UserError, match="right motor"):
+            robot.drive(10, speed)
+        assert one.radio.telegrams == sent
+
+
+def test_sensors(rig):
+    rig.body.raw = 460
+    with rig.robot() as robot:
+        assert rig.body.types[:2] == [(5, 0), (5, 0)]
+        assert robot.read_sensors() == {"line_left": 563 / 1023, "line_right": 563 / 1023}
+        assert robot.battery() == 7.9
+    assert rig.body.types[:2] == [(6, 0), (6, 0)]
+    with rig.robot(light_left="none", light_right=4) as robot:
+        assert list(robot.read_sensors()) == ["line_right"]
+        assert rig.body.types[3] == (5, 0)
+
+
+def test_sensors_that_are_slow_to_wake_are_waited_for_by_the_robots_clock(one):
+    since = {}
+    plain = one.body.input
+
+    def sleepy(port):
+        since.setdefault(port, one.clock.now())
+        return (one.clock.now() - since[port] > 0.3, *plain(port)[1:])
+
+    one.body.input = sleepy
+    with one.robot() as robot:
+        assert one.clock.now() > 0.6
+        assert robot.read_sensors()["line_left"] == 563 / 1023
+    one.body.input = lambda port: (False, *plain(port)[1:])
+    with pytest.raises(RobotError, match="port 1"), one.robot():
+        pass
+
+
+def test_lamp_on_a_motor_port(rig):
+    with rig.robot() as robot:
+        robot.lamp(True)
+        assert (rig.body.outputs[0].power, rig.body.outputs[0].mode) == (100, 1)
+        robot.lamp(False)
+        assert (rig.body.outputs[0].power, rig.body.outputs[0].mode) == (0, 0)
+        robot.lamp(True)
+    assert (rig.body.outputs[0].power, rig.body.outputs[0].mode) == (0, 0)
+
+
+def test_lamp_of_the_colour_sensor(rig):
+    with rig.robot(lamp="color:3") as robot:
+        robot.lamp(True)
+        assert rig.body.types[2] == (14, 0)
+        robot.lamp(False)
+        assert rig.body.types[2] == (17, 0)
+        robot.lamp(True)
+    assert rig.body.types[2] == (17, 0)
+    assert rig.body.outputs[0].power == 0
+
+
+def test_no_lamp(one):
+    with one.robot(lamp=None) as robot:
+        sent = one.radio.telegrams
+        robot.lamp(True)
+        assert one.radio.telegrams == sent
+
+
+def test_description(one):
+    with one.robot(lamp="color:4", light_left=None) as robot:
+        about = robot.describe()
+    assert about["kind"] == "nxt"
+    assert (about["name"], about["firmware"], about["protocol"]) == ("Pippin", "1.31", "1.124")
+    assert about["address"] == "00:16:53:00:00:01"
+    assert about["ports"] == {
+        "left": "B",
+        "right": "C",
+        "lamp": "color:4",
+        "light_left": None,
+        "light_right": 2,
+    }
+    assert about["link"] == "nxt-server"
+    assert NXT().describe()["link"] == "USB"
+    assert NXT(filename="/dev/rfcomm0").describe()["link"] == "device file"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"left": "D"}, "left: 'D' is not a motor port"),
+        ({"left": "C"}, "motor port C is given to two"),
+        ({"lamp": "b"}, "motor port B is given to two"),
+        ({"lamp": "color:1"}, "sensor port 1 is given to two"),
+        ({"lamp": "color:5"}, "lamp: '5' is not a sensor port"),
+        ({"lamp": "5"}, "lamp: '5' is neither"),
+        ({"light_right": 0}, "light_right: 0 is not a sensor port"),
+        ({"light_right": 1}, "sensor port 1 is given to two"),
+    ],
+)
+def test_wrong_ports_are_named(options, words):
+    with pytest.raises(UserError, match=words):
+        NXT(**options)
+
+
+def test_motors_stop_whatever_happens(rig):
+    with pytest.raises(KeyboardInterrupt), rig.robot() as robot:
+        robot.lamp(True)
+        robot.drive(50, 50)
+        raise KeyboardInterrupt
+    assert rig.motors() == [(0, 0), (0, 7), (0, 7)]
+
+
+def test_interrupted_while_waiting_for_a_reply_the_motors_still_stop(rig):
+    with rig.robot() as robot:
+        robot.drive(50, 50)
+        guard = robot._brick._sock
+        guard.send(b"\x00\x0b")  # the reply to this is never read
+        assert robot.odometry() == (0.0, 0.0)
+        guard.send(b"\x01\x9b")
+    assert rig.motors()[1:] == [(0, 7), (0, 7)]
+
+
+def test_closed_and_connected_again(rig):
+    robot = rig.robot()
+    with pytest.raises(RobotError, match="not connected"):
+        robot.drive(1, 1)
+    robot.close()
+    for _ in range(2):
+        robot.connect()
+        robot.connect()
+        robot.drive(7, 7)
+        robot.close()
+        robot.close()
+    assert rig.motors()[1:] == [(0, 7), (0, 7)]
+
+
+def test_a_brick_that_falls_silent_is_lost_within_the_deadline(rig):
+    with rig.robot(deadline=SHORT) as robot:
+        robot.drive(50, 50)
+        rig.radio.silent = True
+        with pytest.raises(LinkLost, match=r"stopped answering: no reply within 0\.3 s") as error:
+            robot.drive(10, 10)
+        where = rig.options.get("filename") or "127.0.0.1:"
+        assert where in one_sentence(error)
+        started = time.monotonic()
+        with pytest.raises(LinkLost):
+            robot.read_sensors()
+        robot.close()
+        assert time.monotonic() - started < SHORT  # a lost line is not waited for again
+
+
+def test_a_line_that_closes_is_lost(rig):
+    with rig.robot() as robot:
+        robot.drive(50, 50)
+        rig.server.hang_up()
+        with pytest.raises(LinkLost, match="stopped answering: the line was closed"):
+            for _ in range(3):
+                robot.drive(10, 10)
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b"\x02\x0b\x00",  # too short
+        b"\x02\x55\x00\x01\x02",  # of another command
+        b"\x07\x0b\x00\x01\x02",  # no reply
+        b"\x02",
+        b"\x02\x0b\x77\x01\x02",  # no status that LEGO knows
+    ],
+)
+def test_replies_that_are_none_lose_the_link(rig, reply):
+    with rig.robot() as robot:
+        rig.radio.deliver = lambda telegram: reply
+        with pytest.raises(LinkLost, match="not LEGO's protocol") as error:
+            robot.battery()
+        one_sentence(error)
+
+
+def test_what_the_brick_refuses_is_no_lost_link(one):
+    with one.robot() as robot:
+        one.radio.brick.hardware.set_output = lambda *settings: None
+        with pytest.raises(RobotError, match="motor port C is at 0 % instead of 20 %") as error:
+            robot.drive(10, 20)
+        assert not isinstance(error.value, LinkLost)
+        one.radio.deliver = lambda telegram: bytes([2, telegram[1], 0xFB]) + bytes(22)
+        with pytest.raises(RobotError, match="insufficient memory"):
+            robot.odometry()
+
+
+def refused(**options):
+    robot = NXT(deadline=SHORT, **options)
+    with pytest.raises(RobotError) as error:
+        robot.connect()
+    assert not isinstance(error.value, LinkLost)
+    robot.close()
+    return one_sentence(error)
+
+
+@needs_pty
+def test_files_that_are_no_brick(tmp_path):
+    plain = tmp_path / "notes.txt"
+    plain.write_text("not a brick")
+    for path in (plain, "/dev/null"):
+        text = refused(filename=path)
+        assert str(path) in text
+        assert "not a serial line" in text
+    assert plain.read_text() == "not a brick"
+    assert "no such file" in refused(filename=tmp_path / "rfcomm0")
+    assert "folder" in refused(filename=tmp_path)
+    secret = tmp_path / "secret"
+    secret.touch(mode=0)
+    if os.geteuid() != 0:
+        assert "may not open" in refused(filename=secret)
+
+
+@needs_pty
+@pytest.mark.parametrize(
+    ("answer", "words"),
+    [
+        (None, "no reply within 0.3 s"),
+        (lambda data: data, "own input"),
+        (lambda data: b"login: ", "not LEGO's protocol"),
+        (lambda data: b"\x05\x00\x02\x9b", "no reply within 0.3 s"),
+        (lambda data: b"\x03\x00\x02\x88\x00", "not LEGO's protocol"),
+    ],
+)
+def test_lines_that_are_no_brick(answer, words):
+    import tty
+
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    path = os.ttyname(slave)
+
+    def other_end():
+        try:
+            while data := os.read(master, 100):
+                if answer:
+                    os.write(master, answer(data))
+        except OSError:
+            pass
+
+    thread = threading.Thread(target=other_end, daemon=True)
+    thread.start()
+    try:
+        text = refused(filename=path)
+        assert words in text
+        assert path in text
+    finally:
+        os.write(slave, b"x")
+        os.close(slave)
+        thread.join(1)
+        os.close(master)
+
+
+@needs_pty
+def test_a_line_that_never_opens(monkeypatch):
+    opened = threading.Event()
+    monkeypatch.setattr("nxt.backend.devfile.DevFileSock.connect", lambda sock: opened.wait(10))
+    monkeypatch.setattr(nxt_link, "OPEN_WITHIN", 0.1)
+    assert "cannot open /dev/rfcomm0: nothing on that line" in refused(filename="/dev/rfcomm0")
+    opened.set()
+
+
+@needs_pty
+def test_what_an_earlier_program_left_unread_is_not_taken_for_a_reply(pty):
+    line = os.open(pty.server.path, os.O_RDWR | os.O_NOCTTY)
+    os.write(line, b"\x02\x00\x00\x0b")
+    while not pty.radio.telegrams:
+        time.sleep(0.002)
+    time.sleep(0.02)
+    os.close(line)
+    with pty.robot() as robot:
+        assert robot.describe()["name"] == "Pippin"
+
+
+def listener(answer):
+    server = socket.create_server(("127.0.0.1", 0))
+
+    def run():
+        client, _ = server.accept()
+        with client:
+            client.recv(10)
+            if answer:
+                client.sendall(answer)
+            time.sleep(2 * SHORT)
+
+    threading.Thread(target=run, daemon=True).start()
+    return server
+
+
+def test_servers_that_are_no_brick():
+    with listener(b"") as server:
+        text = refused(server_port=server.getsockname()[1])
+        assert "no nxt-server reached at localhost" in text
+        assert "no reply within" in text
+    with listener(b"HTTP/1.1 400 Bad Request\r\n") as server:
+        text = refused(server_host="127.0.0.1", server_port=server.getsockname()[1])
+        assert "is not nxt-server" in text
+    free = socket.create_server(("127.0.0.1", 0))
+    port = free.getsockname()[1]
+    free.close()
+    assert "no nxt-server reached" in refused(server_port=port)
+    assert "no nxt-server reached" in refused(server_port=70000)
+
+
+def test_one_way_only():
+    assert "one way" in refused(filename="/dev/rfcomm0", server_port=2727)
+
+
+def usb_find(outcome):
+    def find(**filters):
+        if isinstance(outcome, Exception):
+            raise outcome
+        return iter(outcome)
+
+    return find
+
+
+class Device:
+    bus = address = 1
+
+    def __init__(self, error=None):
+        self.error = error
+        self.brick, self.reply = None, None
+
+    def reset(self):
+        if self.error:
+            raise self.error
+
+    def set_configuration(self):
+        pass
+
+    def get_active_configuration(self):
+        return {(0, 0): (self, self)}
+
+    def write(self, data):
+        if self.brick:
+            self.reply = self.brick.handle(bytes(data))
+
+    def read(self, count):
+        if self.reply:
+            return memoryview(self.reply)
+        raise usb.core.USBTimeoutError("Operation timed out", errno=110)
+
+
+@pytest.mark.parametrize(
+    ("outcome", "words"),
+    [
+        ([], "no brick found on USB"),
+        (usb.core.NoBackendError("No backend available"), "libusb"),
+        ([Device(usb.core.USBError("Access denied", errno=13))], "udev"),
+        ([Device(usb.core.USBError("Pipe error", errno=32))], "Pipe error"),
+        ([Device()], "no NXT brick answers on USB: no reply"),
+    ],
+)
+def test_usb_without_a_brick(monkeypatch, outcome, words):
+    monkeypatch.setattr(nxt.backend.usb.usb.core, "find", usb_find(outcome))
+    assert words in refused()
+
+
+def test_usb_with_a_brick(monkeypatch):
+    brick = VirtualBrick(Body(), "Sam")
+    device = Device()
+    device.brick = brick
+    monkeypatch.setattr(nxt.backend.usb.usb.core, "find", usb_find([device]))
+    with NXT(clock=LabClock()) as robot:
+        robot.drive(20, 30)
+        assert [output.power for output in brick.hardware.outputs] == [0, 20, 30]
+        assert robot.describe()["name"] == "Sam"
+    assert [output.power for output in brick.hardware.outputs] == [0, 0, 0]
+
+
+def test_usb_without_pyusb(monkeypatch):
+    monkeypatch.setitem(sys.modules, "nxt.backend.usb", None)
+    assert "pyusb" in refused()
+
+
+def test_no_serial_lines_on_windows(monkeypatch):
+    monkeypatch.setitem(sys.modules, "nxt.backend.devfile", None)
+    text = refused(filename="/dev/rfcomm0")
+    assert "no device files" in text
+    assert "USB" in text

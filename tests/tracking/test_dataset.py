@@ -1,0 +1,379 @@
+"""Displacements are right, what is unusable is left out and counted, bad files are named."""
+
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neurosim.base import se2
+from neurosim.base.errors import FileError, UserError
+from tracking import dataset as dataset_module
+from tracking.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
+from tracking.displacements import Settings, Track, fit_pose
+from tracking.recordings import Poses, Recording
+
+TRACK_WIDTH, FULL_SPEED = 0.13, 0.5
+DELAY = 0.04  # motors answer later than one frame at 30 per second
+FRAME = 1 / 30
+
+
+def twist(left, right):
+    """Body twist of ideal wheels, in percent of full speed."""
+    v = FULL_SPEED * (left + right) / 200
+    return np.array([v, 0.0, FULL_SPEED * (right - left) / 100 / TRACK_WIDTH])
+
+
+def drive(lines, until, delay=DELAY, start=(0.1, -0.2, 7.0)):
+    """Return the pose as a function of time; ``lines`` are (time, left, right)."""
+    changes = [(time + delay, twist(left, right)) for time, left, right in lines]
+    knots, poses, speeds = [-10.0], [np.array(start)], [np.zeros(3)]
+    for time, speed in changes:
+        poses.append(se2.compose(poses[-1], se2.exp(speeds[-1] * (time - knots[-1]))))
+        knots.append(time)
+        speeds.append(speed)
+
+    def pose(time):
+        i = int(np.searchsorted(knots, time, side="right")) - 1
+        return se2.compose(poses[i], se2.exp(speeds[i] * (time - knots[i])))
+
+    return pose
+
+
+def write_recording(path, sessions, *, edit=None, until=None):
+    """Write a recording; each session is a list of (command, kind, time, left, right, duration)."""
+    recording = Recording.create(path, {"robot": {"kind": "test"}})
+    columns = ([], [], [], [], [])
+    with recording.command_log() as log:
+        for lines in sessions:
+            session = recording.begin_session(video=None)
+            for command, kind, time, left, right, duration in lines:
+                log.append(session, command, kind, time, left, right, duration)
+            motor = [(t, a, b) for _, k, t, a, b, _ in lines if not k.startswith("lamp")]
+            end = until or lines[-1][2] + 0.5
+            pose = drive(motor, end)
+            times = np.arange(-0.3, end, FRAME) + 0.011
+            for column, values in zip(
+                columns,
+                (
+                    np.full(len(times), session),
+                    np.arange(len(times)),
+                    times,
+                    np.array([pose(t) for t in times]),
+                    np.full(len(times), 0.9),
+                ),
+                strict=True,
+            ):
+                column.append(values)
+    poses = Poses(*(np.concatenate(column) for column in columns))
+    if edit is not None:
+        edit(poses)
+    recording.write_poses(poses)
+    return path
+
+
+#: A session of four commands, the last one stopped.
+SESSION = [
+    (None, "lamp-on", 0.0, None, None, None),
+    (None, "lamp-off", 0.5, None, None, None),
+    (1, "command", 1.0, 40.0, 20.0, 1.0),
+    (2, "command", 2.0, -30.0, -30.0, 2.0),
+    (3, "command", 4.0, 0.0, 0.0, 0.5),
+    (4, "command", 4.5, 25.0, 50.0, 3.0),
+    (None, "stop", 7.5, 0.0, 0.0, None),
+]
+
+
+def test_rows_hold_the_displacement_in_the_robots_frame(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION])
+    dataset = build([path], tmp_path / "out")
+    assert dataset.table["command"].tolist() == [1, 2, 3, 4]
+    assert dataset.input_array().tolist() == [
+        [0, 0, 40, 20, 1],
+        [40, 20, -30, -30, 2],
+        [-30, -30, 0, 0, 0.5],
+        [0, 0, 25, 50, 3],
+    ]
+    # By hand: the previous command goes on for the delay, then the command itself.
+    previous = np.zeros(2)
+    for row, (left, right, duration) in zip(
+        dataset.output_array(), dataset.input_array()[:, 2:], strict=True
+    ):
+        before = se2.exp(twist(*previous) * DELAY)
+        expected = se2.compose(before, se2.exp(twist(left, right) * (duration - DELAY)))
+        assert row == pytest.approx(expected, abs=5e-6)
+        previous = (left, right)
+    assert set(dataset.table["quality"]) == {0.9}
+    assert sum(dataset.meta["left_out"].values()) == 0
+
+
+def test_round_trip_and_sources(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION])
+    written = build([path], tmp_path / "out")
+    read = Dataset.read(tmp_path / "out")
+    pd.testing.assert_frame_equal(read.table, written.table)
+    assert (read.inputs, read.outputs) == (tuple(MOTOR_INPUTS), ("dx", "dy", "dtheta"))
+    assert [source["path"] for source in read.meta["sources"]] == [
+        "rec/commands.csv",
+        "rec/poses.csv",
+    ]
+    assert all(len(source["sha256"]) == 64 for source in read.meta["sources"])
+    assert read.meta["rows"] == 4
+    build([path], tmp_path / "again")
+    for name in ("dataset.csv", "dataset.json"):
+        assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
+
+
+def test_a_turn_of_more_than_a_full_circle_stays_one(tmp_path):
+    lines = [(1, "command", 1.0, -50.0, 50.0, 3.0), (None, "stop", 4.0, 0.0, 0.0, None)]
+    dataset = build([write_recording(tmp_path / "rec", [lines])], tmp_path / "out")
+    assert dataset.output_array()[0, 2] == pytest.approx(0.5 / 0.13 * (3.0 - DELAY), abs=1e-4)
+
+
+def test_commands_that_were_cut_or_ended_otherwise_are_counted(tmp_path):
+    first = [
+        (1, "command", 1.0, 40.0, 40.0, 2.0),
+        (1, "cut", 1.8, 0.0, 0.0, None),
+        (None, "manoeuvre", 1.8, -30.0, -20.0, 1.0),
+        (2, "command", 2.8, 20.0, 30.0, 1.0),
+        (3, "command", 3.8, 20.0, 20.0, 1.0),
+        (4, "command", 5.5, 20.0, 20.0, 1.0),
+        (None, "stop", 5.9, 0.0, 0.0, None),
+        (5, "command", 7.0, 10.0, 10.0, 1.0),
+    ]
+    second = [(6, "command", 1.0, 10.0, 20.0, 1.0), (None, "stop", 2.0, 0.0, 0.0, None)]
+    dataset = build([write_recording(tmp_path / "rec", [first, second])], tmp_path / "out")
+    assert dataset.table["command"].tolist() == [2, 6]
+    # After the manoeuvre its speeds are the previous ones; a new session starts from rest.
+    assert dataset.input_array()[:, :2].tolist() == [[-30, -20], [0, 0]]
+    counts = {"cut": 1, "incomplete": 2, "clock": 1, "lost track": 0, "jump": 0}
+    assert dataset.meta["left_out"] == counts
+    straight = dataset.meta["cutting"]["by_class"]["equal"]
+    assert straight == {"sent": 4, "cut": 1, "completed": 0}
+
+
+def test_a_lost_track_leaves_out_the_commands_it_touches(tmp_path):
+    def lose(first, last):
+        def edit(poses):
+            gone = (poses.time > first) & (poses.time < last)
+            poses.pose[gone] = np.nan
+            poses.quality[gone] = 0
+
+        return edit
+
+    near = write_recording(tmp_path / "near", [SESSION], edit=lose(1.95, 2.05))
+    dataset = build([near], tmp_path / "near-out")
+    assert dataset.table["command"].tolist() == [3, 4]
+    assert dataset.meta["left_out"]["lost track"] == 2
+    long = write_recording(tmp_path / "long", [SESSION], edit=lose(2.5, 3.2))
+    dataset = build([long], tmp_path / "long-out")
+    assert dataset.table["command"].tolist() == [1, 3, 4]
+    short = write_recording(tmp_path / "short", [SESSION], edit=lose(2.5, 2.7))
+    assert len(build([short], tmp_path / "short-out")) == 4
+
+
+def test_a_jump_leaves_out_its_command_only(tmp_path):
+    def edit(poses):
+        poses.pose[np.searchsorted(poses.time, 3.0), 0] += 0.08
+
+    path = write_recording(tmp_path / "rec", [SESSION], edit=edit)
+    dataset = build([path], tmp_path / "out")
+    assert dataset.table["command"].tolist() == [1, 3, 4]
+    assert dataset.meta["left_out"]["jump"] == 1
+    relaxed = build([path], tmp_path / "all", settings=Settings(max_speed=10.0))
+    assert len(relaxed) == 4
+
+
+def test_a_video_that_ends_early(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION], until=5.0)
+    dataset = build([path], tmp_path / "out")
+    assert dataset.table["command"].tolist() == [1, 2, 3]
+    assert dataset.meta["left_out"]["incomplete"] == 1
+
+
+def test_no_usable_command_is_an_error_that_says_why(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION], until=1.5)
+    with pytest.raises(UserError, match=r"no usable command \(left out: 4 incomplete\)"):
+        build([path], tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_clock_that_goes_backwards_is_named_with_its_line(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION])
+    text = (path / "commands.csv").read_text().replace("1,4,command,4.5", "1,4,command,3.9")
+    (path / "commands.csv").write_text(text)
+    with pytest.raises(FileError, match=r"commands\.csv, line 7.*backwards"):
+        build([path], tmp_path / "out")
+
+
+def test_recordings_named_twice_alike_or_not_tracked(tmp_path):
+    first = write_recording(tmp_path / "a" / "rec", [SESSION])
+    second = write_recording(tmp_path / "b" / "rec", [SESSION])
+    with pytest.raises(UserError, match="named twice"):
+        build([first, first], tmp_path / "out")
+    assert build([first, second], tmp_path / "out").table["recording"].nunique() == 2
+    (second / "poses.csv").unlink()
+    with pytest.raises(FileError, match="neurosim track"):
+        build([second], tmp_path / "other")
+    with pytest.raises(UserError, match="not empty"):
+        build([first], tmp_path / "out")
+    with pytest.raises(UserError, match="at least one"):
+        build([], tmp_path / "none")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    rows = [
+        {"recording": "r", "command": i, "prev_v": 0.0, "v": 0.1 * i, "duration": 1.0}
+        | {"dx": 0.1 * i, "dy": 0.0, "dtheta": 0.0, "quality": 1.0}
+        for i in range(1, 6)
+    ]
+    units = {"prev_v": "m/s", "v": "m/s", "duration": "s"}
+    make(rows, units, sources=[], left_out={}, settings={}).write(tmp_path / "data")
+    return tmp_path / "data"
+
+
+def test_other_inputs_and_the_split_in_time(folder):
+    dataset = Dataset.read(folder)
+    assert dataset.inputs == ("prev_v", "v", "duration")
+    assert dataset.input_array().shape == (5, 3)
+    earlier, later = dataset.split(0.2)
+    assert earlier.table["command"].tolist() == [1, 2, 3, 4]
+    assert later.table["command"].tolist() == [5]
+    assert (earlier.meta["rows"], later.meta["rows"]) == (4, 1)
+    with pytest.raises(UserError, match="1 row, too few"):
+        later.split(0.2)
+    with pytest.raises(UserError, match="between 0 and 1"):
+        dataset.split(1.0)
+
+
+@given(st.integers(2, 6000), st.sampled_from([0.1, 0.2, 0.25, 0.5]))
+@settings(max_examples=50, deadline=None)
+def test_the_split_holds_out_its_share(n, held_out):
+    table = pd.DataFrame({"command": np.arange(n)})
+    dataset = Dataset(table, (), (), {})
+    if math.floor(round(n * (1 - held_out), 6)) == 0:
+        return
+    earlier, later = dataset.split(held_out)
+    assert len(earlier) + len(later) == n
+    assert len(later) == math.ceil(round(n * held_out, 6))
+    assert earlier.table["command"].max() < later.table["command"].min()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("r,2,0.0", "r,2,fast", r"dataset\.csv, line 3, field 'prev_v': expected a finite number"),
+        ("r,2,0.0", "r,2,nan", r"line 3, field 'prev_v'"),
+        ("r,2,0.0", "r,2,", r"line 3, field 'prev_v'"),
+        (",dtheta,", ",turn,", r"field 'dtheta': this column is missing"),
+        ("r,5,", "r,5.5,", r"line 6, field 'command': expected a whole number"),
+        ("r,2,0.0,0.2,1.0", "r,2,0.0,0.2,0.0", r"line 3, field 'duration': expected a number abo"),
+    ],
+)
+def test_bad_csv_is_named_by_line_and_field(folder, old, new, message):
+    path = folder / "dataset.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+    with pytest.raises(FileError, match=message):
+        Dataset.read(folder)
+
+
+def test_datasets_without_rows_or_cut_short(folder, tmp_path):
+    lines = (folder / "dataset.csv").read_text().splitlines(keepends=True)
+    (folder / "dataset.csv").write_text("".join(lines[:-1]))
+    with pytest.raises(FileError, match=r"4 rows where dataset\.json says 5"):
+        Dataset.read(folder)
+    (folder / "dataset.csv").write_text(lines[0])
+    with pytest.raises(FileError, match="holds no rows"):
+        Dataset.read(folder)
+    with pytest.raises(FileError, match="no such dataset"):
+        Dataset.read(tmp_path / "nowhere")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "message"),
+    [
+        ("version", 2, "reads version 1, found 2"),
+        ("format", "neurosim-simulator", "expected 'neurosim-dataset'"),
+        ("inputs", ["left"], "expected a list of {name, unit}"),
+        ("inputs", [], "expected a list of {name, unit}"),
+        ("inputs", [{"name": "v"}, {"name": "v"}], "names a column twice"),
+        ("outputs", [{"name": "dx"}], "expected dx, dy, dtheta"),
+    ],
+)
+def test_bad_json_is_named_by_field(folder, key, value, message):
+    path = folder / "dataset.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {key: value}))
+    with pytest.raises(FileError, match=message):
+        Dataset.read(folder)
+
+
+@given(
+    st.tuples(*[st.floats(-2, 2)] * 2, st.floats(-20, 20)),
+    st.tuples(st.floats(-0.5, 0.5), st.floats(-0.05, 0.05), st.floats(-8, 8)),
+    st.lists(st.floats(-0.2, 0.05), min_size=3, max_size=8, unique_by=lambda t: round(t, 3)),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_fit_is_exact_on_motion_of_constant_twist(pose, body_twist, times):
+    times = np.array(times)
+    poses = se2.compose(np.array(pose), se2.exp(np.array(body_twist) * times[:, None]))
+    assert fit_pose(times, poses) == pytest.approx(np.array(pose), abs=1e-7)
+
+
+def test_the_fit_beats_interpolation_and_has_no_bias():
+    # Wheels with a delay and a lag of their own, tracked with noise; Monte Carlo.
+    rng = np.random.default_rng(3)
+    lag, noise = 0.1, np.array([0.001, 0.001, 0.005])
+    fine = np.arange(-1.0, 0.3, 0.001)
+    speed = np.where(fine < 0.03, 0.25, 0.25 - 0.5 * (1 - np.exp(-(fine - 0.03) / lag)))
+    x = np.cumsum(speed) * 0.001
+    x -= np.interp(0.0, fine, x)
+    fitted, interpolated = [], []
+    for _ in range(400):
+        times = np.arange(-0.5, 0.2, FRAME) + rng.uniform(0, FRAME)
+        poses = np.zeros((len(times), 3))
+        poses[:, 0] = np.interp(times, fine, x)
+        poses += noise * rng.standard_normal(poses.shape)
+        track = Track(times, poses, np.ones(len(times)))
+        fitted.append(track.pose_at(0.0)[0])
+        interpolated.append([np.interp(0.0, times, poses[:, i]) for i in range(3)])
+    fitted, interpolated = np.array(fitted), np.array(interpolated)
+    assert abs(fitted[:, 0].mean()) < 3e-4
+    assert fitted.std(axis=0) == pytest.approx(0.75 * interpolated.std(axis=0), rel=0.2)
+
+
+def test_the_cutting_report():
+    sent = [
+        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "cut"},
+        {"left": -20.0, "right": -20.0, "duration": 1.0, "fate": "completed"},
+        {"left": 0.0, "right": 0.0, "duration": 1.2, "fate": "completed"},
+        {"left": 10.0, "right": -10.0, "duration": 0.5, "fate": "other"},
+    ]
+    report = cutting(sent)
+    assert report["by_class"] == {
+        "random": {"sent": 1, "cut": 0, "completed": 0},
+        "equal": {"sent": 2, "cut": 1, "completed": 1},
+        "stop": {"sent": 1, "cut": 0, "completed": 1},
+    }
+    assert report["by_duration"] == [
+        {"from": 0.5, "to": 1.0, "sent": 1, "cut": 0, "completed": 0},
+        {"from": 1.0, "to": 1.5, "sent": 2, "cut": 0, "completed": 2},
+        {"from": 2.0, "to": 2.5, "sent": 1, "cut": 1, "completed": 0},
+    ]
+    assert report["equal_reach"] == {
+        "unit": "% s",
+        "sent": 60.0,
+        "completed": 20.0,
+        "ratio": pytest.approx(1 / 3),
+    }
+    assert dataset_module.cutting([])["equal_reach"]["ratio"] is None
+
+
+def test_settings_must_be_positive():
+    with pytest.raises(UserError, match="max_speed must be above 0"):
+        Settings(max_speed=0.0)

@@ -1,0 +1,221 @@
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+import torch
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.simulators import read_simulator
+from neurosim.training import train as train_module
+from neurosim.training.evaluate import PAPER, errors, evaluate, predict
+from neurosim.training.train import train
+from tracking.dataset import Dataset
+
+QUICK = {"hidden": (3, 2), "progress": False, "settings": {"population": 20, "tournament": 4}}
+
+
+def outcome(folder):
+    """All that a training wrote, but for how long it took."""
+    described = json.loads((folder / "simulator.json").read_text())
+    described.pop("wall_clock")
+    return described, (folder / "weights.safetensors").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("trainer", "generations", "better"), [("ga", 150, 2.0), ("exponents", 12, 8.0)]
+)
+def test_training_learns_far_more_than_the_mean(tmp_path, dataset, trainer, generations, better):
+    simulator = train(
+        dataset, tmp_path / "s", trainer=trainer, generations=generations, progress=False
+    )
+    earlier, later = Dataset.read(dataset).split(0.2)
+    actual = later.output_array()
+    of_the_mean = errors(earlier.output_array().mean(0) + 0 * actual, actual)
+    for name, found in simulator.meta["test_errors"].items():
+        limit = 1.1 if (trainer, name) == ("ga", "dy") else better
+        assert found["mean_absolute_error"] < of_the_mean[name]["mean_absolute_error"] / limit
+        assert found["mse"] < of_the_mean[name]["mse"]
+
+
+def test_the_simulator_says_where_it_came_from(tmp_path, dataset):
+    out = tmp_path / "s"
+    simulator = train(dataset, out, generations=30, seed=3, **QUICK)
+    read = read_simulator(out)
+    rows = Dataset.read(dataset)
+    assert (predict(read, rows) == predict(simulator, rows)).all()
+    assert read.meta["source"]["sha256"] == files.sha256(dataset / "dataset.csv")
+    training = read.meta["training"]
+    assert (training["seed"], training["trainer"], training["rows"]) == (3, "ga", 320)
+    assert training["population"] == 20
+    history = read.meta["history"]
+    assert [entry["generation"] for entry in history] == list(range(1, 31))
+    for before, after in zip(history, history[1:], strict=False):
+        assert all(b >= a for b, a in zip(before["mse"], after["mse"], strict=True))
+    # The last training error is that of the simulator itself, to single precision.
+    earlier, _ = rows.split(0.2)
+    residual = predict(read, earlier) - earlier.output_array()
+    assert (residual**2).mean(0).tolist() == pytest.approx(history[-1]["mse"], rel=1e-3)
+    assert not (tmp_path / "s.checkpoint").exists()
+
+
+@pytest.mark.parametrize("trainer", ["ga", "exponents"])
+def test_the_held_out_rows_change_nothing(tmp_path, robot_data, make_dataset, trainer):
+    inputs, outputs = robot_data(100, 5)
+    weights = []
+    for name in "ab":
+        make_dataset(inputs, outputs).write(tmp_path / name)
+        train(tmp_path / name, tmp_path / f"s{name}", trainer=trainer, generations=5, **QUICK)
+        weights.append((tmp_path / f"s{name}" / "weights.safetensors").read_bytes())
+        inputs[80:, :4] *= 10
+        outputs[80:] *= -7
+    assert weights[0] == weights[1]
+
+
+def test_the_same_seed_gives_the_same_simulator_and_another_one_another(tmp_path, dataset):
+    made = {}
+    for name, seed in {"a": 1, "b": 1, "c": 2}.items():
+        train(dataset, tmp_path / name, generations=5, seed=seed, **QUICK)
+        made[name] = outcome(tmp_path / name)
+    assert made["a"] == made["b"]
+    assert made["a"][1] != made["c"][1]
+
+
+class Pulled(Exception):
+    """The plug."""
+
+
+@pytest.mark.parametrize("trainer", ["ga", "exponents"])
+@pytest.mark.parametrize("after", [0, 4])
+def test_interrupted_and_resumed_is_uninterrupted(tmp_path, dataset, monkeypatch, trainer, after):
+    options = {"trainer": trainer, "generations": 9, "checkpoint_every": 0.0, **QUICK}
+    train(dataset, tmp_path / "whole", **options)
+    kind = train_module.trainer_class(trainer)
+    advance, calls = kind.advance, []
+
+    def until_pulled(self):
+        calls.append(self)
+        if len(calls) > after:
+            raise Pulled
+        return advance(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(kind, "advance", until_pulled)
+        with pytest.raises(Pulled):
+            train(dataset, tmp_path / "s", **options)
+    assert not (tmp_path / "s").exists()
+    with pytest.raises(UserError, match="--resume"):
+        train(dataset, tmp_path / "s", **options)
+    train(dataset, tmp_path / "s", resume=True, **options)
+    assert outcome(tmp_path / "s") == outcome(tmp_path / "whole")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kill -9 is for POSIX")
+def test_a_training_that_was_killed_goes_on(tmp_path, dataset):
+    options = {"generations": 20_000, "checkpoint_every": 0.05, **QUICK}
+    script = f"from neurosim.training.train import train; train({str(dataset)!r}, 's', **{options})"
+    process = subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path)
+    saved = tmp_path / "s.checkpoint" / "state.safetensors"
+    deadline = time.monotonic() + 60
+    while not saved.exists() and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert saved.exists()
+    generation = int(files.read_tensors(saved)["run.generation"])
+    assert 0 < generation < 20_000
+    with pytest.raises(UserError, match="generations = 20000, not 30"):
+        train(dataset, tmp_path / "s", resume=True, **options | {"generations": 30})
+
+
+def interrupted(tmp_path, dataset, monkeypatch, **options):
+    def pulled(self):
+        raise Pulled
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train_module.trainer_class("ga"), "advance", pulled)
+        with pytest.raises(Pulled):
+            train(dataset, tmp_path / "s", generations=5, **QUICK, **options)
+
+
+def test_resuming_with_other_settings_is_refused_by_name(
+    tmp_path, dataset, monkeypatch, robot_data, make_dataset
+):
+    interrupted(tmp_path, dataset, monkeypatch)
+    for change, name in [
+        ({"seed": 1}, "seed"),
+        ({"hidden": (4, 2)}, "hidden"),
+        ({"settings": {"population": 30, "tournament": 4}}, "population"),
+        ({"trainer": "exponents"}, "trainer|limit"),
+    ]:
+        with pytest.raises(UserError, match=name):
+            train(dataset, tmp_path / "s", resume=True, **{**QUICK, "generations": 5, **change})
+    make_dataset(*robot_data(50, 9)).write(tmp_path / "other")
+    with pytest.raises(UserError, match="dataset_sha256"):
+        train(tmp_path / "other", tmp_path / "s", resume=True, generations=5, **QUICK)
+
+
+def test_a_damaged_checkpoint_is_refused(tmp_path, dataset, monkeypatch):
+    interrupted(tmp_path, dataset, monkeypatch)
+    state = tmp_path / "s.checkpoint" / "state.safetensors"
+    files.write_tensors(state, {"run.generation": torch.tensor(3)})
+    with pytest.raises(FileError, match="start anew"):
+        train(dataset, tmp_path / "s", resume=True, generations=5, **QUICK)
+    state.write_bytes(b"half")
+    with pytest.raises(FileError, match="cut short"):
+        train(dataset, tmp_path / "s", resume=True, generations=5, **QUICK)
+
+
+def test_what_cannot_be_is_refused_before_anything_is_written(
+    tmp_path, dataset, robot_data, make_dataset
+):
+    make_dataset(*robot_data(19, 2)).write(tmp_path / "few")
+    taken = tmp_path / "taken"
+    taken.mkdir()
+    (taken / "thesis.txt").write_text("do not lose")
+    out = tmp_path / "s"
+    for says, arguments, options in [
+        ("19 rows", (tmp_path / "few", out), {}),
+        ("not empty", (dataset, taken), {}),
+        ("no trainer 'oracle'", (dataset, out), {"trainer": "oracle"}),
+        ("no setting 'warp'", (dataset, out), {"settings": {"warp": 9}}),
+        ("cannot be set so", (dataset, out), {"settings": {"population": 1}}),
+        ("at least 1", (dataset, out), {"generations": 0}),
+        ("no activation", (dataset, out), {"activations": ("relu", "linear")}),
+        ("linear", (dataset, out), {"trainer": "exponents", "activations": ("tanh", "linear")}),
+        ("no interrupted training", (dataset, out), {"resume": True}),
+        ("no device 'abacus'", (dataset, out), {"device": "abacus"}),
+        ("no such dataset", (tmp_path / "nowhere", out), {}),
+    ]:
+        with pytest.raises(UserError, match=says):
+            train(*arguments, progress=False, **options)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["few", "taken"]
+
+
+def test_curved_activations_train_too(tmp_path, dataset):
+    simulator = train(
+        dataset, tmp_path / "s", generations=3, activations=("tanh", "linear"), **QUICK
+    )
+    assert read_simulator(tmp_path / "s").network.hidden_activation == "tanh"
+    assert simulator.meta["history"][-1]["generation"] == 3
+
+
+def test_a_robot_that_never_moved_can_be_learned(tmp_path, robot_data, make_dataset):
+    inputs, outputs = robot_data(30, 4)
+    inputs[:, :4] = 0
+    make_dataset(inputs, 0 * outputs).write(tmp_path / "d")
+    simulator = train(tmp_path / "d", tmp_path / "s", trainer="exponents", generations=3, **QUICK)
+    for found in simulator.meta["test_errors"].values():
+        assert found["mean_absolute_error"] < 1e-3
+
+
+def test_table_2_is_the_papers(tmp_path, dataset):
+    train(dataset, tmp_path / "s", generations=3, **QUICK)
+    table = evaluate(tmp_path / "s", dataset)
+    assert table["paper"]["dtheta"] == {"mse": 26.412, "mean_absolute_error": 3.585, "unit": "deg"}
+    assert (table["paper"]["dx"]["mse"], table["paper"]["dy"]["mse"]) == (12.909, 18.559)
+    assert set(PAPER) == set(table["errors"])

@@ -1,0 +1,411 @@
+"""The verb ``track``: a recording's video, or any video, to a pose per frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
+from neurosim.base.progress import Progress
+from tracking.camera_model import CameraModel
+from tracking.colours import Colour, parse_colour
+from tracking.overlay import Overlay
+from tracking.recordings import Poses, Recording
+from tracking.sync import ClockFit, fit_clock, pulses
+from tracking.tracker import Geometry, Tracker
+from tracking.video import Video
+
+FORMAT, VERSION = "neurosim-tracking", 1
+
+
+@dataclass(frozen=True)
+class Track:
+    """What was seen in one video, one row a frame; pixels, seconds of the camera's clock.
+
+    Attributes:
+        frame: [N] index within the video.
+        time: [N] camera time.
+        front, rear: [N, 2] pixels of the markers' centres, NaN where the pair was not found.
+        quality: [N] 0 not found, up to 1.
+        lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
+        size: width and height of the video in pixels.
+        colours: of front and rear as found, BGR of the rim.
+    """
+
+    frame: NDArray
+    time: NDArray
+    front: NDArray
+    rear: NDArray
+    quality: NDArray
+    lamp: NDArray
+    size: tuple[int, int]
+    colours: tuple[dict[str, Any], dict[str, Any]]
+
+    @property
+    def found(self) -> NDArray:
+        """[N] whether the pair was found."""
+        return self.quality > 0
+
+
+def follow(
+    path: str | Path,
+    front: Colour | str,
+    rear: Colour | str,
+    *,
+    geometry: Geometry | None = None,
+    times: NDArray | None = None,
+    overlay: str | Path | None = None,
+    expected_size: tuple[int, int] | None = None,
+) -> Track:
+    """Follow two coloured markers through a video.
+
+    Args:
+        path: the video; one that was cut off is read as far as it goes.
+        front: the front marker's colour: a name, ``#rrggbb`` or ``hsv:h,s,v``.
+        rear: the rear marker's.
+        geometry: what is known of the pair.
+        times: camera time [N] of the frames in seconds; without, the container's.
+        overlay: write a video with the markers drawn over it here.
+        expected_size: the calibration's image size in pixels.
+
+    Raises:
+        UserError: if the video cannot be read, has another size than expected, or shows no
+            such pair in any frame.
+    """
+    path = Path(path)
+    colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
+    if colours[0].name == colours[1].name:
+        raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
+    tracker = Tracker(colours[0], colours[1], geometry)
+    rows: list[tuple] = []
+    with ExitStack() as stack:
+        video = stack.enter_context(Video(path, times))
+        if expected_size is not None and video.size != tuple(expected_size):
+            raise UserError(
+                f"{path} has {video.size[0]} x {video.size[1]} pixels, the calibration was made "
+                f"at {expected_size[0]} x {expected_size[1]}; calibrate at the video's size"
+            )
+        drawing = None
+        if overlay is not None:
+            partial = stack.enter_context(atomic_path(overlay))
+            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, colours))
+        progress = stack.enter_context(
+            Progress(f"tracking {path.name}", video.frames or None, "frames")
+        )
+        for index, time, frame in video:
+            sighting = tracker.update(frame, time)
+            rows.append(
+                (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
+            )
+            if drawing is not None:
+                drawing.write(frame, time, sighting)
+            progress.advance()
+    table = np.array(rows, float)
+    if tracker.looks is None:
+        raise UserError(_not_found(path, colours, tracker.seen))
+    return Track(
+        table[:, 0].astype(int),
+        table[:, 1],
+        table[:, 2:4],
+        table[:, 4:6],
+        table[:, 6],
+        table[:, 7],
+        video.size,
+        tuple(
+            {
+                "colour": colour.name,
+                "hue_deg": math.degrees(math.atan2(look.direction[1], look.direction[0])) % 360,
+                "chroma": look.chroma,
+            }
+            for colour, look in zip(colours, tracker.looks, strict=True)
+        ),
+    )
+
+
+def track(
+    recording: str | Path,
+    colours: tuple[str, str] | None = None,
+    calibration: str | Path | CameraModel | None = None,
+    overlay: str | Path | None = None,
+    videos: Sequence[str | Path] = (),
+) -> dict[str, Any]:
+    """Track a recording: poses.csv and tracking.json into its folder.
+
+    Poses are of the middle of the axle on the board, in metres and radians, heading unwrapped
+    over each session; times are on the session's robot clock.
+
+    Args:
+        recording: its folder.
+        colours: of front and rear, if other than recording.json says.
+        calibration: a calibration file or model; default the recording's calibration.json.
+        overlay: write a video with the markers drawn over it here; with several sessions, the
+            session's number is added to the name.
+        videos: filmed with something else, of the sessions that have no video of their own, in
+            order.
+
+    Returns:
+        The content of tracking.json: frames, share found, median quality, clock per session.
+
+    Raises:
+        UserError: naming what is missing or wrong, and in which session.
+    """
+    source = Recording(recording)
+    markers = source.meta["markers"]
+    camera = _camera(source, calibration)
+    geometry = marker_geometry(markers, camera)
+    names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
+    lines = source.commands()
+    parts: list[Poses] = []
+    sessions = []
+    paths = _videos(source, videos)
+    for session, path in enumerate(paths, start=1):
+        seen = follow(
+            path,
+            *names,
+            geometry=geometry,
+            times=source.frame_times(session),
+            overlay=_overlay_of(overlay, session, source.sessions),
+            expected_size=camera.image_size,
+        )
+        lamp = pulses(line for line in lines if line.session == session)
+        try:
+            clock = fit_clock(seen.time, seen.lamp, lamp)
+        except UserError as error:
+            raise UserError(f"{path}: {error}") from None
+        poses = board_poses(seen, markers, camera)
+        count = len(seen.frame)
+        parts.append(
+            Poses(
+                np.full(count, session), seen.frame, clock.to_robot(seen.time), poses, seen.quality
+            )
+        )
+        sessions.append(_session_summary(session, path, seen, clock))
+    if not parts:
+        raise UserError(f"{source.path}: has no session; record first")
+    joined = Poses(
+        *(
+            np.concatenate([getattr(part, name) for part in parts])
+            for name in ("session", "frame", "time", "pose", "quality")
+        )
+    )
+    found = joined.quality > 0
+    summary = {
+        "units": {"x": "m", "y": "m", "theta": "rad", "time": "s"},
+        "frames": len(found),
+        "found": float(found.mean()),
+        "quality": float(np.median(joined.quality[found])),
+        "sessions": sessions,
+    }
+    source.write_poses(joined)
+    write_json(source.path / "tracking.json", FORMAT, VERSION, summary)
+    return summary
+
+
+def track_video(
+    path: str | Path,
+    front: str,
+    rear: str,
+    out: str | Path | None = None,
+    *,
+    calibration: str | Path | CameraModel | None = None,
+    height: float = 0.0,
+    overlay: str | Path | None = None,
+) -> dict[str, Any]:
+    """Track two coloured markers in any video, without a recording.
+
+    The pose is of the middle between the two markers, its heading from the rear to the front
+    one, counter-clockwise as seen, unwrapped. Without a calibration positions are in pixels,
+    ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board.
+
+    Args:
+        path: the video.
+        front: the front marker's colour.
+        rear: the rear marker's.
+        out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality, front_u,
+            front_v, rear_u, rear_v) and tracking.json; None to write nothing.
+        calibration: a calibration file or model.
+        height: of the markers above the board, in metres; counts with a calibration only.
+        overlay: write a video with the markers drawn over it here.
+
+    Returns:
+        The content of tracking.json, and under ``poses`` the columns of poses.csv.
+
+    Raises:
+        UserError: as :func:`follow` does, or if ``out`` is not empty.
+    """
+    camera = _read_camera(calibration)
+    geometry, size = None, None
+    if camera is not None:
+        geometry = Geometry(to_plane=lambda pixels: camera.to_board(pixels, height))
+        size = camera.image_size
+    with ExitStack() as stack:
+        folder = None if out is None else stack.enter_context(new_folder(out))
+        seen = follow(path, front, rear, geometry=geometry, overlay=overlay, expected_size=size)
+        if camera is None:
+            ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
+            # v runs down: mirrored, the heading is counter-clockwise as seen.
+            axis = (ahead - behind) * (1.0, -1.0)
+        else:
+            ahead, behind = (camera.to_board(p, height) for p in (seen.front, seen.rear))
+            names, unit = ("x", "y"), "m"
+            axis = ahead - behind
+        middle = (ahead + behind) / 2
+        columns = {
+            "frame": seen.frame,
+            "time": np.round(seen.time, 6),
+            names[0]: np.round(middle[:, 0], 5),
+            names[1]: np.round(middle[:, 1], 5),
+            "theta": np.round(unwrap(np.arctan2(axis[:, 1], axis[:, 0])), 6),
+            "quality": np.round(seen.quality, 3),
+            "front_u": np.round(seen.front[:, 0], 4),
+            "front_v": np.round(seen.front[:, 1], 4),
+            "rear_u": np.round(seen.rear[:, 0], 4),
+            "rear_v": np.round(seen.rear[:, 1], 4),
+        }
+        summary = {
+            "units": {names[0]: unit, names[1]: unit, "theta": "rad", "time": "s"},
+            "video": str(path),
+            "frames": len(seen.frame),
+            "found": float(seen.found.mean()),
+            "quality": float(np.median(seen.quality[seen.found])),
+            "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+        }
+        if folder is not None:
+            write_csv(folder / "poses.csv", columns)
+            write_json(folder / "tracking.json", FORMAT, VERSION, summary)
+    return {**summary, "poses": columns}
+
+
+def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
+    """Return what recording.json's ``markers`` say to the tracker, seen by a camera."""
+    front, rear = (np.array([markers[m]["x"], markers[m]["y"]], float) for m in ("front", "rear"))
+    height = float(markers.get("height", 0.0))
+    axis = front - rear
+    separation = float(np.hypot(*axis))
+    if separation < 1e-3:
+        raise UserError("recording.json puts both markers in one place; correct markers.front.x")
+    lamp = markers.get("lamp")
+    share = (0.5, 0.0)
+    if lamp is not None:
+        way = np.array([lamp["x"], lamp["y"]], float) - rear
+        share = (
+            float(way @ axis) / separation**2,
+            float(axis[0] * way[1] - axis[1] * way[0]) / separation**2,
+        )
+    return Geometry(
+        lambda pixels: camera.to_board(pixels, height),
+        separation,
+        markers.get("diameter"),
+        share,
+    )
+
+
+def board_poses(seen: Track, markers: Mapping[str, Any], camera: CameraModel) -> NDArray:
+    """Return poses [N, 3] of the middle of the axle from the two markers of every frame.
+
+    The rigid fit of two points: heading from the line between them, position so that the
+    squares of what is left over are least. NaN where the pair was not found.
+    """
+    height = float(markers.get("height", 0.0))
+    front, rear = (camera.to_board(p, height) for p in (seen.front, seen.rear))
+    own = np.array([[markers[m]["x"], markers[m]["y"]] for m in ("front", "rear")], float)
+    axis, own_axis = front - rear, own[0] - own[1]
+    theta = unwrap(np.arctan2(axis[:, 1], axis[:, 0]) - math.atan2(own_axis[1], own_axis[0]))
+    cos, sin = np.cos(theta), np.sin(theta)
+    x, y = own.mean(axis=0)
+    middle = (front + rear) / 2
+    return np.stack(
+        [middle[:, 0] - cos * x + sin * y, middle[:, 1] - sin * x - cos * y, theta], axis=-1
+    )
+
+
+def unwrap(angles: NDArray) -> NDArray:
+    """Return angles [N] in radians without jumps of a full turn, across NaN as well."""
+    angles = np.array(angles, float)
+    seen = np.isfinite(angles)
+    angles[seen] = np.unwrap(angles[seen])
+    return angles
+
+
+def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
+    """Return the video of every session, the given ones where the recording has none."""
+    own = [source.video(session) for session in range(1, source.sessions + 1)]
+    missing = [session for session, path in enumerate(own, start=1) if path is None]
+    if len(given) != len(missing):
+        names = ", ".join(str(session) for session in missing)
+        raise UserError(
+            f"{source.path}: session {names} has no video; name one for each with --video"
+            if len(given) < len(missing)
+            else f"{source.path}: {len(given)} videos are named with --video, but "
+            f"{len(missing)} of its sessions have none of their own"
+        )
+    rest = iter(given)
+    return [Path(next(rest)) if path is None else path for path in own]
+
+
+def _camera(source: Recording, calibration: str | Path | CameraModel | None) -> CameraModel:
+    own = source.path / "calibration.json"
+    if calibration is None and not own.exists():
+        raise FileError(
+            source.path,
+            "has no calibration.json; make one with neurosim calibrate and name it with "
+            "--calibration",
+        )
+    camera = _read_camera(own if calibration is None else calibration)
+    if not camera.has_board:
+        raise FileError(
+            own if calibration is None or isinstance(calibration, CameraModel) else calibration,
+            "has no points on the board; run neurosim calibrate with at least 4 marked points",
+            field="rotation",
+        )
+    return camera
+
+
+def _read_camera(calibration: str | Path | CameraModel | None) -> CameraModel | None:
+    if calibration is None or isinstance(calibration, CameraModel):
+        return calibration
+    return CameraModel.read(calibration)
+
+
+def _overlay_of(overlay: str | Path | None, session: int, sessions: int) -> Path | None:
+    if overlay is None:
+        return None
+    path = Path(overlay)
+    return path if sessions == 1 else path.with_name(f"{path.stem}-{session:03d}{path.suffix}")
+
+
+def _session_summary(session: int, path: Path, seen: Track, clock: ClockFit) -> dict[str, Any]:
+    return {
+        "session": session,
+        "video": path.name,
+        "frames": len(seen.frame),
+        "found": float(seen.found.mean()),
+        "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+        "clock": {
+            "offset": clock.offset,
+            "drift": clock.drift,
+            "residual": clock.residual,
+            "flashes": list(clock.flashes),
+        },
+    }
+
+
+def _not_found(path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool]) -> str:
+    missing = [c.name for c, there in zip(colours, seen, strict=True) if not there]
+    if missing:
+        return (
+            f"{path}: nothing {' and nothing '.join(missing)} was found in any frame; "
+            "name the markers' colours, such as --colours pink,blue"
+        )
+    return (
+        f"{path}: no {colours[0].name} and {colours[1].name} marker were found together in any "
+        "frame; are these the markers' colours, and is their distance as recording.json says?"
+    )

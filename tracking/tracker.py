@@ -1,0 +1,385 @@
+"""The tracker: two markers from frame to frame, as one rigid pair.
+
+A whole frame is searched only until the pair is found and after it was lost; from then on each
+marker is measured in a small window around where constant velocity and constant turning put
+it. The pair's separation, the markers' sizes and their last place are what keep other things of
+the same colours out; a frame in which any of them does not fit has no pose.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracking.colours import Colour, angle_between
+from tracking.markers import Blob, Look, Measurement, Picture, learn, measure
+
+#: Marker areas and separations that are still believed, as ratios to what is expected.
+AREA_RATIO = (0.70, 1.45)
+SEPARATION_TOLERANCE = 0.08
+#: The first time, with nothing learned yet.
+FIRST_AREA_RATIO = (0.4, 2.2)
+FIRST_SEPARATION_TOLERANCE = 0.12
+
+#: How far the pair may be found from where it was lost: separations, and separations a second.
+REACH, REACH_PER_SECOND = 1.0, 12.0
+#: How far it may have turned: radians, and radians a second.
+TURN, TURN_PER_SECOND = 0.7, 8.0
+#: After this many seconds it may be anywhere: a hand may have moved it.
+FORGET_AFTER = 2.0
+
+#: While the pair is lost every frame is searched for a while, then only every few.
+SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """What is known of the pair before the first frame.
+
+    Attributes:
+        to_plane: pixels [N, 2] to coordinates [N, 2] in which the separation is constant; board
+            metres at marker height where the camera is calibrated, the pixels themselves else.
+        separation: between the two centres, in that plane; None to learn it.
+        diameter: of a marker, likewise.
+        lamp: where the lamp is: the share of the way from the rear to the front marker, and to
+            the left of it as a share of the separation.
+    """
+
+    to_plane: Callable[[NDArray], NDArray] | None = None
+    separation: float | None = None
+    diameter: float | None = None
+    lamp: tuple[float, float] = (0.5, 0.0)
+
+    def plane(self, pixels: NDArray) -> NDArray:
+        """Return plane coordinates [N, 2] of pixels [N, 2]."""
+        return pixels if self.to_plane is None else self.to_plane(pixels)
+
+    def pixels_per_unit(self, pixel: NDArray) -> float:
+        """Return the local scale of the image."""
+        if self.to_plane is None:
+            return 1.0
+        a, b, c = self.to_plane(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+        (p, q), (r, s) = b - a, c - a
+        return 1.0 / math.sqrt(max(abs(p * s - q * r), 1e-18))
+
+
+@dataclass(frozen=True)
+class Sighting:
+    """What the tracker saw in one frame.
+
+    Attributes:
+        front, rear: pixels [2] of the two centres, NaN where the pair was not found.
+        quality: 0 not found, up to 1 as expected.
+        lamp: mean luma where the lamp is, NaN where the pair was not found.
+    """
+
+    front: NDArray
+    rear: NDArray
+    quality: float
+    lamp: float
+
+    @property
+    def found(self) -> bool:
+        """Whether both markers were found."""
+        return self.quality > 0
+
+
+_LOST = Sighting(np.full(2, np.nan), np.full(2, np.nan), 0.0, math.nan)
+
+
+@dataclass
+class _Learned:
+    """What was learned of the pair; areas in plane units squared."""
+
+    looks: list[Look]
+    areas: list[float]
+    separation: float
+    frames: int = 0
+
+
+@dataclass
+class _Motion:
+    """Where the pair was last and how it moved, in pixels."""
+
+    time: float
+    middle: NDArray
+    axis: NDArray  # from rear to front
+    velocity: NDArray = field(default_factory=lambda: np.zeros(2))
+    turning: float = 0.0
+
+    def predict(self, time: float) -> NDArray:
+        """Return where front and rear will be, [2, 2]."""
+        # A guess far ahead is worth nothing; the pair has more likely stopped.
+        ahead = min(time - self.time, 0.2)
+        middle = self.middle + self.velocity * ahead
+        cos, sin = math.cos(self.turning * ahead), math.sin(self.turning * ahead)
+        half = np.array([[cos, -sin], [sin, cos]]) @ self.axis / 2
+        return np.stack([middle + half, middle - half])
+
+    def after(self, time: float, pixels: NDArray) -> _Motion:
+        """Return the motion with one more pair of centres."""
+        middle, axis = pixels.mean(axis=0), pixels[0] - pixels[1]
+        gap = time - self.time
+        if not 0 < gap < 0.5:
+            return _Motion(time, middle, axis)
+        turned = float(angle_between(_angle(axis), _angle(self.axis)))
+        return _Motion(time, middle, axis, (middle - self.middle) / gap, turned / gap)
+
+
+class Tracker:
+    """Tracks one pair of markers through the frames of one video part, in order."""
+
+    def __init__(self, front: Colour, rear: Colour, geometry: Geometry | None = None):
+        self.colours = (front, rear)
+        self.geometry = geometry or Geometry()
+        self._learned: _Learned | None = None
+        self._motion: _Motion | None = None
+        self._lost = 0
+        self._seen = [False, False]
+
+    @property
+    def seen(self) -> tuple[bool, bool]:
+        """Whether anything of the front's and of the rear's colour was ever found."""
+        return self._seen[0], self._seen[1]
+
+    @property
+    def looks(self) -> list[Look] | None:
+        """How front and rear look to this camera, once they were found."""
+        return None if self._learned is None else list(self._learned.looks)
+
+    def update(self, frame: NDArray, time: float) -> Sighting:
+        """Find the pair in the next frame.
+
+        Args:
+            frame: BGR [H, W, 3] uint8.
+            time: in seconds, later than the frame before.
+        """
+        found = None
+        if self._motion is not None and self._lost == 0:
+            found = self._follow(frame, time)
+        if found is None and self._search_now():
+            found = self._search(frame, time)
+        if found is None:
+            self._lost += 1
+            return _LOST
+        measured, quality = found
+        self._lost = 0
+        pixels = np.stack([m.centre for m in measured])
+        self._remember(measured, pixels, quality)
+        self._motion = (
+            _Motion(time, pixels.mean(axis=0), pixels[0] - pixels[1])
+            if self._motion is None
+            else self._motion.after(time, pixels)
+        )
+        return Sighting(pixels[0], pixels[1], quality, self._lamp(frame, pixels))
+
+    # Following
+
+    def _follow(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        expected = self._motion.predict(time)
+        radius = self._radii(expected.mean(axis=0))
+        # How much a robot can depart from constant velocity between two frames.
+        late = max(1.0, 30.0 * (time - self._motion.time))
+        margins = [(2.0 + 0.6 * r) * min(late, 4.0) for r in radius]
+        return self._measure(frame, expected, margins)
+
+    def _measure(
+        self, frame: NDArray, near: NDArray, margins: list[float]
+    ) -> tuple[list[Measurement], float] | None:
+        measured = self._measure_each(frame, near, margins)
+        quality = 0.0 if measured is None else self._quality(measured)
+        return (measured, quality) if quality > 0 else None
+
+    def _measure_each(
+        self, frame: NDArray, near: NDArray, margins: list[float]
+    ) -> list[Measurement] | None:
+        radius = self._radii(near.mean(axis=0))
+        measured = []
+        for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
+            measurement = measure(frame, place, r, look, margin)
+            if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
+                return None
+            measured.append(measurement)
+        return measured
+
+    def _quality(self, measured: list[Measurement]) -> float:
+        """Rate a pair, 1 as expected; 0 where a size or the separation is not to be believed."""
+        pixels = np.stack([m.centre for m in measured])
+        fresh = self._learned.frames < 5
+        low, high = FIRST_AREA_RATIO if fresh else AREA_RATIO
+        tolerance = FIRST_SEPARATION_TOLERANCE if fresh else SEPARATION_TOLERANCE
+        scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
+        misfit = 0.0
+        for measurement, area in zip(measured, self._learned.areas, strict=True):
+            ratio = measurement.area / (area * scale**2)
+            if not low <= ratio <= high:
+                return 0.0
+            misfit += (math.log(ratio) / 0.2) ** 2
+        separation = self._separation(pixels) / self._learned.separation
+        if abs(separation - 1.0) > tolerance:
+            return 0.0
+        misfit += ((separation - 1.0) / 0.04) ** 2
+        return math.exp(-0.5 * misfit)
+
+    def _remember(self, measured: list[Measurement], pixels: NDArray, quality: float) -> None:
+        """Let what was learned follow slowly: light, lens and perspective vary over the board."""
+        learned = self._learned
+        learned.frames += 1
+        # The first frames count fully, so that one odd first sight does not last.
+        share = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
+        scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
+        for i, measurement in enumerate(measured):
+            learned.looks[i] = learned.looks[i].blend(measurement.look, share)
+            learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
+        learned.separation += share * (self._separation(pixels) - learned.separation)
+
+    def _radii(self, middle: NDArray) -> list[float]:
+        scale = self.geometry.pixels_per_unit(middle)
+        if self.geometry.diameter is not None:
+            return [self.geometry.diameter / 2 * scale] * 2
+        # The white dot is not of the colour, so a disc is somewhat larger than its coloured area.
+        return [1.05 * scale * math.sqrt(area / math.pi) for area in self._learned.areas]
+
+    def _separation(self, pixels: NDArray) -> float:
+        front, rear = self.geometry.plane(pixels)
+        return float(np.hypot(*(front - rear)))
+
+    # Searching
+
+    def _search_now(self) -> bool:
+        return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
+
+    def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        picture = Picture(frame)
+        if self._learned is None:
+            return self._search_first(frame, picture)
+        kinds = [self._learned.looks, self.colours]
+        # The light may have changed while the pair was away: then the named colours must do.
+        for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
+            front, rear = (picture.blobs(colour) for colour in colours)
+            for pair in self._ranked(front, rear, time):
+                near = np.stack([blob.centre for blob in pair])
+                margin = 1.5 * picture.factor + 1.0
+                found = self._measure(frame, near, [margin, margin])
+                if found is not None and self._reachable(
+                    np.stack([m.centre for m in found[0]]), time
+                ):
+                    return found
+        return None
+
+    def _search_first(
+        self, frame: NDArray, picture: Picture
+    ) -> tuple[list[Measurement], float] | None:
+        blobs = [picture.blobs(colour) for colour in self.colours]
+        self._seen = [seen or bool(found) for seen, found in zip(self._seen, blobs, strict=True)]
+        rated = [(self._rate(pair), pair) for pair in itertools.product(*blobs)]
+        for rating, pair in sorted(rated, key=lambda entry: -entry[0])[:3]:
+            if rating <= 0:
+                break
+            pixels = np.stack([blob.centre for blob in pair])
+            scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
+            self._learned = _Learned(
+                [learn(frame, blob) for blob in pair],
+                [blob.area / scale**2 for blob in pair],
+                self.geometry.separation or self._separation(pixels),
+            )
+            margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
+            measured = self._measure_each(frame, pixels, margins)
+            if measured is not None:
+                # Once more with what the first look at full resolution taught.
+                pixels = np.stack([m.centre for m in measured])
+                self._learned = _Learned(
+                    [m.look for m in measured],
+                    [m.area / scale**2 for m in measured],
+                    self.geometry.separation or self._separation(pixels),
+                )
+                found = self._measure(frame, pixels, margins)
+                if found is not None:
+                    return found
+            self._learned = None
+        return None
+
+    def _rate(self, pair: tuple[Blob, Blob]) -> float:
+        """Rate two patches as a pair never seen before; 0 for one that cannot be it."""
+        front, rear = pair
+        pixels = np.stack([front.centre, rear.centre])
+        apart = float(np.hypot(*(front.centre - rear.centre)))
+        rating = min(front.area, rear.area) / max(front.area, rear.area)
+        if rating < 0.3:
+            return 0.0
+        rating *= (0.1 + front.contrast) * (0.1 + rear.contrast)
+        for blob, colour in zip(pair, self.colours, strict=True):
+            off = float(angle_between(blob.hue, colour.hue)) / colour.tolerance
+            rating *= math.exp(-0.5 * off**2) * math.sqrt(blob.chroma / 255)
+        if self.geometry.separation is not None:
+            off = self._separation(pixels) / self.geometry.separation - 1.0
+            if abs(off) > FIRST_SEPARATION_TOLERANCE:
+                return 0.0
+            rating *= math.exp(-0.5 * (off / 0.05) ** 2)
+        else:
+            radii = front.radius + rear.radius
+            if not 0.6 * radii < apart < 8.0 * radii:
+                return 0.0
+            rating *= math.exp(-((apart / (4.0 * radii)) ** 2))
+        if self.geometry.diameter is not None:
+            full = math.pi / 4 * self.geometry.diameter**2
+            full *= self.geometry.pixels_per_unit(pixels.mean(axis=0)) ** 2
+            for blob in pair:
+                if not 0.3 < blob.area / full < 1.8:
+                    return 0.0
+        return rating
+
+    def _ranked(self, front: list[Blob], rear: list[Blob], time: float) -> list[tuple[Blob, Blob]]:
+        """Return pairs that can be the lost one, the likeliest first."""
+        possible = []
+        for pair in itertools.product(front, rear):
+            pixels = np.stack([blob.centre for blob in pair])
+            off = abs(self._separation(pixels) / self._learned.separation - 1.0)
+            if off > 2 * SEPARATION_TOLERANCE or not self._reachable(pixels, time):
+                continue
+            moved = float(np.hypot(*(pixels.mean(axis=0) - self._motion.middle)))
+            possible.append((off + 0.1 * moved / np.hypot(*self._motion.axis), pair))
+        return [pair for _, pair in sorted(possible, key=lambda entry: entry[0])[:4]]
+
+    def _reachable(self, pixels: NDArray, time: float) -> bool:
+        motion = self._motion
+        if motion is None or time - motion.time > FORGET_AFTER:
+            return True
+        gap = time - motion.time
+        moved = np.hypot(*(pixels.mean(axis=0) - motion.middle)) / np.hypot(*motion.axis)
+        turned = abs(float(angle_between(_angle(pixels[0] - pixels[1]), _angle(motion.axis))))
+        return moved < REACH + REACH_PER_SECOND * gap and turned < TURN + TURN_PER_SECOND * gap
+
+    # The lamp
+
+    def _lamp(self, frame: NDArray, pixels: NDArray) -> float:
+        """Return the mean luma around the lamp, between the markers' rims."""
+        axis = pixels[0] - pixels[1]
+        apart = float(np.hypot(*axis))
+        ahead, aside = self.geometry.lamp
+        # Left of the robot is clockwise from ahead as the image's v runs down.
+        centre = pixels[1] + ahead * axis + aside * np.array([axis[1], -axis[0]])
+        rim = max(self._radii(pixels.mean(axis=0)))
+        nearest = min(float(np.hypot(*(centre - marker))) for marker in pixels)
+        reach = min(max(nearest - rim - 1.0, 0.0), 0.3 * apart)
+        if reach < 1.0:
+            return math.nan
+        left, top = np.maximum(np.floor(centre - reach).astype(int), 0)
+        right, bottom = np.ceil(centre + reach).astype(int) + 1
+        window = frame[top:bottom, left:right]
+        if window.size == 0:
+            return math.nan
+        luma = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY)
+        u = np.arange(left, left + luma.shape[1]) - centre[0]
+        v = np.arange(top, top + luma.shape[0])[:, None] - centre[1]
+        return float(luma[u**2 + v**2 <= reach**2].mean())
+
+
+def _angle(axis: NDArray) -> float:
+    return math.atan2(axis[1], axis[0])

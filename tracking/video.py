@@ -1,0 +1,131 @@
+"""Reading video frame by frame, decoded ahead in a thread of its own."""
+
+from __future__ import annotations
+
+import os
+import queue
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+# A cut-off file is normal here and reported by us; FFmpeg's own messages would only bury it.
+os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import FileError
+
+#: Frames decoded ahead: enough to bridge a full search, little enough to hold in memory.
+AHEAD = 16
+
+
+class Video:
+    """A video file, as an iterator of (index, time, frame).
+
+    ``time`` is in seconds on the camera's clock: the given times where there are some, else the
+    container's presentation times, else the index over the frame rate. ``frame`` is BGR
+    [H, W, 3] uint8 and belongs to the receiver. Iteration ends where the file ends, also where
+    it was cut off; with given times, at the latest after the last of them.
+
+    Use it as a context manager.
+
+    Attributes:
+        size: width and height in pixels.
+        fps: the frame rate the container claims.
+        frames: the number of frames the container claims; 0 where it does not say.
+    """
+
+    def __init__(self, path: str | Path, times: NDArray | None = None):
+        """Open a video.
+
+        Args:
+            path: the file.
+            times: camera time [N] in seconds of every frame, if known better than by the file.
+
+        Raises:
+            FileError: if there is no such file, it is not a video, or it has no frame.
+        """
+        self.path = Path(path)
+        if not self.path.is_file():
+            raise FileError(self.path, "no such video")
+        # OpenCV's own log is silenced while it opens the file; what fails is said below.
+        level = cv2.utils.logging.getLogLevel()
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        try:
+            self._capture = cv2.VideoCapture(str(self.path))
+        finally:
+            cv2.utils.logging.setLogLevel(level)
+        if not self._capture.isOpened():
+            raise FileError(self.path, "cannot be opened as a video; it may be empty or cut short")
+        good, self._first = self._capture.read()
+        if not good:
+            self._capture.release()
+            raise FileError(self.path, "has no frame that can be read")
+        self.size = (self._first.shape[1], self._first.shape[0])
+        self.fps = self._claimed(cv2.CAP_PROP_FPS) or 30.0
+        self.frames = int(self._claimed(cv2.CAP_PROP_FRAME_COUNT))
+        self._times = None if times is None else np.asarray(times, float)
+        self._queue: queue.Queue = queue.Queue(maxsize=AHEAD)
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def __iter__(self) -> Iterator[tuple[int, float, NDArray]]:
+        if self._thread is not None:
+            raise RuntimeError("a Video is read once; open it again")
+        self._thread = threading.Thread(target=self._decode, name="video decoder", daemon=True)
+        self._thread.start()
+        while (item := self._queue.get()) is not None:
+            if isinstance(item, BaseException):
+                raise item
+            yield item
+
+    def close(self) -> None:
+        """Stop decoding and let the file go."""
+        self._stopped.set()
+        if self._thread is not None:
+            # The decoder may be waiting for room in the queue.
+            while self._thread.is_alive():
+                try:
+                    self._queue.get(timeout=0.05)
+                except queue.Empty:
+                    continue
+            self._thread.join()
+        self._capture.release()
+
+    def __enter__(self) -> Video:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _claimed(self, what: int) -> float:
+        value = self._capture.get(what)
+        return value if np.isfinite(value) and 0 < value < 1e9 else 0.0
+
+    def _decode(self) -> None:
+        last: BaseException | None = None
+        try:
+            index, frame, time = 0, self._first, -np.inf
+            while frame is not None and not self._stopped.is_set():
+                if self._times is not None and index >= len(self._times):
+                    break
+                time = self._time(index, time)
+                self._queue.put((index, time, frame))
+                index += 1
+                good, frame = self._capture.read()
+                if not good:
+                    break
+        except Exception as error:
+            last = error
+        self._queue.put(last)
+
+    def _time(self, index: int, before: float) -> float:
+        if self._times is not None:
+            return float(self._times[index])
+        stamp = self._capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+        if index == 0:
+            return stamp if np.isfinite(stamp) and stamp >= 0 else 0.0
+        # Some containers carry no times, or restart them: then the frame rate must do.
+        return stamp if np.isfinite(stamp) and stamp > before else before + 1.0 / self.fps
