@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import math
 import shutil
 import sys
 from collections import deque
@@ -24,6 +25,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from neurosim.base.progress import Progress
 from neurosim.commands import Command, CommandSource
+from neurosim.homing import Homing
 from neurosim.robots.base import Robot
 from tracking.camera import Camera, VideoSink
 from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
@@ -67,7 +69,8 @@ class RecordSettings:
         commands: how many different commands to send.
         guard: of the perimeter line.
         battery_limit: volts below which the recording pauses.
-        full_speed: wheel speed at 100 %, in m/s: only for how long a retreat takes.
+        full_speed: wheel speed at 100 %, in m/s, and
+        track: distance between the wheels, in m: both only to find back inside.
         markers, board: as in recording.json.
     """
 
@@ -75,6 +78,7 @@ class RecordSettings:
     guard: Guard = field(default_factory=Guard)
     battery_limit: float = 6.5
     full_speed: float = 0.5
+    track: float = 0.13
     markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
     board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
 
@@ -258,7 +262,9 @@ class _Session:
         self._log = log
         self._say = say
         self._waiting = _waiting(recording, settings)
-        self._speeds = self._speeds_before_cut = (0.0, 0.0)
+        self._speeds = (0.0, 0.0)
+        self._since = self._clock.now()
+        self._homing = Homing(settings.full_speed, settings.track)
         self._sent = 0.0
         self._board: dict[str, float] = {}
         # Random turns of the way back inside; not the commands' seed, and another one each
@@ -288,7 +294,7 @@ class _Session:
                 if self._guard.at_line == "end":
                     self._waiting.clear()
                     break
-                self._return_inside(self._speeds_before_cut)
+                self._return_inside()
                 if todo.attempt < self._guard.attempts:
                     self._waiting.appendleft(replace(todo, attempt=todo.attempt + 1))
                     self._lead_in(before)
@@ -311,12 +317,13 @@ class _Session:
     ) -> None:
         now = round(self._clock.now(), 6)
         self._log.append(self._session, number, kind, now, left, right, duration)
-        if kind in ("cut", "stop"):
-            self._speeds_before_cut = self._speeds
-            self._robot.stop()
-            self._speeds = (0.0, 0.0)
-        elif left is not None and right is not None:
-            self._robot.drive(left, right)
+        if left is not None and right is not None:
+            self._homing.moved(*self._speeds, now - self._since)
+            self._since = now
+            if kind in ("cut", "stop"):
+                self._robot.stop()
+            else:
+                self._robot.drive(left, right)
             self._speeds = (left, right)
         self._sent = now
 
@@ -371,32 +378,39 @@ class _Session:
             if name in self._board
         )
 
-    def _return_inside(self, speeds: tuple[float, float]) -> None:
-        """Back away from the line, far enough to have room, and turn some way.
+    def _return_inside(self) -> None:
+        """Drive away from the line, to where the robot has been and beyond, then turn some way.
 
-        Backing along the way it came is the one direction known to be inside, and most of a
-        board's width of it leaves room for a long straight run not to be cut again.
+        Most of a board's width of it leaves room for a long straight run not to be cut again.
         """
-        guard, full = self._guard, self._settings.full_speed
-        direction = -1.0 if sum(speeds) > 0 else 1.0
+        guard = self._guard
         for _ in range(12):
+            angle, direction = self._homing.way_in()
+            self._turn(angle)
             speed = direction * guard.speed
-            seconds = guard.retreat / (guard.speed / 100 * full)
+            seconds = guard.retreat / (guard.speed / 100 * self._settings.full_speed)
             # The first stretch takes the sensors off the line they stand on.
-            self._manoeuvre(speed, speed, 0.25 * seconds, look=False)
-            if self._manoeuvre(speed, speed, 0.75 * seconds, look=True):
-                turn = float(self._rng.choice([-1, 1])) * guard.speed / 2
-                self._manoeuvre(turn, -turn, float(self._rng.uniform(0.3, 1.5)), look=True)
+            self._manoeuvre(speed, speed, 0.3 * seconds, look=False)
+            began = self._clock.now()
+            arrived = self._manoeuvre(speed, speed, 0.7 * seconds, look=True)
+            if not arrived and self._clock.now() - began > 0.2 * seconds:
+                # So far from the first line, this one is on the other side: half way back.
+                self._manoeuvre(-speed, -speed, 0.3 * seconds, look=False)
+                arrived = True
+            if arrived:
+                self._turn(float(self._rng.uniform(-math.pi, math.pi)))
                 return
-            # Another line behind it: the far side, or a corner. Turn and try the other way.
-            turn = float(self._rng.choice([-1, 1])) * guard.speed / 2
-            self._manoeuvre(turn, -turn, float(self._rng.uniform(0.5, 1.5)), look=False)
-            direction = -direction
         self._write("stop", 0, 0)
         raise UserError(
             "the robot does not find its way back inside the lines; "
             "put it in the middle of the board and go on with --resume"
         )
+
+    def _turn(self, angle: float) -> None:
+        speed = math.copysign(self._guard.speed / 2, angle)
+        seconds = self._homing.turning_time(angle, speed)
+        if seconds > 0.05:
+            self._manoeuvre(-speed, speed, seconds, look=False)
 
     def _manoeuvre(self, left: float, right: float, seconds: float, *, look: bool) -> bool:
         command = Command(round(left), round(right), seconds)

@@ -15,6 +15,7 @@ FLOORS = {
     "tracking": 1,
     "neurosim.commands": 2,
     "neurosim.controllers": 2,
+    "neurosim.homing": 2,
     "neurosim.record": 2,
     "neurosim.simulators": 2,
     "neurosim.lab": 2,

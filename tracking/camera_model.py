@@ -114,9 +114,11 @@ class CameraModel:
         points = np.asarray(points, float).reshape(-1, 3)
         if len(points) == 0:
             return np.empty((0, 2))
-        turn = cv2.Rodrigues(self.rotation)[0]
+        # Turned here: a camera that looks straight down is turned by half a turn, where OpenCV's
+        # rotation vectors lose half of their digits.
+        seen = points @ self.rotation.T + self.translation
         pixels, _ = cv2.projectPoints(
-            points, turn, self.translation, self.camera_matrix, self.distortion
+            seen, np.zeros(3), np.zeros(3), self.camera_matrix, self.distortion
         )
         return pixels.reshape(-1, 2)
 

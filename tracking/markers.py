@@ -21,6 +21,8 @@ from tracking.colours import Colour, chroma_plane
 #: Less chroma than this (of 255) is a grey with noise on it.
 LEAST_CHROMA = 22.0
 LEAST_SATURATION = 0.22
+#: Fewer pixels of the reduced frame are noise.
+LEAST_AREA = 6
 
 #: Chroma across the marker's hue that is tolerated, as a share of that along it: 34 degrees.
 _ACROSS = 1.5
@@ -125,7 +127,7 @@ class Picture:
         for label in range(1, count):
             _, _, width, height, area = stats[label]
             stretched = max(width, height) > 3.5 * min(width, height)
-            if not 4 <= area <= largest or stretched or area < 0.4 * width * height:
+            if not LEAST_AREA <= area <= largest or stretched or area < 0.4 * width * height:
                 continue
             found.append((area, label))
         found.sort(reverse=True)

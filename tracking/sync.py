@@ -184,8 +184,8 @@ def _slide(
     grid = times[0] + step * np.arange(-pad, int((times[-1] - times[0]) / step) + pad + 1)
     seen = np.isfinite(brightness)
     values = np.interp(grid, times[seen], brightness[seen])
-    nearest = np.abs(grid - _nearest(times[seen], grid))
-    weight = (nearest < 1.5 * step * 2).astype(float)
+    # Further than one and a half frames from any that was seen, nothing is known.
+    weight = (np.abs(grid - _nearest(times[seen], grid)) < 3 * step).astype(float)
     values = np.where(weight > 0, values - np.median(brightness[seen]), 0.0)
 
     def correlate(series: NDArray, kernel: NDArray) -> NDArray:
@@ -224,9 +224,8 @@ def _nearest(times: NDArray, grid: NDArray) -> NDArray:
 
 def _peaks(shifts: NDArray, score: NDArray, most: int = 6) -> list[float]:
     score, found = score.copy(), []
-    while len(found) < most and (place := int(score.argmax())) is not None:
-        if score[place] <= 0:
-            break
+    while len(found) < most and score.max(initial=0.0) > 0:
+        place = int(score.argmax())
         found.append(float(shifts[place]))
         score[np.abs(shifts - shifts[place]) < 0.3] = 0.0
     return found

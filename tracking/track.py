@@ -140,7 +140,8 @@ def track(
     """Track a recording: poses.csv and tracking.json into its folder.
 
     Poses are of the middle of the axle on the board, in metres and radians, heading unwrapped
-    over each session; times are on the session's robot clock.
+    over each session; times are on the session's robot clock. A session that ended before its
+    first command is left out.
 
     Args:
         recording: its folder.
@@ -167,6 +168,10 @@ def track(
     sessions = []
     paths = _videos(source, videos)
     for session, path in enumerate(paths, start=1):
+        if not any(line.session == session and line.kind == "command" for line in lines):
+            # Interrupted before its first command: there may not even be a video.
+            sessions.append({"session": session, "left_out": "no command was sent"})
+            continue
         seen = follow(
             path,
             *names,
@@ -189,7 +194,7 @@ def track(
         )
         sessions.append(_session_summary(session, path, seen, clock))
     if not parts:
-        raise UserError(f"{source.path}: has no session; record first")
+        raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
     joined = Poses(
         *(
             np.concatenate([getattr(part, name) for part in parts])

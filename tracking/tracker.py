@@ -34,6 +34,9 @@ TURN, TURN_PER_SECOND = 0.7, 8.0
 #: After this many seconds it may be anywhere: a hand may have moved it.
 FORGET_AFTER = 2.0
 
+#: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
+SEEN_AREA = 20.0
+
 #: While the pair is lost every frame is searched for a while, then only every few.
 SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
 
@@ -277,7 +280,10 @@ class Tracker:
         self, frame: NDArray, picture: Picture
     ) -> tuple[list[Measurement], float] | None:
         blobs = [picture.blobs(colour) for colour in self.colours]
-        self._seen = [seen or bool(found) for seen, found in zip(self._seen, blobs, strict=True)]
+        self._seen = [
+            seen or any(blob.area >= SEEN_AREA for blob in found)
+            for seen, found in zip(self._seen, blobs, strict=True)
+        ]
         rated = [(self._rate(pair), pair) for pair in itertools.product(*blobs)]
         for rating, pair in sorted(rated, key=lambda entry: -entry[0])[:3]:
             if rating <= 0:

@@ -51,7 +51,7 @@ def train(
     **genetic: Any,
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
-    from neurosim.training import train as train_
+    from neurosim.training.train import train as train_
 
     simulator = train_(
         dataset,
@@ -90,7 +90,7 @@ def _in_words(errors: dict[str, Any]) -> str:
 @json_option
 def evaluate(simulator: Path, dataset: Path, all_rows: bool, as_json: bool) -> None:
     """Print Table 2 of Pretorius et al. (2009) for SIMULATOR on DATASET, beside the paper's."""
-    from neurosim.training import evaluate as evaluate_
+    from neurosim.training.evaluate import evaluate as evaluate_
 
     result = evaluate_(simulator, dataset, held_out_only=not all_rows)
     emit(result, as_json, lambda: _table_2(result))

@@ -132,7 +132,7 @@ class GeneticAlgorithm:
             "population": self._population.cpu().clone(),
             "best": self.best.cpu().clone(),
             "best_fitness": self.best_fitness.cpu().clone(),
-            "generation": torch.tensor(self.generation),
+            "generation": torch.tensor([self.generation]),
             "generator": self._generator.get_state(),
         }
 
@@ -142,7 +142,9 @@ class GeneticAlgorithm:
             raise ValueError("the state is of another population or number of genes")
         self._population = state["population"].to(self._population)
         self.best = state["best"].to(self.best)
-        self.best_fitness = state["best_fitness"].to(self.best_fitness)
+        self.best_fitness = (
+            state["best_fitness"].to(self.best_fitness).view(self.best_fitness.shape)
+        )
         self.generation = int(state["generation"])
         self._generator.set_state(state["generator"])
 

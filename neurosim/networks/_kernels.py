@@ -58,7 +58,7 @@ def _add_unit(out, weight, exponents, log2, start, rows, limit):
 
 @_njit
 def _dot(a, b):
-    total = _f(0.0)
+    total = 0.0
     for j in range(a.shape[0]):
         total += a[j] * b[j]
     return total
@@ -123,12 +123,15 @@ def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, lim
 def gram(exponents, signs, log2, factor, others, spans, limit):
     """Return sums over rows of products of columns.
 
+    The columns are rounded to single precision, but their products are summed in double: however
+    nearly dependent the columns are, the matrix has no negative eigenvalue of any size.
+
     Args:
-        exponents: of product units, [C, K, I]; all arrays are single precision.
-        signs: cosine of each product unit by sign pattern, [C, M, K].
-        log2: base-2 logarithms of the inputs' magnitudes, [I, N].
-        factor: of each row, [N].
-        others: further columns, [F, N].
+        exponents: of product units, [C, K, I], single precision.
+        signs: cosine of each product unit by sign pattern, [C, M, K], single precision.
+        log2: base-2 logarithms of the inputs' magnitudes, [I, N], single precision.
+        factor: of each row, [N], double precision.
+        others: further columns, [F, N], double precision.
         spans: first row and end of each sign pattern, [M, 2].
         limit: bound of a product unit's base-2 logarithm.
 
@@ -139,19 +142,19 @@ def gram(exponents, signs, log2, factor, others, spans, limit):
     population, units, _ = exponents.shape
     sums = np.zeros((population, units, units + others.shape[0]))
     for c in numba.prange(population):
-        values = np.empty((units, _ROWS), np.float32)
+        unit = np.empty(_ROWS, np.float32)
+        values = np.empty((units, _ROWS))
         for pattern in range(spans.shape[0]):
             for start in range(spans[pattern, 0], spans[pattern, 1], _ROWS):
                 rows = min(_ROWS, spans[pattern, 1] - start)
                 of_row = factor[start : start + rows]
                 for k in range(units):
+                    unit[:] = _f(0.0)
+                    sign = signs[c, pattern, k]
+                    _add_unit(unit, sign, exponents[c, k], log2, start, rows, limit)
                     row = values[k, :rows]
                     for j in range(rows):
-                        row[j] = _f(0.0)
-                    sign = signs[c, pattern, k]
-                    _add_unit(row, sign, exponents[c, k], log2, start, rows, limit)
-                    for j in range(rows):
-                        row[j] *= of_row[j]
+                        row[j] = unit[j] * of_row[j]
                 for k in range(units):
                     row = values[k, :rows]
                     for m in range(k, units):

@@ -14,8 +14,8 @@ class ProductGram:
     """The Gram matrix of a population's product units together with other, common columns.
 
     Entry (a, b) is the mean over rows of column a times column b. Columns are the product units,
-    each times a factor given for the row, and then the others as they are. Sums are in single
-    precision within a block of rows, in double precision over blocks.
+    each times a factor given for the row, and then the others as they are. Product units
+    are computed in single precision and summed in double.
     """
 
     def __init__(
@@ -39,8 +39,8 @@ class ProductGram:
         kernel = x.device.type == "cpu" if kernel is None else kernel
         self._rows = SortedRows(network, x)
         self._log2 = self._rows.log2() if kernel else None
-        self._factor = factor[self._rows.order].float().contiguous()
-        self._others = others[:, self._rows.order].float().contiguous()
+        self._factor = factor[self._rows.order].double().contiguous()
+        self._others = others[:, self._rows.order].double().contiguous()
         self._common = others @ others.T / len(x)
 
     def __call__(self, exponents: Tensor) -> Tensor:
@@ -80,7 +80,9 @@ class ProductGram:
         for pattern, (start, end) in enumerate(self._rows.spans):
             for a, b in self._rows.blocks(start, end, exponents[..., 0].numel()):
                 magnitude = (exponents @ self._rows.log[:, a:b]).clamp_(-LOG_LIMIT, LOG_LIMIT)
-                products = magnitude.exp_() * signs[:, pattern, :, None] * self._factor[a:b]
+                products = (magnitude.exp_() * signs[:, pattern, :, None]).double() * self._factor[
+                    a:b
+                ]
                 others = self._others[:, a:b].expand(population, -1, -1)
                 sums += products @ torch.cat([products, others], dim=1).transpose(-1, -2)
         return sums

@@ -65,7 +65,7 @@ class ProductSummationNetwork:
     summations: int = 10
     hidden_activation: str = "linear"
     output_activation: str = "linear"
-    floor: float = 0.02
+    floor: float = 0.01
 
     def __post_init__(self) -> None:
         if self.inputs < 1 or min(self.products, self.summations) < 0:

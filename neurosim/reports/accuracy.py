@@ -139,14 +139,14 @@ def _figures(simulator: Artefact, test_: HeldOut, prefix: str, artefacts: Artefa
         predicted = READABLE[name] * test_.predicted[:, column]
         error = float(np.mean(np.abs(predicted[:shown] - actual[:shown])))
         words = (
-            f"{OUTPUTS[name]}: predicted and actual values of the first {shown} held-out commands"
+            f"{OUTPUTS[name]}, predicted and actual values of the first {shown} held-out commands"
         )
         svg = charts.series(
             actual[:shown], predicted[:shown], AXES[name],
             f"{words}; they differ by {error:.2f} {UNITS[name]} on average", f"{prefix}{name}",
         )  # fmt: skip
         caption = (
-            f"{_FIGURES[name]} of the paper{whose}: {words}; "
+            f"As {_FIGURES[name]} of the paper{whose}: {words}; "
             f"mean absolute error of these {_error(name, error)}."
         )
         blocks.append(Picture(svg, caption, wide=True))

@@ -137,7 +137,7 @@ def _numbers(axes: Axes, ends: NDArray) -> None:
         axes.annotate(
             str(number), ends[number, :2], xytext=(9 * np.cos(heading), 9 * np.sin(heading)),
             textcoords="offset points", ha="center", va="center", size=8.5,
-            color=INK["predicted"], bbox={"fc": INK["board"], "ec": "none", "pad": 0.6},
+            color=INK["predicted"], bbox={"fc": INK["board"], "ec": "none", "pad": 0.6}, zorder=1.5,
         )  # fmt: skip
 
 

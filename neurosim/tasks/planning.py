@@ -6,17 +6,15 @@ pairs commands that were given in the same rectangle: of two parents, the n-th c
 was given in a rectangle with the n-th that the other was given there, wherever they stand in the
 two command sets. Each such pair is crossed by simulated binary crossover; commands without a
 counterpart, and null ones, pass unchanged. Mutation changes each gene with the same probability,
-see :func:`mutate`. The paper leaves open how a null
-command is encoded, which counterparts are paired where several were given in a rectangle, and
-what mutation does.
+see :func:`mutate`. The paper leaves open how a null command is encoded, which counterparts are
+paired where several were given in a rectangle, and what mutation does.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -25,7 +23,6 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
-from neurosim.controllers import Plan
 from neurosim.evolution.genetic import GeneticAlgorithm, GeneticSettings
 from neurosim.evolution.operators import sbx
 from neurosim.simulators.base import Simulator
@@ -35,6 +32,9 @@ COMMAND_NAMES = ("left", "right", "duration")
 GENES = 4
 #: Share of a first generation's commands that are null.
 NULL_SHARE = 0.2
+#: Distribution index of simulated binary crossover. Commands that are paired are unlike each
+#: other more often than not, so that children far from both parents are worth trying.
+ETA = 2.0
 #: The motors run down for this long after the last command before the robot is at rest, s.
 RUN_DOWN = 0.5
 
@@ -69,68 +69,32 @@ class PlanResult:
 class PlanSettings:
     """How plans are evolved; the defaults are section 6.2 and Table 1 of the paper.
 
-    The paper does not say what ``eta`` and ``mutation_scale`` are, nor whether there are elites.
-
     Attributes:
         commands: commands in a chromosome, null ones included.
         generations: how many populations are evaluated.
-        population: chromosomes in a run.
         runs: independent runs, evaluated together.
-        tournament: chromosomes in a tournament.
-        crossover: chance that a pair of parents is crossed.
-        mutation: chance of each gene to be changed.
         max_speed: fastest motor speed, percent.
         durations: shortest and longest command, s.
-        eta: distribution index of simulated binary crossover.
-        mutation_scale: standard deviation of a small mutation, as a share of a gene's range.
-        elites: the best chromosomes of a run, kept unchanged.
+        genetic: the genetic algorithm of every run; its ``mutation_scale`` is a share of a
+            gene's range.
     """
 
     commands: int = 10
     generations: int = 1000
-    population: int = 250
     runs: int = 1
-    tournament: int = 50
-    crossover: float = 0.8
-    mutation: float = 0.05
     max_speed: float = 50.0
     durations: tuple[float, float] = (0.5, 3.0)
-    eta: float = 2.0
-    mutation_scale: float = 0.1
-    elites: int = 1
+    genetic: GeneticSettings = field(default_factory=lambda: GeneticSettings(eta=ETA))
 
     def __post_init__(self) -> None:
-        for name in ("commands", "generations", "runs", "tournament"):
+        for name in ("commands", "generations", "runs"):
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if not 0 <= self.elites < self.population or self.population < 2:
-            raise UserError(
-                f"a population needs at least 2 plans and more than its {self.elites} elites, "
-                f"not {self.population}"
-            )
-        for name in ("crossover", "mutation"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise UserError(f"{name} is a chance, 0 to 1, not {getattr(self, name):g}")
-        if not (self.eta > 0 and self.mutation_scale > 0):
-            raise UserError("eta and mutation_scale must be above 0")
         if not 0 < self.max_speed <= 100:
             raise UserError(f"the highest speed must be in 0 to 100 %, not {self.max_speed:g}")
         low, high = self.durations
         if not 0 < low <= high:
             raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
-
-    @property
-    def genetic(self) -> GeneticSettings:
-        """The settings of the genetic algorithm among these."""
-        return GeneticSettings(
-            population=self.population,
-            crossover=self.crossover,
-            mutation=self.mutation,
-            tournament=self.tournament,
-            eta=self.eta,
-            mutation_scale=self.mutation_scale,
-            elites=self.elites,
-        )
 
 
 def rollout(
@@ -162,11 +126,11 @@ def rollout(
 def evolve_plan(
     simulator: Simulator,
     task: Task,
+    settings: PlanSettings | None = None,
     *,
     seed: int,
     progress: bool = True,
     device: str | torch.device = "cpu",
-    **settings: Any,
 ) -> list[PlanResult]:
     """Evolve command sets for a task in a simulator.
 
@@ -175,32 +139,31 @@ def evolve_plan(
     Args:
         simulator: takes left, right, duration.
         task: gives the start and the fitness.
+        settings: sizes, limits and the genetic algorithm.
         seed: of all that is drawn; the same seed gives the same plans.
         progress: whether to show progress on stderr.
         device: where the simulator lives.
-        settings: those of :class:`PlanSettings`.
 
     Returns:
         The best plan of every run, the best first.
 
     Raises:
-        UserError: if the simulator takes other commands, or a setting is out of range.
+        UserError: if the simulator takes other commands.
     """
-    chosen = PlanSettings(**settings)
+    settings = settings or PlanSettings()
     if tuple(simulator.command_names) != COMMAND_NAMES:
         raise UserError(
             f"plans are of {', '.join(COMMAND_NAMES)}, but this simulator takes "
             f"{', '.join(simulator.command_names)}; use one that was learned from motor commands"
         )
-    evolution = _Evolution(simulator, task, chosen, torch.Generator(device).manual_seed(seed))
+    evolution = _Evolution(simulator, task, settings, torch.Generator(device).manual_seed(seed))
     interrupted = False
-    with (
-        Progress("evolving", chosen.generations, "generations")
-        if progress
-        else nullcontext() as bar
-    ):
+    bar_or_none = (
+        Progress("evolving", settings.generations, "generations") if progress else nullcontext()
+    )
+    with _one_thread(), bar_or_none as bar:
         try:
-            for _ in range(chosen.generations):
+            for _ in range(settings.generations):
                 best = evolution.generation()
                 if bar is not None:
                     bar.advance(note=f"fitness {best:.1f}")
@@ -211,42 +174,15 @@ def evolve_plan(
     return evolution.results(interrupted)
 
 
-def plan_of(
-    result: PlanResult,
-    task: Task,
-    settings: PlanSettings,
-    *,
-    seed: int,
-    simulator: Mapping[str, str],
-) -> Plan:
-    """Return the controller that holds a result and how it was come by.
-
-    Args:
-        result: from :func:`evolve_plan`.
-        task: that it was evolved for.
-        settings: that it was evolved with.
-        seed: likewise.
-        simulator: ``path`` and ``sha256`` of the simulator.
-    """
-    return Plan(
-        commands=tuple(result.commands),
-        task=task.describe(),
-        start=tuple(task.start),
-        simulator=dict(simulator),
-        predicted={
-            "poses": result.poses.tolist(),
-            "rest": result.rest.tolist(),
-            "fitness": result.fitness,
-            "completes": result.completes,
-        },
-        evolution={
-            "settings": asdict(settings),
-            "seed": seed,
-            "run": result.run,
-            "interrupted": result.interrupted,
-            "history": result.history,
-        },
-    )
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep torch to one thread: what happens in a generation is too little to be shared out."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class _Evolution:
@@ -256,7 +192,7 @@ class _Evolution:
         self, simulator: Simulator, task: Task, settings: PlanSettings, generator: torch.Generator
     ):
         self._simulator, self._task, self._settings = simulator, task, settings
-        shape = (settings.runs, settings.population, settings.commands * GENES)
+        shape = (settings.runs, settings.genetic.population, settings.commands * GENES)
         initial = torch.rand(
             shape, generator=generator, dtype=torch.float64, device=generator.device
         )
@@ -316,13 +252,14 @@ class _Evolution:
         self, population: Tensor, first: Tensor, second: Tensor, generator: torch.Generator
     ) -> tuple[Tensor, Tensor]:
         a, b = (_take(population, index).unflatten(-1, (-1, GENES)) for index in (first, second))
-        eta = self._settings.eta
+        eta = self._settings.genetic.eta
         return cross_paired(
             a, b, _take(self._keys, first), _take(self._keys, second), eta, generator
         )
 
     def _mutate(self, genes: Tensor, generator: torch.Generator) -> Tensor:
-        return mutate(genes, self._settings.mutation, self._settings.mutation_scale, generator)
+        genetic = self._settings.genetic
+        return mutate(genes, genetic.mutation, genetic.mutation_scale, generator)
 
 
 def mutate(genes: Tensor, probability: float, scale: float, generator: torch.Generator) -> Tensor:

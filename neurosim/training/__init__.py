@@ -1,1 +1,7 @@
 """From a dataset to a simulator, and how well it predicts."""
+
+from neurosim.training.evaluate import evaluate
+from neurosim.training.train import train
+from neurosim.training.trainers import TRAINERS
+
+__all__ = ["TRAINERS", "evaluate", "train"]

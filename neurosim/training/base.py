@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -45,6 +46,22 @@ def root_mean_square(values: Tensor) -> Tensor:
 
 def _not_zero(scale: Tensor) -> Tensor:
     return torch.where(scale > 0, scale, 1.0)
+
+
+@contextmanager
+def one_thread(device: str) -> Iterator[None]:
+    """Let PyTorch work in one thread where compiled kernels do the heavy part in several.
+
+    A genetic algorithm's tensors are small; and PyTorch's second thread, between two of its
+    tasks, keeps busy on the core that the kernels want.
+    """
+    threads = torch.get_num_threads()
+    if torch.device(device).type == "cpu":
+        torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
 
 
 class Trainer(Protocol):

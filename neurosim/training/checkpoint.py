@@ -55,7 +55,7 @@ class Checkpoint:
             raise UserError(f"there is no interrupted training at {self.folder}; start it anew")
         fields = {"settings": dict}
         begun = files.read_json(self._settings, FORMAT, VERSION, fields)["settings"]
-        for name in sorted(begun.keys() | settings.keys()):
+        for name in [*settings, *(name for name in begun if name not in settings)]:
             if begun.get(name) != settings.get(name):
                 raise UserError(
                     f"{self.folder} was begun with {name} = {begun.get(name)!r}, not "

@@ -85,7 +85,7 @@ def evaluate(
 
 def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
     """Return the displacements (N, 3) that a simulator predicts for a dataset's rows."""
-    inputs = torch.from_numpy(rows.input_array()).to(network.genes.device)
+    inputs = torch.tensor(rows.input_array(), device=network.genes.device)
     return network.displacement(inputs).cpu().numpy()
 
 

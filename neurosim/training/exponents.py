@@ -17,12 +17,12 @@ from torch import Tensor
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings
 from neurosim.networks import ProductGram, ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork
-from neurosim.training.base import TrainingData, root_mean_square
+from neurosim.training.base import TrainingData, one_thread, root_mean_square
 
 
 @dataclass(frozen=True)
 class ExponentsSettings(GeneticSettings):
-    """Settings of the search, gentler than the paper's: see the class for the others.
+    """Settings of the search: Table 1 of the paper, and what it does not say.
 
     Attributes:
         initial: first exponents are drawn between minus and plus this.
@@ -31,8 +31,6 @@ class ExponentsSettings(GeneticSettings):
         ridge: added to the diagonal of the equations, features having a mean square of one.
     """
 
-    tournament: int = 5
-    mutation: float = 0.1
     mutation_scale: float = 0.3
     initial: float = 2.0
     sparsity: float = 0.6
@@ -54,7 +52,7 @@ class ExponentsTrainer:
         "twist coordinates: Lynch and Park 2017, section 3.3"
     )
     settings_type = ExponentsSettings
-    default_generations = 200
+    default_generations = 100
 
     def __init__(
         self,
@@ -67,6 +65,7 @@ class ExponentsTrainer:
         if not network.linear or network.summations < 1 or network.products < 1:
             raise ValueError("exponents are trained for linear activations and units of both kinds")
         self._data = data
+        self._device = device
         self._network = network
         self._settings = settings
         x = data.scaled_inputs.to(device)
@@ -92,8 +91,9 @@ class ExponentsTrainer:
 
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""
-        error, _ = self._solve(self._ga.ask())
-        self._ga.tell(1.0 / error)
+        with one_thread(self._device):
+            error, _ = self._solve(self._ga.ask())
+            self._ga.tell(1.0 / error)
         return (self._scale.square() / self._ga.best_fitness).cpu()
 
     def result(self) -> MotionNetwork:
@@ -152,11 +152,11 @@ class ExponentsTrainer:
         square = square / (size.unsqueeze(-1) * size.unsqueeze(-2))
         square.diagonal(dim1=-2, dim2=-1).add_(self._settings.ridge)
         cross = cross / size
-        factor, _ = torch.linalg.cholesky_ex(square)
-        readout = torch.cholesky_solve(cross.unsqueeze(-1), factor).squeeze(-1)
+        triangle, failed = torch.linalg.cholesky_ex(square)
+        readout = torch.cholesky_solve(cross.unsqueeze(-1), triangle).squeeze(-1)
         # |y - Fw|^2 for the ridge solution w: y'y - 2 w'c + w'Sw, S without the ridge.
         error = power - (readout * cross).sum(-1) - self._settings.ridge * readout.square().sum(-1)
-        return error.clamp(min=1e-12), readout / size
+        return torch.where(failed == 0, error.clamp(min=1e-12), torch.inf), readout / size
 
 
 def half_way(displacement: Tensor) -> tuple[Tensor, Tensor]:

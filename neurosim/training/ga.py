@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 import torch
@@ -11,7 +12,7 @@ from torch import Tensor
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings
 from neurosim.networks import PopulationError, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.base import TrainingData, root_mean_square
+from neurosim.training.base import TrainingData, one_thread, root_mean_square
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,7 @@ class GaTrainer:
         device: str = "cpu",
     ):
         self._data = data
+        self._device = device
         self._network = network
         self._scale = root_mean_square(data.y)
         self._error = PopulationError(
@@ -57,7 +59,8 @@ class GaTrainer:
 
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""
-        self._ga.tell(1.0 / self._error(self._ga.ask()))
+        with one_thread(self._device) if self._error.kernel else nullcontext():
+            self._ga.tell(1.0 / self._error(self._ga.ask()))
         return self._scale.square() / self._ga.best_fitness.cpu()
 
     def result(self) -> MotionNetwork:

@@ -133,8 +133,8 @@ def training_data(dataset: Dataset) -> TrainingData:
     """Return a dataset's rows as tensors."""
     return TrainingData(
         dataset.meta["inputs"],
-        torch.from_numpy(dataset.input_array()),
-        torch.from_numpy(dataset.output_array()),
+        torch.tensor(dataset.input_array()),
+        torch.tensor(dataset.output_array()),
     )
 
 
@@ -192,9 +192,9 @@ def _figures(mse: list[float]) -> str:
 
 def _save(learner: Trainer, checkpoint: Checkpoint, run: _Run) -> None:
     state: dict[str, Tensor] = {f"trainer.{k}": v for k, v in learner.state().items()}
-    state["run.generation"] = torch.tensor(run.generation)
+    state["run.generation"] = torch.tensor([run.generation])
     state["run.history"] = torch.tensor(run.history, dtype=torch.float64)
-    state["run.seconds"] = torch.tensor(run.seconds, dtype=torch.float64)
+    state["run.seconds"] = torch.tensor([run.seconds], dtype=torch.float64)
     checkpoint.save(state)
 
 

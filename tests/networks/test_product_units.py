@@ -77,7 +77,7 @@ def test_a_whole_network_worked_by_hand():
 
 
 def test_activations_of_hidden_units_and_output():
-    network, genes = by_hand()
+    _, genes = by_hand()
     curved = ProductSummationNetwork(2, 1, 1, "tanh", "sigmoid")
     net = 3 * math.tanh(-0.125) + 2 * math.tanh(-0.5) - 0.125
     found = curved.forward(genes, tensor([-0.5, 0.5])).item()

@@ -128,7 +128,7 @@ def make_trial(folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=Tru
             "position": float(np.hypot(*(actual[k] - predicted[k])[:2])),
             "heading": float(actual[k][2] - predicted[k][2]),
         }
-        for k in range(1, len(actual))
+        for k in range(len(actual))
     ]  # fmt: skip
     folder.mkdir(parents=True)
     files.write_json(
@@ -140,8 +140,12 @@ def make_trial(folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=Tru
             "task": TASK,
             "commands": [[40.0 + k, 40.0, 2.0] for k in range(len(LEGS))],
             "start": {"planned": list(START), "actual": [START[0] + 0.01, START[1], START[2]]},
-            "predicted": {"poses": predicted.tolist(), "fitness": 63.9, "completes": True},
+            "predicted": {
+                "poses": predicted.tolist(), "rest": [-0.75, 0.25, -1.5 * math.pi],
+                "fitness": 63.9, "completes": True,
+            },
             "actual": {
+                "rest": [-0.72, 0.29, 0.5 * math.pi],
                 "poses": shown, "fitness": 63.8 if completes else 48.5, "completes": completes,
                 "path": path,
             },

@@ -20,6 +20,7 @@ from report_artefacts import (
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.reports import write_report
+from tracking.recordings import Recording
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
 
@@ -121,8 +122,9 @@ def test_figures_use_the_colours_of_the_page_only(whole):
 def test_verdict_gives_the_trials_own_errors(whole):
     _, summary, _, page = whole
     trial = files.read_json(whole[0][3] / "trial.json", "neurosim-trial", 1)
-    position = [error["position"] for error in trial["errors"] if error]
-    heading = [abs(error["heading"]) for error in trial["errors"] if error]
+    # The first is that at the start, before any command.
+    position = [error["position"] for error in trial["errors"][1:] if error]
+    heading = [abs(error["heading"]) for error in trial["errors"][1:] if error]
     assert len(position) == len(LEGS) - 1
     assert summary["mean_position_error"] == pytest.approx(np.mean(position))
     assert summary["final_position_error"] == position[-1]
@@ -141,11 +143,15 @@ def test_verdict_gives_the_trials_own_errors(whole):
 def test_commands_and_poses_are_the_trials(whole):
     rows = whole[3].table(["command", "left (%)"])[1:]
     trial = files.read_json(whole[0][3] / "trial.json", "neurosim-trial", 1)
-    assert len(rows) == len(LEGS)
+    assert len(rows) == len(LEGS) + 1
     x, y, heading = predicted_poses()[1]
     assert rows[0][:6] == ["1", "40.0", "40.0", "2.00", f"{x:.3f}, {y:.3f}", "90.0"]
     assert rows[3][6:] == ["not seen"] * 4
-    assert float(rows[8][8]) == pytest.approx(100 * trial["errors"][8]["position"], abs=0.051)
+    assert float(rows[8][8]) == pytest.approx(100 * trial["errors"][9]["position"], abs=0.051)
+    # At rest 3 cm and 4 cm away, and two half turns are one whole turn: the same heading.
+    assert rows[9][4:] == [
+        "-0.750, 0.250", "-270.0", "-0.720, 0.290", "-270.0", "5.0", "0.0"
+    ]  # fmt: skip
     assert heading == pytest.approx(np.pi / 2)
 
 
@@ -210,7 +216,7 @@ def test_several_trials(tmp_path):
     summary = write_report(trials, tmp_path / "page.html")
     page = Page(tmp_path / "page.html")
     read = [files.read_json(trial / "trial.json", "neurosim-trial", 1) for trial in trials]
-    ends = [trial["errors"][8]["position"] for trial in read[1:]]
+    ends = [trial["errors"][9]["position"] for trial in read[1:]]
     assert summary["completed"] == 3
     assert summary["final_position_error"] == pytest.approx(np.median(ends))
     row = page.table(["plans of"])[1]
@@ -218,7 +224,7 @@ def test_several_trials(tmp_path):
     assert row[:6] == ["9 commands", "4", "4", "3", "75%", "30% to 95%"]
     growth = page.table(["after command"])[1:]
     assert [line[1] for line in growth] == ["4"] * 8 + ["3"]
-    third = [100 * trial["errors"][2]["position"] for trial in read]
+    third = [100 * trial["errors"][3]["position"] for trial in read]
     expected = [f"{f(third):.1f}" for f in (np.median, np.mean, np.max)]
     assert growth[2][2:5] == expected
 
@@ -265,6 +271,28 @@ def test_robot_never_seen(tmp_path):
     assert "did not see" in summary["verdict"]
     assert "mean_position_error" not in summary
     Page(tmp_path / "page.html")
+
+
+def test_drive_that_ended_at_a_line(tmp_path):
+    trial = make_trial(tmp_path / "trial", completes=False, unseen=range(6, 10))
+    document = files.read_json(trial / "trial.json", "neurosim-trial", 1)
+    document["ended_early"] = True
+    files.write_json(trial / "trial.json", "neurosim-trial", 1, document)
+    summary = write_report([trial], tmp_path / "page.html")
+    assert summary["verdict"].endswith("the drive ended before its last command. (Virtual lab.)")
+    assert "final_position_error" not in summary
+    growth = Page(tmp_path / "page.html").text
+    assert "after command 5" in growth
+    assert "after command 6" not in growth
+
+
+def test_recording_says_where_it_is_from(tmp_path):
+    for name, lab in (("real", None), ("lab", {"seed": 1})):
+        Recording.create(
+            tmp_path / name, {"robot": {"kind": "nxt"}, "camera": {}, "virtual_lab": lab}
+        )
+        summary = write_report([tmp_path / name], tmp_path / "page.html")
+        assert summary["virtual"] is (lab is not None)
 
 
 def test_names_are_escaped(tmp_path):

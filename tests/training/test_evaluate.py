@@ -8,10 +8,10 @@ from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.training import evaluate, train
 from neurosim.training.base import TrainingData, root_mean_square
-from neurosim.training.evaluate import errors, evaluate
+from neurosim.training.evaluate import errors
 from neurosim.training.exponents import ExponentsSettings, ExponentsTrainer, half_way
-from neurosim.training.train import train
 from neurosim.training.unicycle import unicycle
 
 QUICK = {"hidden": (3, 2), "progress": False, "settings": {"population": 20, "tournament": 4}}

@@ -1,0 +1,65 @@
+"""Which way is inside, for a robot that knows only what it was told to do.
+
+The place where the perimeter line encloses is convex: from a point on the line, straight ahead to
+any point where the robot has been is inside. Where it has been is dead-reckoned from its
+commands, which is good for the last half minute or so and needs no sensor.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from neurosim.base import se2
+
+
+class Homing:
+    """Dead reckoning with a memory of where the robot has been.
+
+    Args:
+        full_speed: wheel speed at 100 %, m/s.
+        track: distance between the wheels, m.
+        memory: how long where it was is remembered, s.
+    """
+
+    def __init__(self, full_speed: float, track: float, memory: float = 30.0):
+        self._full_speed = full_speed
+        self._track = track
+        self._memory = memory
+        self._pose = np.zeros(3)
+        self._trail: deque[tuple[float, float, float]] = deque()  # seconds, x, y
+        self._time = 0.0
+
+    def moved(self, left: float, right: float, seconds: float) -> None:
+        """Go on from where it was: wheels at these percents for so many seconds."""
+        steps = max(1, math.ceil(seconds / 0.1))
+        forward = self._full_speed * (left + right) / 200
+        turn = self._full_speed * (right - left) / 100 / self._track
+        step = se2.exp(np.array([forward, 0.0, turn]) * seconds / steps)
+        for _ in range(steps):
+            self._pose = se2.compose(self._pose, step)
+            self._time += seconds / steps
+            self._trail.append((self._time, self._pose[0], self._pose[1]))
+        while self._trail and self._trail[0][0] < self._time - self._memory:
+            self._trail.popleft()
+
+    def way_in(self) -> tuple[float, float]:
+        """Return how far to turn (rad, at most a quarter turn) and the sign of the drive.
+
+        The direction is that of the middle of where the robot has been, reached forwards (+1) or
+        backwards (-1), whichever takes less turning.
+        """
+        places = np.array([place[1:] for place in self._trail])
+        x, y = (places.mean(axis=0) if len(places) else np.zeros(2)) - self._pose[:2]
+        if math.hypot(x, y) < 1e-6:
+            return 0.0, -1.0
+        bearing = math.remainder(math.atan2(y, x) - self._pose[2], 2 * math.pi)
+        if abs(bearing) <= math.pi / 2:
+            return bearing, 1.0
+        return math.remainder(bearing + math.pi, 2 * math.pi), -1.0
+
+    def turning_time(self, angle: float, speed: float) -> float:
+        """Return the seconds that a turn on the spot takes at ``speed`` percent."""
+        return abs(angle) * self._track / 2 / (self._full_speed * speed / 100)

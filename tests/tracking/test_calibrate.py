@@ -1,0 +1,177 @@
+import functools
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from neurosim.base.errors import FileError, UserError
+from tracking.calibrate import _spread, calibrate, locate
+from tracking.camera_model import CameraModel
+
+TRUTH = CameraModel(
+    (640, 480),
+    [[520.0, 0, 322.0], [0, 521.0, 238.0], [0, 0, 1]],
+    [-0.2, 0.05, 0.0005, -0.0005, 0.0],
+    np.diag([1.0, -1.0, -1.0]) @ cv2.Rodrigues(np.array([0.05, -0.03, 0.02]))[0],
+    [0.03, -0.02, 2.6],
+)
+CORNERS = np.array([[-1.3, -0.8], [1.3, -0.8], [1.3, 0.8], [-1.3, 0.8]])
+
+
+def points_of(model, board):
+    board = np.asarray(board, float)
+    pixels = model.to_pixels(np.column_stack([board, np.zeros(len(board))]))
+    return np.column_stack([pixels, board])
+
+
+@functools.cache
+def chessboard_view(turn, shift, squares=(8, 6), side=40):
+    """A flat chessboard of 7 x 5 inner corners, turned and moved before the lens of TRUTH."""
+    flat = np.full((squares[1] * side + 2 * side, squares[0] * side + 2 * side), 255, np.uint8)
+    for row in range(squares[1]):
+        for column in range(squares[0]):
+            if (row + column) % 2:
+                flat[side * (row + 1) : side * (row + 2), side * (column + 1) :][:, :side] = 20
+    v, u = np.mgrid[:480, :640].astype(float)
+    rays = TRUTH.undistort(np.column_stack([u.ravel(), v.ravel()]))
+    rotation = cv2.Rodrigues(np.array(turn, float))[0]
+    plane = np.column_stack([rotation[:, 0], rotation[:, 1], np.array(shift, float)])
+    places = np.column_stack([rays, np.ones(len(rays))]) @ np.linalg.inv(plane).T
+    places = (places[:, :2] / places[:, 2:] / 0.03 * side).astype(np.float32)
+    offset = np.array([flat.shape[1] / 2, flat.shape[0] / 2], np.float32)
+    around = (places + offset - 0.5).reshape(480, 640, 2)
+    return cv2.GaussianBlur(
+        cv2.remap(flat, around[..., 0], around[..., 1], cv2.INTER_LINEAR, borderValue=128),
+        (0, 0),
+        0.8,
+    )
+
+
+VIEWS = [
+    ((0.0, 0.0, 0.0), (0.0, 0.0, 0.5)),
+    ((0.5, 0.0, 0.1), (0.05, 0.02, 0.55)),
+    ((-0.5, 0.1, 0.0), (-0.08, -0.03, 0.5)),
+    ((0.0, 0.5, 0.3), (0.08, -0.05, 0.5)),
+    ((0.1, -0.5, -0.2), (-0.06, 0.05, 0.5)),
+    ((0.4, 0.3, 0.1), (0.19, 0.13, 0.5)),
+    ((-0.4, 0.3, 0.1), (0.18, -0.13, 0.5)),
+    ((-0.3, -0.4, 0.1), (-0.18, -0.13, 0.5)),
+    ((0.3, -0.4, 0.1), (-0.19, 0.13, 0.5)),
+]
+
+
+def write_views(folder):
+    for i, (turn, shift) in enumerate(VIEWS):
+        cv2.imwrite(str(folder / f"{i}.png"), chessboard_view(turn, shift))
+
+
+def test_real_photographs(shared_data):
+    model = calibrate(shared_data / "chessboard", pattern=(9, 6), square=0.025)
+    assert model.image_size == (640, 512)
+    assert model.photographs == 25
+    fx, fy = model.camera_matrix[0, 0], model.camera_matrix[1, 1]
+    assert (fx, fy) == pytest.approx((518.6, 518.9), abs=0.2)
+    assert tuple(model.camera_matrix[:2, 2]) == pytest.approx((315.6, 249.3), abs=0.2)
+    assert model.rms_px == pytest.approx(0.153, abs=0.002)
+    assert not model.has_board
+
+
+def test_a_rendered_lens_is_recovered_with_its_pose(tmp_path):
+    write_views(tmp_path)
+    points = points_of(TRUTH, [*CORNERS, (0.0, 0.8), (0.0, -0.8)])
+    model = calibrate(tmp_path, pattern=(7, 5), square=0.03, points=points)
+    assert model.rms_px < 0.15
+    assert model.camera_matrix[0, 0] == pytest.approx(520, rel=0.01)
+    assert model.camera_matrix[1, 2] == pytest.approx(238, abs=4)
+    board = np.random.default_rng(0).uniform(-0.8, 0.8, (50, 2))
+    pixels = TRUTH.to_pixels(np.column_stack([board, np.full(50, 0.1)]))
+    misses = model.to_board(pixels, 0.1) - board
+    assert np.abs(misses).max() < 0.005
+
+
+def test_a_video_does_as_well(tmp_path):
+    path = tmp_path / "board.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 10, (640, 480))
+    for turn, shift in VIEWS:
+        writer.write(cv2.cvtColor(chessboard_view(turn, shift), cv2.COLOR_GRAY2BGR))
+    writer.release()
+    model = calibrate(path, pattern=(7, 5), square=0.03)
+    assert model.photographs == len(VIEWS)
+    assert model.camera_matrix[0, 0] == pytest.approx(520, rel=0.02)
+
+
+def test_views_that_differ_most_are_kept():
+    same = [np.full((4, 2), 100.0) + 0.1 * i for i in range(6)]
+    other = [np.full((4, 2), 300.0), np.full((4, 2), 500.0)]
+    kept = _spread([*same, *other], 3)
+    assert [view[0, 0] for view in kept] == [100.0, 300.0, 500.0]
+
+
+@pytest.mark.parametrize("count", [4, 9])
+def test_exact_points_give_the_exact_pose(count):
+    board = np.vstack([CORNERS, np.random.default_rng(1).uniform(-0.8, 0.8, (count - 4, 2))])
+    bare = replace(TRUTH, rotation=None, translation=None)
+    model = locate(bare, points_of(TRUTH, board))
+    np.testing.assert_allclose(model.rotation, TRUTH.rotation, atol=1e-6)
+    np.testing.assert_allclose(model.translation, TRUTH.translation, atol=1e-6)
+    assert model.board_rms_m < 1e-6
+
+
+def test_points_from_a_file(tmp_path):
+    path = tmp_path / "points.csv"
+    rows = points_of(TRUTH, CORNERS)
+    path.write_text("name,u,v,x,y\n" + "".join(f"p,{u},{v},{x},{y}\n" for u, v, x, y in rows))
+    model = locate(TRUTH, path)
+    np.testing.assert_allclose(model.position, TRUTH.position, atol=1e-6)
+    path.write_text("u,v,x,y\n1,2,3,left\n")
+    with pytest.raises(FileError, match=r"line 2, field 'y'"):
+        locate(TRUTH, path)
+    path.write_text("u,v,x\n1,2,3\n")
+    with pytest.raises(FileError, match="column is missing"):
+        locate(TRUTH, path)
+
+
+@pytest.mark.parametrize(
+    ("board", "says"),
+    [
+        (CORNERS[:3], "at least 4"),
+        ([(0, 0), (0.5, 0), (1, 0), (-1, 0), (0.2, 0)], "one line"),
+        ([(0, 0), (0.5, 0), (1, 0), (0.3, 0.8)], "one line"),
+    ],
+)
+def test_points_that_fix_no_pose(board, says):
+    with pytest.raises(UserError, match=says):
+        locate(TRUTH, points_of(TRUTH, board))
+
+
+def test_mirrored_points():
+    rows = points_of(TRUTH, CORNERS)
+    rows[:, 3] *= -1
+    with pytest.raises(UserError, match="mirrored"):
+        locate(TRUTH, rows)
+
+
+def test_points_that_are_no_numbers():
+    with pytest.raises(UserError, match="four numbers"):
+        locate(TRUTH, [[1.0, 2.0, 3.0]] * 4)
+
+
+def test_photographs_that_will_not_do(tmp_path):
+    with pytest.raises(UserError, match="no photographs in this folder"):
+        calibrate(tmp_path)
+    write_views(tmp_path)
+    with pytest.raises(UserError, match=rf"9 x 6 inner corners was found in 0 of {len(VIEWS)}"):
+        calibrate(tmp_path, pattern=(9, 6))
+    with pytest.raises(UserError, match="in 2 of 2 pictures; at least 3"):
+        calibrate([tmp_path / "0.png", tmp_path / "1.png"], pattern=(7, 5))
+    with pytest.raises(UserError, match="no such photograph"):
+        calibrate([tmp_path / "absent.png"], pattern=(7, 5))
+    (tmp_path / "9.png").write_bytes(b"not a picture")
+    with pytest.raises(UserError, match="not a photograph"):
+        calibrate(tmp_path, pattern=(7, 5))
+    cv2.imwrite(str(tmp_path / "9.png"), np.zeros((240, 320), np.uint8))
+    with pytest.raises(UserError, match=r"320 x 240 pixels .* 640 x 480"):
+        calibrate(tmp_path, pattern=(7, 5))
+    with pytest.raises(UserError, match="at least 2 x 2"):
+        calibrate(tmp_path, pattern=(1, 5))

@@ -1,0 +1,312 @@
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import tracking_scene as scene
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.files import number, read_csv
+from tracking.camera_model import CameraModel
+from tracking.recordings import Recording
+from tracking.track import board_poses, marker_geometry, track, track_video, unwrap
+from tracking.video import Video
+
+SIZE, FPS, HEIGHT = (320, 240), 30.0, 0.10
+CAMERA = CameraModel(
+    SIZE,
+    [[280.0, 0, 161.0], [0, 280.0, 118.0], [0, 0, 1]],
+    [-0.15, 0.03, 0.0, 0.0, 0.0],
+    np.diag([1.0, -1.0, -1.0]) @ cv2.Rodrigues(np.array([0.04, -0.02, 0.01]))[0],
+    [0.02, -0.01, 1.6],
+)
+#: The robot's clock is this much behind the camera's.
+OFFSET = -7.25
+LAMP = ((0.6, 1.108), (1.516, 1.824))
+FRAMES = 150
+
+
+def pose_at(time):
+    """Still until 2.5 s, then in a circle of 0.2 m radius, faster than 90 degrees a second."""
+    turned = 1.8 * max(0.0, time - 2.5)
+    return np.array([0.2 * np.sin(turned), -0.1 - 0.2 * np.cos(turned), turned])
+
+
+def frame_at(time, rng, background):
+    x, y, theta = pose_at(time)
+    cos, sin = np.cos(theta), np.sin(theta)
+    ends = [(x + cos * a, y + sin * a, HEIGHT) for a in (0.07, -0.09)]
+    front, rear = CAMERA.to_pixels(ends)
+    axis = front - rear
+    image = background.copy()
+    share = np.mean(
+        [
+            any(on <= t < off for on, off in LAMP)
+            for t in time + np.linspace(0, 1, 50) / FPS - 0.5 / FPS
+        ]
+    )
+    scene.robot(
+        image,
+        (front + rear) / 2,
+        np.arctan2(-axis[1], axis[0]),
+        separation=float(np.hypot(*axis)),
+        radius=0.03 * float(np.hypot(*axis)) / 0.16,
+        body=(44, 18),
+        lamp=share,
+    )
+    return scene.finish(image, rng)
+
+
+def write_video(path, frames, fourcc="MJPG"):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), FPS, SIZE)
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+
+
+@pytest.fixture(scope="module")
+def frames():
+    rng, background = np.random.default_rng(0), scene.background(SIZE)
+    return [frame_at(i / FPS, rng, background) for i in range(FRAMES)]
+
+
+@pytest.fixture
+def recording(tmp_path, frames):
+    """Two sessions: one that was killed before its first command, and a whole one."""
+    made = Recording.create(tmp_path / "rec", {"robot": {"kind": "none"}})
+    CAMERA.write(made.path / "calibration.json")
+    made.begin_session(video="video-001.mkv")
+    session = made.begin_session(video="video-002.mkv")
+    write_video(made.path / "video-002.mkv", frames)
+    with made.frame_log() as log:
+        for i in range(FRAMES):
+            log.append(session, i, i / FPS - OFFSET)
+    with made.command_log() as log:
+        log.append(1, None, "lamp-on", 0.5, None, None, None)
+        for on, off in LAMP:
+            log.append(session, None, "lamp-on", on, None, None, None)
+            log.append(session, None, "lamp-off", off, None, None, None)
+        log.append(session, 1, "command", 2.5, 20, 40, 2.5)
+        log.append(session, None, "stop", 5.0, 0, 0, None)
+    return made
+
+
+def test_a_recording_becomes_poses(recording, tmp_path):
+    summary = track(recording.path, overlay=tmp_path / "overlay.mp4")
+    poses = Recording(recording.path).poses()
+    assert (poses.quality > 0.3).all()
+    assert set(poses.session) == {2}
+    truth = np.array([pose_at(i / FPS) for i in range(FRAMES)])
+    assert np.abs(poses.time - np.arange(FRAMES) / FPS).max() < 0.005
+    # 6 mm a pixel: a tenth of a pixel on each marker.
+    assert np.abs(poses.pose[:, :2] - truth[:, :2]).max() < 0.002
+    assert np.abs(poses.pose[:, 2] - truth[:, 2]).max() < 0.015
+    assert truth[-1, 2] > np.pi
+    assert summary["found"] == 1.0
+    document = json.loads((recording.path / "tracking.json").read_text())
+    assert document["format"] == "neurosim-tracking"
+    assert document["sessions"][0] == {"session": 1, "left_out": "no command was sent"}
+    assert document["sessions"][1]["clock"]["offset"] == pytest.approx(OFFSET, abs=0.005)
+    assert document["sessions"][1]["clock"]["flashes"][0] == pytest.approx(0.6 - OFFSET, abs=0.005)
+    with Video(tmp_path / "overlay-002.mp4") as overlay:
+        drawn = [frame for _, _, frame in overlay]
+    assert len(drawn) == FRAMES
+
+
+def test_a_video_cut_in_the_middle_is_read_as_far_as_it_goes(recording):
+    path = recording.path / "video-002.mkv"
+    path.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    track(recording.path)
+    poses = recording.poses()
+    assert 80 < len(poses.frame) < 110
+    assert np.abs(poses.time - poses.frame / FPS).max() < 0.005
+
+
+def test_without_frame_times_those_of_the_video_do(recording):
+    (recording.path / "frames.csv").unlink()
+    track(recording.path)
+    poses = recording.poses()
+    assert np.abs(poses.time - poses.frame / FPS).max() < 0.005
+
+
+def test_a_video_from_elsewhere_is_joined(recording, tmp_path):
+    (recording.path / "video-002.mkv").rename(tmp_path / "phone.mkv")
+    (recording.path / "frames.csv").unlink()
+    recording.meta["videos"][1] = None
+    recording.save_meta()
+    with pytest.raises(UserError, match="session 2 has no video"):
+        track(recording.path)
+    summary = track(recording.path, videos=[tmp_path / "phone.mkv"])
+    assert summary["sessions"][1]["video"] == "phone.mkv"
+    with pytest.raises(UserError, match="2 videos are named"):
+        track(recording.path, videos=[tmp_path / "phone.mkv"] * 2)
+
+
+def spoil_video(recording):
+    (recording.path / "video-002.mkv").write_bytes(b"")
+
+
+def remove_video(recording):
+    (recording.path / "video-002.mkv").unlink()
+
+
+def remove_calibration(recording):
+    (recording.path / "calibration.json").unlink()
+
+
+def other_size(recording):
+    CameraModel(
+        (640, 480), CAMERA.camera_matrix, CAMERA.distortion, CAMERA.rotation, CAMERA.translation
+    ).write(recording.path / "calibration.json")
+
+
+def no_board(recording):
+    CameraModel(SIZE, CAMERA.camera_matrix, CAMERA.distortion).write(
+        recording.path / "calibration.json"
+    )
+
+
+def empty_scene(recording):
+    rng, background = np.random.default_rng(1), scene.background(SIZE)
+    write_video(recording.path / "video-002.mkv", [scene.finish(background, rng) for _ in range(5)])
+
+
+def no_flash(recording):
+    path = recording.path / "commands.csv"
+    path.write_text("".join(x for x in path.open() if "lamp" not in x))
+
+
+def flash_not_filmed(recording):
+    path = recording.path / "commands.csv"
+    text = path.read_text()
+    for (on, off), (late, later) in zip(LAMP, ((2.6, 3.9), (4.1, 4.15)), strict=True):
+        text = text.replace(f"lamp-on,{on!r}", f"lamp-on,{late}")
+        text = text.replace(f"lamp-off,{off!r}", f"lamp-off,{later}")
+    lines = sorted(text.splitlines()[2:], key=lambda row: float(row.split(",")[3]))
+    path.write_text("\n".join([*text.splitlines()[:2], *lines]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("spoil", "says"),
+    [
+        (spoil_video, "video-002.mkv: cannot be opened as a video"),
+        (remove_video, "video-002.mkv: no such video"),
+        (remove_calibration, "has no calibration.json"),
+        (other_size, r"320 x 240 pixels, the calibration was made at 640 x 480"),
+        (no_board, "has no points on the board"),
+        (empty_scene, "nothing pink and nothing blue was found in any frame"),
+        (no_flash, "video-002.mkv: the lamp was never switched on"),
+        (flash_not_filmed, "video-002.mkv: no flash found"),
+    ],
+)
+def test_what_is_wrong_is_said_and_nothing_written(recording, spoil, says):
+    spoil(recording)
+    with pytest.raises(UserError, match=says):
+        track(recording.path)
+    assert not (recording.path / "poses.csv").exists()
+    assert not (recording.path / "tracking.json").exists()
+
+
+def test_other_colours_than_the_recording_says(recording):
+    with pytest.raises(UserError, match="nothing green was found"):
+        track(recording.path, colours=("green", "blue"))
+    with pytest.raises(UserError, match="both markers are blue"):
+        track(recording.path, colours=("blue", "blue"))
+
+
+def test_bare_video_in_pixels(frames, tmp_path):
+    write_video(tmp_path / "bare.avi", frames[70:])
+    summary = track_video(tmp_path / "bare.avi", "pink", "blue", tmp_path / "out")
+    assert summary["units"] == {"u": "pixel", "v": "pixel", "theta": "rad", "time": "s"}
+    names = ("frame", "time", "u", "v", "theta", "quality", "front_u", "rear_v")
+    table = read_csv(tmp_path / "out" / "poses.csv", dict.fromkeys(names, number))
+    x, y, theta = np.transpose([pose_at(i / FPS) for i in range(70, FRAMES)])
+    middle = np.stack([x - 0.01 * np.cos(theta), y - 0.01 * np.sin(theta)], axis=-1)
+    pixels = CAMERA.to_pixels(np.column_stack([middle, np.full(len(x), HEIGHT)]))
+    np.testing.assert_allclose(np.transpose([table["u"], table["v"]]), pixels, atol=0.2)
+    # The camera is turned and tilted by a few hundredths of a radian.
+    np.testing.assert_allclose(table["theta"], theta, atol=0.1)
+    assert table["time"][30] == pytest.approx(1.0, abs=1e-3)
+    document = json.loads((tmp_path / "out" / "tracking.json").read_text())
+    assert document["markers"]["front"]["colour"] == "pink"
+    with pytest.raises(UserError, match="not empty"):
+        track_video(tmp_path / "bare.avi", "pink", "blue", tmp_path / "out")
+
+
+def test_bare_video_in_metres(frames, tmp_path):
+    write_video(tmp_path / "bare.avi", frames[120:])
+    poses = track_video(tmp_path / "bare.avi", "pink", "blue", calibration=CAMERA, height=HEIGHT)[
+        "poses"
+    ]
+    x, y, theta = np.transpose([pose_at(i / FPS) for i in range(120, FRAMES)])
+    np.testing.assert_allclose(poses["x"], x - 0.01 * np.cos(theta), atol=0.002)
+    np.testing.assert_allclose(poses["y"], y - 0.01 * np.sin(theta), atol=0.002)
+
+
+def test_footage_as_a_user_would(shared_data, tmp_path):
+    summary = track_video(
+        shared_data / "footage" / "marker-pushed.avi",
+        "green",
+        "blue",
+        tmp_path / "out",
+        overlay=tmp_path / "seen.mkv",
+    )
+    assert summary["frames"] == 121
+    assert summary["found"] == 1.0
+    with Video(tmp_path / "seen.mkv") as overlay:
+        assert sum(1 for _ in overlay) == 121
+
+
+def test_bare_video_that_will_not_do(tmp_path, frames):
+    with pytest.raises(FileError, match="no such video"):
+        track_video(tmp_path / "absent.avi", "pink", "blue", tmp_path / "out")
+    write_video(tmp_path / "none.avi", [])
+    with pytest.raises(FileError, match=r"none\.avi"):
+        track_video(tmp_path / "none.avi", "pink", "blue", tmp_path / "out")
+    write_video(tmp_path / "bare.avi", frames[:3])
+    with pytest.raises(UserError, match="name the overlay video"):
+        track_video(tmp_path / "bare.avi", "pink", "blue", overlay=tmp_path / "seen.txt")
+    assert not (tmp_path / "out").exists()
+    assert sorted(Path(tmp_path).iterdir()) == [tmp_path / "bare.avi", tmp_path / "none.avi"]
+
+
+def test_the_rigid_fit_by_hand():
+    markers = {
+        "front": {"colour": "pink", "x": 0.07, "y": 0.02},
+        "rear": {"colour": "blue", "x": -0.09, "y": 0.02},
+        "height": 0.0,
+        "lamp": {"x": -0.01, "y": 0.06},
+    }
+    # Facing along +y, axle at (0.5, 0.3): left of the robot is -x.
+    ends = np.array([[0.48, 0.37, 0.0], [0.48, 0.21, 0.0]])
+    front, rear = CAMERA.to_pixels(ends)[:, None]
+
+    class Seen:
+        pass
+
+    Seen.front, Seen.rear = front, rear
+    np.testing.assert_allclose(
+        board_poses(Seen, markers, CAMERA), [[0.5, 0.3, np.pi / 2]], atol=1e-9
+    )
+    geometry = marker_geometry(markers, CAMERA)
+    assert geometry.separation == pytest.approx(0.16)
+    assert geometry.lamp == pytest.approx((0.5, 0.25))
+
+
+def test_unwrap_across_gaps():
+    np.testing.assert_allclose(
+        unwrap([3.0, -3.0, np.nan, -2.5]), [3.0, 2 * np.pi - 3, np.nan, 2 * np.pi - 2.5]
+    )
+
+
+def test_a_video_left_early_is_closed(frames, tmp_path):
+    write_video(tmp_path / "bare.avi", frames)
+    with Video(tmp_path / "bare.avi", times=np.arange(100) / 10) as video:
+        assert video.size == SIZE
+        for index, time, _ in video:
+            assert time == index / 10
+            if index == 3:
+                break
+    with Video(tmp_path / "bare.avi", times=np.arange(100) / 10) as video:
+        assert sum(1 for _ in video) == 100
