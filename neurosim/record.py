@@ -30,8 +30,9 @@ from neurosim.robots.base import Robot
 from tracking.camera import Camera, VideoSink
 from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
 
-#: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats.
-FLASHES = ((0.6, True), (0.4, False), (0.3, True))
+#: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
+#: and no whole number of frames long, so that each edge meets another phase of the shutter.
+FLASHES = ((0.608, True), (0.408, False), (0.308, True))
 #: Seconds of stillness before and after the flashes.
 STILL = 0.5
 

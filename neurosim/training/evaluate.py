@@ -55,13 +55,12 @@ def evaluate(
             f"{dataset} has the inputs {', '.join(rows.inputs)}, but {simulator} takes "
             f"{', '.join(network.input_names)}; name a dataset of the same robot"
         )
-    own = network.meta.get("source", {}).get("sha256") == files.sha256(
-        Path(dataset) / "dataset.csv"
-    )
+    held_out = _held_out_share(network, dataset)
+    own = held_out is not None
     fitted_to = used = rows
     if own:
-        fitted_to, held_out = rows.split(network.meta["training"]["held_out"])
-        used = held_out if held_out_only else rows
+        fitted_to, later = rows.split(held_out)
+        used = later if held_out_only else rows
     ideal = unicycle(fitted_to)
     baseline = None
     if ideal is not None:
@@ -81,6 +80,16 @@ def evaluate(
         "paper": {name: {**PAPER[name], "unit": _FACTORS[name][1]} for name in PAPER},
         "baseline": baseline,
     }
+
+
+def _held_out_share(network: MotionNetwork, dataset: str | Path) -> float | None:
+    """Return the share of a dataset's rows held out when the simulator was trained on it."""
+    source, training = network.meta.get("source"), network.meta.get("training")
+    if not isinstance(source, dict) or not isinstance(training, dict):
+        return None
+    if source.get("sha256") != files.sha256(Path(dataset) / "dataset.csv"):
+        return None
+    return training.get("held_out")
 
 
 def predict(network: MotionNetwork, rows: Dataset) -> NDArray:

@@ -90,7 +90,11 @@ class ExponentsTrainer:
         )
 
     def advance(self) -> Tensor:
-        """Work one generation; return the least mean squared error so far, [3], in SI units."""
+        """Work one generation; return the least mean squared error so far, [3], in SI units.
+
+        Those of dx and dy are of the displacement seen from half way round, the turn taken as
+        measured.
+        """
         with one_thread(self._device):
             error, _ = self._solve(self._ga.ask())
             self._ga.tell(1.0 / error)

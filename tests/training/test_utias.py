@@ -1,0 +1,19 @@
+"""On a real robot: the UTIAS/MRCLAM recording."""
+
+import pytest
+
+from neurosim.training import evaluate, train
+from tracking.mrclam import import_mrclam
+
+
+@pytest.mark.parametrize(("trainer", "generations"), [("ga", 200), ("exponents", 10)])
+def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, trainer, generations):
+    import_mrclam(shared_data / "utias", tmp_path / "d")
+    train(tmp_path / "d", tmp_path / "s", trainer=trainer, generations=generations, progress=False)
+    table = evaluate(tmp_path / "s", tmp_path / "d")
+    assert table["rows"] == 113
+    ours, ideal = (
+        [found[name]["mean_absolute_error"] for name in ("dx", "dy", "dtheta")]
+        for found in (table["errors"], table["baseline"]["errors"])
+    )
+    assert sum(a / b for a, b in zip(ours, ideal, strict=True)) / 3 < 0.85
