@@ -141,7 +141,7 @@ def record(
         number = recording.sessions + 1
         # The part's name is written down before there is a part: a kill at any moment leaves
         # a recording whose files are all named in it.
-        video = f"video-{number:03d}.mkv" if camera is not None else None
+        video = f"video-{number:03d}.avi" if camera is not None else None
         session = recording.begin_session(video=video)
         try:
             with recording.command_log() as log, recording.frame_log() as frames:

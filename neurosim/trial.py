@@ -111,6 +111,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         "virtual": recording.meta.get("virtual_lab") is not None,
         "task": dict(plan.task),
         "commands": [list(command) for command in plan.given],
+        "plan_length": len(plan.commands),
         "start": {"planned": list(plan.start), "actual": actual[0]},
         "predicted": {
             "poses": predicted,

@@ -24,6 +24,7 @@ FLOORS = {
     "neurosim.reports": 3,
     "neurosim.trial": 3,
     "neurosim.cli": 4,
+    "neurosim.__main__": 4,
 }
 
 

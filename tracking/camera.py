@@ -111,8 +111,9 @@ class OpenCVCamera:
 class VideoSink:
     """Encodes frames in a thread of its own, and logs each frame's time as it is written.
 
-    Motion JPEG in Matroska: every frame stands on its own and the file can be read up to where
-    a kill cut it off, at the price of some disk.
+    Motion JPEG in AVI: every frame stands on its own, the file can be read up to where a kill cut
+    it off, and it holds nothing but the frames (Matroska adds a random number), so that the
+    virtual lab's is the same for the same seed; all at the price of some disk.
     """
 
     def __init__(

@@ -56,11 +56,11 @@ class Dataset:
 
     def input_array(self) -> NDArray[np.float64]:
         """Return the inputs (N, I), in the units that ``meta`` names."""
-        return self.table[list(self.inputs)].to_numpy(np.float64)
+        return self.table[list(self.inputs)].to_numpy(np.float64, copy=True)
 
     def output_array(self) -> NDArray[np.float64]:
         """Return the outputs (N, 3): metres, metres, radians."""
-        return self.table[list(self.outputs)].to_numpy(np.float64)
+        return self.table[list(self.outputs)].to_numpy(np.float64, copy=True)
 
     def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
         """Split by time into the earlier rows and the last ``held_out`` share of them.
@@ -200,7 +200,7 @@ def build(
     rows: list[dict[str, Any]] = []
     sent: list[dict[str, Any]] = []
     left_out = Counter(dict.fromkeys(REASONS, 0))
-    sources, robots = [], []
+    sources, robots, virtual = [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
         found = displacements(recording, settings)
@@ -211,6 +211,7 @@ def build(
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
             for file in ("commands.csv", "poses.csv")
         ]
+        virtual = virtual or recording.meta.get("virtual_lab") is not None
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
     dataset = make(
@@ -222,6 +223,7 @@ def build(
         reasons=REASONS,
         cutting=cutting(sent),
         robots=robots,
+        virtual=virtual,
     )
     dataset.write(out)
     return dataset
@@ -247,13 +249,16 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
     commands that were completed are slower, shorter and turn more than those that were sent.
 
     Args:
-        sent: left, right (percent), duration (s) and fate of every numbered command.
+        sent: left, right (percent), duration (s), fate and attempt (from 1) of every command
+            that was sent, one that was cut and sent again as often as it was sent.
         bin_width: width of the bins of duration, s.
 
     Returns:
         ``by_class`` (random, equal, stop) and ``by_duration``: how many were sent, cut and
-        completed; ``equal_reach``: mean |speed| x duration of the commands with equal
-        speeds, sent and completed, and their ratio, 1 where cutting has taken nothing away.
+        completed; ``equal_reach``: mean |speed| x duration of the commands with equal speeds
+        that were drawn, completed at the first attempt, and completed at any; ``ratio`` is the
+        last over the first: 1 where cutting has taken nothing away; ``ratio_first`` is what it
+        would be if nothing were sent again.
     """
     sent = list(sent)
     classes: dict[str, list] = {"random": [], "equal": [], "stop": []}
@@ -261,23 +266,31 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
     for command in sent:
         classes[_class(command)].append(command)
         bins.setdefault(int(command["duration"] / bin_width + 1e-9), []).append(command)
-    reach = {
-        fate: [abs(c["left"]) * c["duration"] for c in classes["equal"] if c["fate"] in fates]
-        for fate, fates in (
-            ("sent", ("cut", "completed", "other")),
-            ("completed", ("completed",)),
-        )
-    }
-    means = {fate: float(np.mean(values)) if values else None for fate, values in reach.items()}
-    ratio = means["completed"] / means["sent"] if means["completed"] and means["sent"] else None
+    straight = classes["equal"]
+    done = [command for command in straight if command["fate"] == "completed"]
+    drawn = _reach(command for command in straight if command["attempt"] == 1)
+    completed_first = _reach(command for command in done if command["attempt"] == 1)
+    completed = _reach(done)
     return {
         "by_class": {name: _fates(commands) for name, commands in classes.items()},
         "by_duration": [
             {"from": number * bin_width, "to": (number + 1) * bin_width, **_fates(bins[number])}
             for number in sorted(bins)
         ],
-        "equal_reach": {"unit": "% s", **means, "ratio": ratio},
+        "equal_reach": {
+            "unit": "% s",
+            "drawn": drawn,
+            "completed_first": completed_first,
+            "completed": completed,
+            "ratio_first": completed_first / drawn if drawn and completed_first else None,
+            "ratio": completed / drawn if drawn and completed else None,
+        },
     }
+
+
+def _reach(commands: Iterable[Mapping[str, Any]]) -> float | None:
+    values = [abs(command["left"]) * command["duration"] for command in commands]
+    return float(np.mean(values)) if values else None
 
 
 def _class(command: Mapping[str, Any]) -> str:

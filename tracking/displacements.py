@@ -74,8 +74,8 @@ class Displacements:
         rows: one dict per usable command, keys command, prev_left, prev_right, left, right
             (percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1).
         left_out: reason -> count of the commands that gave no row.
-        sent: every numbered command, dicts with left, right, duration and ``fate``: ``cut``,
-            ``completed`` or ``other``.
+        sent: every command as often as it was sent, dicts with left, right, duration, attempt
+            (from 1) and ``fate``: ``cut``, ``completed`` or ``other``.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
@@ -177,6 +177,7 @@ def displacements(recording: Recording, settings: Settings | None = None) -> Dis
         for session in np.unique(poses.session)
     }
     found = Displacements()
+    attempts: Counter[int | None] = Counter()
     for place, line in enumerate(lines):
         if line.kind != "command":
             continue
@@ -184,7 +185,8 @@ def displacements(recording: Recording, settings: Settings | None = None) -> Dis
         reason = _not_completed(line, after, settings)
         fate = {None: "completed", "cut": "cut"}.get(reason, "other")
         planned = {"left": line.left, "right": line.right, "duration": line.duration}
-        found.sent.append({**planned, "fate": fate})
+        attempts[line.command] += 1
+        found.sent.append({**planned, "fate": fate, "attempt": attempts[line.command]})
         if reason is None:
             taken = _displacement(tracks.get(line.session), before, line, after, settings)
             if isinstance(taken, str):

@@ -19,7 +19,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from neurosim.base import files, se2
 from neurosim.base.errors import FileError, UserError
@@ -95,18 +95,6 @@ def import_mrclam(
     )
     dataset.write(out)
     return dataset
-
-
-def ideal_unicycle(v: ArrayLike, w: ArrayLike, duration: ArrayLike) -> NDArray:
-    """Return the displacements (..., 3) of a robot that does exactly what it is told.
-
-    Args:
-        v: forward velocity, m/s.
-        w: angular velocity, rad/s.
-        duration: s.
-    """
-    v, w, duration = np.broadcast_arrays(v, w, duration)
-    return se2.exp(np.stack([v * duration, np.zeros(v.shape), w * duration], axis=-1))
 
 
 def _rows(

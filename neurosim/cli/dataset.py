@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from neurosim.base.errors import UserError
 from neurosim.cli._common import PATH, emit, json_option
 
 
@@ -28,7 +27,7 @@ def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool)
     from tracking.mrclam import import_mrclam
 
     if source == "mrclam":
-        made = import_mrclam(*_mrclam_files(recordings), out)
+        made = import_mrclam(list(recordings), out)
     else:
         made = build(list(recordings), out)
     left_out = made.meta.get("left_out", {})
@@ -39,12 +38,4 @@ def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool)
         as_json,
         f"{out}: {len(made.table)} rows; left out: {reasons or 'none'}.\n"
         f"Next: neurosim train {out} -o SIMULATOR",
-    )
-
-
-def _mrclam_files(paths: tuple[Path, ...]) -> tuple[Path, ...]:
-    if len(paths) == 2 or (len(paths) == 1 and paths[0].is_dir()):
-        return paths
-    raise UserError(
-        "--from mrclam takes two files, odometry and ground truth, or one folder with both"
     )

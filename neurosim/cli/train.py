@@ -105,7 +105,7 @@ def _table_2(result: dict[str, Any]) -> str:
     columns = [("ours", result["errors"]), ("paper", result["paper"])]
     if result["baseline"]:
         columns.append(("unicycle", result["baseline"]["errors"]))
-    head = "".join(f"{name:>12} MSE{'error':>10}    " for name, _ in columns)
+    head = "".join(f"{name + ' MSE':>16}{'error':>10}    " for name, _ in columns)
     lines.append(f"{'':20}{head}")
     for key, label in _ROWS:
         cells = "".join(

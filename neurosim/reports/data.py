@@ -95,9 +95,9 @@ def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
     note = "A command is cut when a light sensor meets the board's perimeter line."
     if reach.get("ratio") is not None:
         note += (
-            f" Straight commands that were completed reach {reach['ratio']:.0%} as far (speed "
-            "times duration, on average) as those that were sent: 100 % would mean that cutting "
-            "has taken no long runs away."
+            f" Straight commands that were completed reach {reach['ratio']:.1%} as far (speed "
+            "times duration, on average) as those that were drawn; without sending again what "
+            f"was cut it would be {reach['ratio_first']:.1%}."
         )
     head = ["sent", "cut", "completed", "share cut"]
     tables: list[Block] = [

@@ -134,7 +134,7 @@ def _placed(start: Any) -> str:
 def _rates(trials: Sequence[Trial]) -> Table:
     groups: dict[str, list[Trial]] = {}
     for trial in trials:
-        groups.setdefault(f"{len(trial.meta['commands'])} commands", []).append(trial)
+        groups.setdefault(f"{trial.meta['plan_length']} commands", []).append(trial)
     if len(groups) > 1:
         groups["all"] = list(trials)
     rows = []
@@ -157,7 +157,7 @@ def _rates(trials: Sequence[Trial]) -> Table:
             "heading error at the end, median",
         ],
         rows,
-        note="Commands are those given; null commands are not counted. The interval is Wilson's.",
+        note="Commands are those of the plan, null ones included. The interval is Wilson's.",
     )  # fmt: skip
 
 

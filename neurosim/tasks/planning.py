@@ -32,9 +32,6 @@ COMMAND_NAMES = ("left", "right", "duration")
 GENES = 4
 #: Share of a first generation's commands that are null.
 NULL_SHARE = 0.2
-#: Distribution index of simulated binary crossover. Commands that are paired are unlike each
-#: other more often than not, so that children far from both parents are worth trying.
-ETA = 2.0
 #: The motors run down for this long after the last command before the robot is at rest, s.
 RUN_DOWN = 0.5
 
@@ -84,7 +81,7 @@ class PlanSettings:
     runs: int = 1
     max_speed: float = 50.0
     durations: tuple[float, float] = (0.5, 3.0)
-    genetic: GeneticSettings = field(default_factory=lambda: GeneticSettings(eta=ETA))
+    genetic: GeneticSettings = field(default_factory=GeneticSettings)
 
     def __post_init__(self) -> None:
         for name in ("commands", "generations", "runs"):
@@ -317,14 +314,16 @@ def cross_paired(
 def decode(genes: Tensor, settings: PlanSettings) -> tuple[Tensor, Tensor]:
     """Return commands [B, K, 3] (percent, percent, s) and which are given [B, K].
 
+    In whole percents and milliseconds, as they will be sent.
+
     Args:
         genes: [B, 4 K] in 0..1: null above 1 - NULL_SHARE, left, right, duration.
         settings: limits of speed and duration.
     """
     parts = genes.unflatten(-1, (-1, GENES))
-    speeds = (2.0 * parts[..., 1:3] - 1.0) * settings.max_speed
+    speeds = ((2.0 * parts[..., 1:3] - 1.0) * settings.max_speed).round()
     low, high = settings.durations
-    duration = low + (high - low) * parts[..., 3:]
+    duration = (low + (high - low) * parts[..., 3:]).round(decimals=3)
     return torch.cat([speeds, duration], dim=-1), ~is_null(parts[..., 0])
 
 

@@ -52,6 +52,7 @@ def make_dataset(folder, rows=150, seed=1, virtual=True):
             "right": right,
             "duration": time,
             "fate": "cut" if time > 2.9 else "completed",
+            "attempt": 1,
         }
         for (left, right), time in zip(now, duration, strict=True)
     ]
@@ -139,6 +140,7 @@ def make_trial(folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=Tru
             "virtual": virtual,
             "task": TASK,
             "commands": [[40.0 + k, 40.0, 2.0] for k in range(len(LEGS))],
+            "plan_length": len(LEGS),
             "start": {"planned": list(START), "actual": [START[0] + 0.01, START[1], START[2]]},
             "predicted": {
                 "poses": predicted.tolist(), "rest": [-0.75, 0.25, -1.5 * math.pi],

@@ -349,27 +349,30 @@ def test_the_fit_beats_interpolation_and_has_no_bias():
 
 def test_the_cutting_report():
     sent = [
-        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "cut"},
-        {"left": -20.0, "right": -20.0, "duration": 1.0, "fate": "completed"},
-        {"left": 0.0, "right": 0.0, "duration": 1.2, "fate": "completed"},
-        {"left": 10.0, "right": -10.0, "duration": 0.5, "fate": "other"},
+        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "cut", "attempt": 1},
+        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "completed", "attempt": 2},
+        {"left": -20.0, "right": -20.0, "duration": 1.0, "fate": "completed", "attempt": 1},
+        {"left": 0.0, "right": 0.0, "duration": 1.2, "fate": "completed", "attempt": 1},
+        {"left": 10.0, "right": -10.0, "duration": 0.5, "fate": "other", "attempt": 1},
     ]
     report = cutting(sent)
     assert report["by_class"] == {
         "random": {"sent": 1, "cut": 0, "completed": 0},
-        "equal": {"sent": 2, "cut": 1, "completed": 1},
+        "equal": {"sent": 3, "cut": 1, "completed": 2},
         "stop": {"sent": 1, "cut": 0, "completed": 1},
     }
     assert report["by_duration"] == [
         {"from": 0.5, "to": 1.0, "sent": 1, "cut": 0, "completed": 0},
         {"from": 1.0, "to": 1.5, "sent": 2, "cut": 0, "completed": 2},
-        {"from": 2.0, "to": 2.5, "sent": 1, "cut": 1, "completed": 0},
+        {"from": 2.0, "to": 2.5, "sent": 2, "cut": 1, "completed": 1},
     ]
     assert report["equal_reach"] == {
         "unit": "% s",
-        "sent": 60.0,
-        "completed": 20.0,
-        "ratio": pytest.approx(1 / 3),
+        "drawn": 60.0,
+        "completed_first": 20.0,
+        "completed": 60.0,
+        "ratio_first": pytest.approx(1 / 3),
+        "ratio": 1.0,
     }
     assert dataset_module.cutting([])["equal_reach"]["ratio"] is None
 

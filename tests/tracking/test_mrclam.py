@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
 from tracking.dataset import Dataset
-from tracking.mrclam import ideal_unicycle, import_mrclam
+from tracking.mrclam import import_mrclam
 
 
 def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_path):
@@ -16,7 +17,8 @@ def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_pa
     assert dataset.inputs == ("prev_v", "prev_w", "v", "w", "duration")
     _, later = dataset.split(0.25)
     v, w, duration = later.input_array()[:, 2:].T
-    errors = np.abs(ideal_unicycle(v, w, duration) - later.output_array()).mean(axis=0)
+    ideal = se2.exp(np.stack([v * duration, 0 * v, w * duration], axis=-1))
+    errors = np.abs(ideal - later.output_array()).mean(axis=0)
     found = [*(errors[:2] * 100), np.degrees(errors[2])]
     assert [round(value, 2) for value in found] == [0.58, 0.38, 1.52]
     durations = dataset.table["duration"]

@@ -10,7 +10,7 @@ HEADER = "session,command,kind,time,left,right,duration\n"
 @pytest.fixture
 def recording(tmp_path):
     made = Recording.create(tmp_path / "r", {"robot": {"kind": "fake"}})
-    made.begin_session(video="video-001.mkv")
+    made.begin_session(video="video-001.avi")
     return made
 
 
@@ -29,7 +29,7 @@ def test_a_recording_is_read_as_it_was_written(recording):
     assert (command.command, command.left, command.right, command.duration) == (0, 20, -30, 2)
     assert command.is_motor
     assert stop.is_motor
-    assert again.video(1) == recording.path / "video-001.mkv"
+    assert again.video(1) == recording.path / "video-001.avi"
     assert again.sessions == 1
 
 

@@ -1,0 +1,3 @@
+from cli_road import road
+
+__all__ = ["road"]
