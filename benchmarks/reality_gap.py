@@ -1,0 +1,148 @@
+"""How far plans evolved in a learned simulator miss in (virtual) reality.
+
+For each seed a simulator is learned from the reference dataset and plans are evolved in it; every
+plan is driven in the virtual lab, through brick, camera and tracker, and held against what was
+predicted. Prints how often plans complete the course, and the distance between predicted and
+actual position after each command.
+
+    python benchmarks/reality_gap.py                     the default trainer and planner
+    python benchmarks/reality_gap.py --paper             the paper's, Table 1 (some minutes a seed)
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+
+from neurosim.evolution import GeneticSettings
+from neurosim.lab import VirtualRig
+from neurosim.lab.params import CameraParams
+from neurosim.lab.photographs import SQUARE, render_photographs
+from neurosim.tasks.evolve import evolve
+from neurosim.tasks.planning import PlanSettings
+from neurosim.training.train import train
+from neurosim.trial import run_trial
+from tracking.calibrate import calibrate
+from tracking.track import track
+
+REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--dataset", type=Path, default=REFERENCE)
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--lengths", default="10,13", help="commands in a plan")
+    parser.add_argument("--runs", type=int, default=4, help="plans of each length a seed")
+    parser.add_argument("--paper", action="store_true", help="train and evolve as the paper did")
+    parser.add_argument("--generations", type=int, help="of training; default: the trainer's own")
+    parser.add_argument("--lab-seed", type=int, default=0, help="the robot that was recorded")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    drives = []
+    with tempfile.TemporaryDirectory() as folder:
+        folder = Path(folder)
+        calibration = make_calibration(folder)
+        for seed in range(options.seeds):
+            drives += one_seed(folder, calibration, seed, options)
+    table = [summary(drives, int(length)) for length in options.lengths.split(",")]
+    if options.json:
+        print(
+            json.dumps({"settings": vars(options), "table": table, "drives": drives}, default=str)
+        )
+    else:
+        print_table(table, options)
+
+
+def make_calibration(folder: Path) -> Path:
+    photographs = render_photographs(folder / "photographs", CameraParams(), seed=0)
+    path = folder / "calibration.json"
+    calibrate(list(photographs.chessboards), square=SQUARE, points=photographs.points).write(path)
+    return path
+
+
+def one_seed(folder: Path, calibration: Path, seed: int, options: argparse.Namespace) -> list[dict]:
+    simulator = folder / f"simulator-{seed}"
+    trainer = {"trainer": "ga"} if options.paper else {}
+    train(options.dataset, simulator, seed=seed, generations=options.generations, **trainer)
+    drives = []
+    for length in map(int, options.lengths.split(",")):
+        settings = PlanSettings(commands=length, runs=options.runs)
+        if options.paper:
+            settings = PlanSettings(commands=length, runs=options.runs, genetic=GeneticSettings())
+        out = folder / f"plan-{seed}-{length}"
+        found = evolve(simulator, out, settings=settings, seed=seed, keep_all=True)
+        for number, (controller, plan) in enumerate(found):
+            trial = folder / f"trial-{seed}-{length}-{number}"
+            noise = 1000 * seed + 100 * length + number
+            with VirtualRig(options.lab_seed, noise_seed=noise, start=plan.start) as rig:
+                report = run_trial(
+                    controller,
+                    trial,
+                    rig.robot,
+                    rig.camera,
+                    track=track,
+                    calibration=calibration,
+                    lab=rig.describe(),
+                )
+            (trial / "video-001.avi").unlink()
+            drives.append(
+                {
+                    "seed": seed,
+                    "length": length,
+                    "predicted": report["predicted"]["completes"],
+                    "completed": report["actual"]["completes"],
+                    "fitness": report["actual"]["fitness"],
+                    "errors_m": [e["position"] if e else None for e in report["errors"]],
+                    "heading_rad": [abs(e["heading"]) if e else None for e in report["errors"]],
+                }
+            )
+    return drives
+
+
+def summary(drives: list[dict], length: int) -> dict:
+    chosen = [drive for drive in drives if drive["length"] == length]
+    complete = [drive for drive in chosen if drive["predicted"]]
+    after = []
+    for number in range(1, length + 1):
+        seen = [
+            drive["errors_m"][number]
+            for drive in chosen
+            if number < len(drive["errors_m"]) and drive["errors_m"][number] is not None
+        ]
+        after.append(float(np.median(seen)) if seen else None)
+    return {
+        "length": length,
+        "plans": len(chosen),
+        "complete_in_simulator": len(complete),
+        "complete_in_reality": sum(drive["completed"] for drive in chosen),
+        "complete_in_both": sum(drive["completed"] for drive in complete),
+        "median_error_m_after_command": after,
+    }
+
+
+def print_table(table: list[dict], options: argparse.Namespace) -> None:
+    print(f"{options.seeds} seeds; {'the paper' if options.paper else 'default'} settings\n")
+    print("commands  plans  complete in simulator  of these in reality")
+    for row in table:
+        print(
+            f"{row['length']:8}  {row['plans']:5}  {row['complete_in_simulator']:21}"
+            f"  {row['complete_in_both']:19}"
+        )
+    print("\nmedian distance between predicted and actual position after command, cm")
+    longest = max(row["length"] for row in table)
+    print("commands" + "".join(f"{number:7}" for number in range(1, longest + 1)))
+    for row in table:
+        cells = [
+            f"{100 * error:7.1f}" if error is not None else "      -"
+            for error in row["median_error_m_after_command"]
+        ]
+        print(f"{row['length']:8}" + "".join(cells))
+
+
+if __name__ == "__main__":
+    main()

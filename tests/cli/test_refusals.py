@@ -1,0 +1,276 @@
+"""What a user can get wrong: one clear sentence on stderr, exit code 1, nothing half-written."""
+
+import json
+import os
+import shutil
+import sys
+
+import cv2
+import numpy as np
+import pytest
+
+from neurosim.base.files import write_csv
+from neurosim.cli.main import main
+from neurosim.lab import VirtualRig
+
+posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device files")
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Run a command that must fail in the folder of the test; return its one sentence."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words) -> str:
+        before = sorted(str(path) for path in tmp_path.rglob("*"))
+        monkeypatch.setattr(sys, "argv", ["neurosim", *map(str, words)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, said = capsys.readouterr()
+        assert stop.value.code == 1
+        assert out == ""
+        assert said.startswith("neurosim: ")
+        assert said.count("\n") == 1, said
+        assert "Traceback" not in said
+        assert sorted(str(path) for path in tmp_path.rglob("*")) == before
+        return said
+
+    return run
+
+
+@pytest.fixture
+def copy(road, tmp_path):
+    """Copy parts of the road that was walked into the folder of the test."""
+
+    def make(name: str):
+        target = tmp_path / name
+        if (road / name).is_dir():
+            shutil.copytree(road / name, target)
+        else:
+            shutil.copyfile(road / name, target)
+        return target
+
+    return make
+
+
+def edit(path, old, new, count=1):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, count))
+
+
+# Robots
+
+
+def test_no_brick_is_found(refused, monkeypatch):
+    import usb.core
+
+    monkeypatch.setattr(usb.core, "find", lambda **_: iter(()))
+    said = refused("record", "r", "--robot", "nxt", "--camera", "none")
+    assert "brick" in said
+    assert "--host" in said or "Bluetooth" in said
+
+
+@posix
+def test_a_device_file_that_is_no_brick(refused):
+    said = refused("record", "r", "--robot", "nxt", "--device", "/dev/null", "--camera", "none")
+    assert "/dev/null" in said
+
+
+def test_a_robot_that_no_driver_knows(refused):
+    said = refused("record", "r", "--robot", "roomba", "--camera", "none")
+    assert "'roomba'" in said
+    assert "nxt" in said
+
+
+def test_a_camera_that_is_not_there(refused, tmp_path, monkeypatch):
+    said = refused("record", "r", "--robot", "nxt", "--camera", "nowhere.mp4")
+    assert "nowhere.mp4" in said
+
+
+def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
+    from neurosim.lab import rig as rig_module
+
+    class Dying(VirtualRig):
+        def __init__(self, *args, **options):
+            super().__init__(*args, **options)
+            self.radio.silent_at = 12.0
+            self.robot._deadline = 0.3
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("neurosim.lab.VirtualRig", Dying)
+    assert rig_module.VirtualRig is not Dying
+    monkeypatch.setattr(sys, "argv", ["neurosim", "record", "r", "--commands", "50"])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    said = capsys.readouterr().err
+    assert stop.value.code == 1
+    assert "stopped answering" in said
+    assert "Traceback" not in said
+    # What was recorded is there, and goes on.
+    from tracking.recordings import Recording
+
+    assert Recording(tmp_path / "r").commands()
+    monkeypatch.undo()
+    monkeypatch.chdir(tmp_path)
+    words = ["record", "r", "--commands", "50", "--resume", "--json"]
+    monkeypatch.setattr(sys, "argv", ["neurosim", *words])
+    main()
+    assert json.loads(capsys.readouterr().out)["sessions"] == 2
+
+
+# Recordings and videos
+
+
+def test_a_folder_that_is_not_empty(refused, tmp_path):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "precious").write_text("x")
+    assert "mine is not empty" in refused("record", "mine", "--commands", 5)
+    assert "no such" in refused("track", "nothing")
+
+
+def make_video(path, frames):
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (640, 480))
+    for frame in frames:
+        writer.write(frame)
+    writer.release()
+
+
+def test_a_video_without_markers(refused, copy):
+    video = copy("recording") / "video-001.avi"
+    make_video(video, [np.full((480, 640, 3), 90, np.uint8)] * 60)
+    said = refused("track", "recording")
+    assert "video-001.avi" in said
+    assert "pink" in said
+
+
+def test_a_video_without_a_flash(refused, copy):
+    recording = copy("recording")
+    capture = cv2.VideoCapture(str(recording / "video-001.avi"))
+    frames = [capture.read()[1] for _ in range(400)]
+    make_video(recording / "video-001.avi", frames[120:])
+    said = refused("track", "recording")
+    assert "flash" in said
+
+
+def test_a_video_of_zero_frames(refused, copy):
+    video = copy("recording") / "video-001.avi"
+    make_video(video, [])
+    assert "video-001.avi" in refused("track", "recording")
+    video.write_bytes(b"")
+    assert "video-001.avi" in refused("track", "recording")
+    video.unlink()
+    assert "video-001.avi" in refused("track", "recording")
+
+
+def test_a_video_that_was_cut_short_is_used_as_far_as_it_goes(
+    road, copy, tmp_path, monkeypatch, capsys
+):
+    video = copy("recording") / "video-001.avi"
+    whole = video.read_bytes()
+    video.write_bytes(whole[: len(whole) // 2])
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["neurosim", "track", "recording", "--json"])
+    main()
+    capsys.readouterr()
+    monkeypatch.setattr(sys, "argv", ["neurosim", "dataset", "recording", "-o", "d", "--json"])
+    main()
+    made = json.loads(capsys.readouterr().out)
+    assert 15 < made["rows"] < 50
+    assert made["left_out"]["incomplete"] > 5
+
+
+def test_a_clock_that_goes_backwards(refused, copy):
+    path = copy("recording") / "commands.csv"
+    lines = path.read_text().splitlines()
+    lines[20], lines[21] = lines[21], lines[20]
+    path.write_text("\n".join(lines) + "\n")
+    for words in (("track", "recording"), ("dataset", "recording", "-o", "d")):
+        said = refused(*words)
+        assert "line 22" in said
+        assert "backwards" in said
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "says"),
+    [
+        ("poses.csv", "theta", "angle", "field 'theta': this column is missing"),
+        ("poses.csv", "\n1,3,", "\n1,three,", "line 5, field 'frame': expected a whole number"),
+        ("commands.csv", "lamp-on,", "lamp-on,nan", "line 2, field 'time': expected a finite"),
+    ],
+)
+def test_a_table_that_is_wrong_somewhere(refused, copy, name, old, new, says):
+    edit(copy("recording") / name, old, new)
+    said = refused("dataset", "recording", "-o", "d")
+    assert name in said
+    assert says in said
+
+
+def test_a_recording_that_was_not_tracked(refused, copy):
+    (copy("recording") / "poses.csv").unlink()
+    assert "neurosim track" in refused("dataset", "recording", "-o", "d")
+
+
+# Datasets, simulators, controllers
+
+
+def test_a_dataset_too_small_to_split(refused, copy, tmp_path):
+    path = copy("dataset") / "dataset.csv"
+    path.write_text("\n".join(path.read_text().splitlines()[:6]) + "\n")
+    document = json.loads((tmp_path / "dataset" / "dataset.json").read_text())
+    document["rows"] = 5
+    (tmp_path / "dataset" / "dataset.json").write_text(json.dumps(document))
+    assert "record more commands" in refused("train", "dataset", "-o", "s", "--generations", 2)
+
+
+@pytest.mark.parametrize("word", ["nan", "fast", ""])
+def test_a_word_where_a_number_belongs(refused, copy, word):
+    path = copy("dataset") / "dataset.csv"
+    lines = path.read_text().splitlines()
+    fields = lines[7].split(",")
+    fields[lines[0].split(",").index("dx")] = word
+    lines[7] = ",".join(fields)
+    path.write_text("\n".join(lines) + "\n")
+    said = refused("train", "dataset", "-o", "s", "--generations", 2)
+    assert "line 8, field 'dx'" in said
+
+
+def test_a_simulator_of_another_version_or_cut_in_half(refused, copy):
+    simulator = copy("simulator")
+    copy("dataset")
+    weights = simulator / "weights.safetensors"
+    whole = weights.read_bytes()
+    weights.write_bytes(whole[: len(whole) // 2])
+    assert "cut short" in refused("evaluate", "simulator", "dataset")
+    weights.write_bytes(whole)
+    text = (simulator / "simulator.json").read_text()
+    (simulator / "simulator.json").write_text(text[: len(text) // 2])
+    assert "simulator.json, line" in refused("evolve", "simulator", "-o", "c")
+    document = json.loads(text)
+    document["version"] = 99
+    (simulator / "simulator.json").write_text(json.dumps(document))
+    assert "found 99" in refused("evolve", "simulator", "-o", "c")
+
+
+def test_a_controller_that_is_no_controller(refused, copy):
+    copy("simulator")
+    assert "controller" in refused(
+        "run", "simulator", "-o", "t", "--calibration", "calibration.json"
+    )
+
+
+def test_a_report_of_nothing(refused, tmp_path):
+    (tmp_path / "photos").mkdir()
+    assert "photos" in refused("report", "photos")
+
+
+def test_points_that_fix_no_board(refused, copy, tmp_path):
+    copy("photographs")
+    write_csv(
+        tmp_path / "points.csv", {"u": [1, 2, 3], "v": [1, 2, 3], "x": [0, 1, 2], "y": [0, 1, 2]}
+    )
+    said = refused("calibrate", "photographs", "--square", 40, "--points", "points.csv", "-o", "c")
+    assert "points" in said
+    said = refused("calibrate", "photographs", "--point", "1,2,3")
+    assert "'1,2,3'" in said
