@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import shlex
-import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -15,45 +17,65 @@ from neurosim.cli._common import PATH, seed_option
 @click.command()
 @click.argument("out", type=PATH, default=Path("demo"))
 @click.option("--commands", type=int, default=400, show_default=True, help="To record.")
-@click.option("--trainer", default="exponents", show_default=True)
 @seed_option
 @click.pass_context
-def demo(ctx: click.Context, out: Path, commands: int, trainer: str, seed: int) -> None:
+def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     """Walk the whole road in the virtual lab, from recording to trial, into the folder OUT.
 
-    Every step is printed as the command that does it alone. A folder that is there already is
-    kept, so that an interrupted demo goes on where it stopped.
+    Every step is printed as the command that does it alone. What is there already is kept: an
+    interrupted demo goes on where it stopped.
     """
     began = time.monotonic()
     out.mkdir(parents=True, exist_ok=True)
+    for words in _steps(out, commands, seed):
+        text = [str(word) for word in words]
+        if words[0] == "report":
+            click.echo(f"The road took {time.monotonic() - began:.0f} s.\n")
+        click.secho(f"$ neurosim {shlex.join(text)}", bold=True)
+        ctx.find_root().command.main(text, standalone_mode=False)
+        click.echo()
+
+
+def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
+    """Give the commands that are still to be run, each when the ones before it are done."""
     photographs, calibration = out / "photographs", out / "calibration.json"
     recording, dataset, simulator = out / "recording", out / "dataset", out / "simulator"
     controller, trial, page = out / "controller", out / "trial", out / "report.html"
-    points = photographs / "points.csv"
-    record = ["record", recording, "--commands", commands, "--calibration", calibration]
-    steps = [
-        (photographs, ["lab", "photographs", photographs]),
-        (
-            calibration,
-            ["calibrate", photographs, "--square", 40, "--points", points, "-o", calibration],
-        ),
-        (recording / "commands.csv", record),
-        (recording / "poses.csv", ["track", recording]),
-        (dataset, ["dataset", recording, "-o", dataset]),
-        (simulator, ["train", dataset, "--trainer", trainer, "-o", simulator]),
-        (None, ["evaluate", simulator, dataset]),
-        (controller, ["evolve", simulator, "--task", "nine-rectangles", "-o", controller]),
-        (trial / "trial.json", ["run", controller, "--calibration", calibration, "-o", trial]),
-        (None, ["report", dataset, simulator, controller, trial, "-o", page]),
-    ]
-    for makes, words in steps:
-        if makes is not None and makes.exists():
-            continue
-        words = [str(word) for word in words]
-        if words[0] in ("record", "train", "evolve", "run"):
-            words += ["--seed", str(seed)]
-        click.secho(f"$ neurosim {shlex.join(words)}", bold=True)
-        ctx.find_root().command.main(words, standalone_mode=False)
-        click.echo()
-    sys.stdout.flush()
-    click.echo(f"The whole road took {time.monotonic() - began:.0f} s.")
+    seeded = ["--seed", seed]
+    if not photographs.exists():
+        yield ["lab", "photographs", photographs]
+    if not calibration.exists():
+        points = photographs / "points.csv"
+        yield ["calibrate", photographs, "--square", 40, "--points", points, "-o", calibration]
+    if not _complete(recording):
+        resume = ["--resume"] if (recording / "recording.json").exists() else []
+        words = ["record", recording, "--commands", commands, "--calibration", calibration]
+        yield [*words, *seeded, *resume]
+    if not (recording / "poses.csv").exists():
+        yield ["track", recording]
+    if not dataset.exists():
+        yield ["dataset", recording, "-o", dataset]
+    if not simulator.exists():
+        resume = ["--resume"] if simulator.with_name("simulator.checkpoint").exists() else []
+        yield ["train", dataset, "-o", simulator, *seeded, *resume]
+    yield ["evaluate", simulator, dataset]
+    if not controller.exists():
+        yield ["evolve", simulator, "--task", "nine-rectangles", "-o", controller, *seeded]
+    if not (trial / "trial.json").exists():
+        # A trial that was interrupted is no trial; it is kept, out of the way.
+        if trial.exists():
+            trial.rename(_free(out, "interrupted-trial"))
+        yield ["run", controller, "--calibration", calibration, "-o", trial, *seeded]
+    yield ["report", dataset, simulator, controller, trial, "-o", page]
+
+
+def _complete(recording: Path) -> bool:
+    path = recording / "recording.json"
+    return path.exists() and json.loads(path.read_text(encoding="utf-8")).get("complete") is True
+
+
+def _free(folder: Path, name: str) -> Path:
+    number = 1
+    while (path := folder / f"{name}-{number}").exists():
+        number += 1
+    return path

@@ -164,8 +164,8 @@ class _Server:
         try:
             self._serve()
         except BaseException as error:
+            # Told by whoever owns the lab; a thread can only print it.
             self.error = error
-            raise
         finally:
             self._close()
 

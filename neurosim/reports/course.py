@@ -81,27 +81,41 @@ def course(
         small: one of many, without axes.
     """
     with drawing(*((3.3, 2.45) if small else (5.4, 3.9))) as (figure, axes):
-        _ground(axes, task, board)
-        longest = task.get("settings", {}).get("longest_arc", _LONGEST_ARC)
-        ends = np.asarray(predicted, float)
-        stops = ends if rest is None else np.vstack([ends, rest])
-        ideal = planned_path(stops, longest=longest)
-        axes.plot(ideal[:, 0], ideal[:, 1], color=INK["predicted"], lw=1.8, label="predicted")
-        if len(path):
-            x, y = _thin(np.asarray(path, float)[:, 1:3]).T
-            axes.plot(x, y, color=INK["actual"], lw=1.8, ls=(0, (4, 1.6)), label="actual")
-        axes.plot(ends[1:, 0], ends[1:, 1], "o", ms=4.5, mew=0, color=INK["predicted"])
-        seen = np.array([pose for pose in actual[1:] if pose is not None], float).reshape(-1, 3)
-        axes.plot(seen[:, 0], seen[:, 1], "s", ms=4.5, mew=1.2, mec=INK["actual"], mfc=INK["paper"])
-        _numbers(axes, ends)
-        _arrow(axes, ends[0])
-        axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
-        axes.margins(0.015)
+        draw_course(axes, task, predicted, actual, path, rest=rest, board=board)
         if small:
             axes.set_axis_off()
-        axes.grid(visible=False)
-        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
         return to_svg(figure, label, prefix)
+
+
+def draw_course(
+    axes: Axes,
+    task: Mapping[str, Any],
+    predicted: Sequence[Sequence[float]],
+    actual: Sequence[Sequence[float] | None],
+    path: Sequence[Sequence[float]],
+    *,
+    rest: Sequence[float] | None = None,
+    board: Mapping[str, float] = DEFAULT_BOARD,
+) -> None:
+    """Draw the course with both paths into ``axes``; the arguments are those of :func:`course`."""
+    _ground(axes, task, board)
+    longest = task.get("settings", {}).get("longest_arc", _LONGEST_ARC)
+    ends = np.asarray(predicted, float)
+    stops = ends if rest is None else np.vstack([ends, rest])
+    ideal = planned_path(stops, longest=longest)
+    axes.plot(ideal[:, 0], ideal[:, 1], color=INK["predicted"], lw=1.8, label="predicted")
+    if len(path):
+        x, y = _thin(np.asarray(path, float)[:, 1:3]).T
+        axes.plot(x, y, color=INK["actual"], lw=1.8, ls=(0, (4, 1.6)), label="actual")
+    axes.plot(ends[1:, 0], ends[1:, 1], "o", ms=4.5, mew=0, color=INK["predicted"])
+    seen = np.array([pose for pose in actual[1:] if pose is not None], float).reshape(-1, 3)
+    axes.plot(seen[:, 0], seen[:, 1], "s", ms=4.5, mew=1.2, mec=INK["actual"], mfc=INK["paper"])
+    _numbers(axes, ends)
+    _arrow(axes, ends[0])
+    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    axes.margins(0.015)
+    axes.grid(visible=False)
+    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
 
 
 def _ground(axes: Axes, task: Mapping[str, Any], board: Mapping[str, float]) -> None:

@@ -1,0 +1,58 @@
+"""Draw the README's picture from a demo: python docs/pictures.py DEMO docs/course.png."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import cv2
+import matplotlib
+
+matplotlib.use("Agg")
+from matplotlib import pyplot as plt
+
+from neurosim.reports.course import draw_course
+from tracking.camera_model import CameraModel
+from tracking.recordings import Recording
+
+
+def main(demo: Path, out: Path) -> None:
+    trial = json.loads((demo / "trial" / "trial.json").read_text())
+    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.4), width_ratios=(1, 1.12))
+    left.imshow(frame_with_trail(demo / "trial", trial)[..., ::-1])
+    left.axis("off")
+    left.set_title("what the roof camera sees, and the track found in it", fontsize=10)
+    side = trial["actual"]
+    draw_course(
+        right,
+        trial["task"],
+        trial["predicted"]["poses"],
+        side["poses"],
+        side["path"],
+        rest=trial["predicted"]["rest"],
+    )
+    right.set_title("predicted by the learned simulator, and driven", fontsize=10, loc="left")
+    figure.tight_layout()
+    figure.savefig(out, dpi=110)
+
+
+def frame_with_trail(path: Path, trial: dict):
+    recording = Recording(path)
+    camera = CameraModel.read(path / "calibration.json")
+    capture = cv2.VideoCapture(str(recording.video(1)))
+    poses = recording.poses()
+    number = int(0.72 * len(poses.time))
+    capture.set(cv2.CAP_PROP_POS_FRAMES, number)
+    frame = capture.read()[1]
+    height = recording.meta["markers"]["height"]
+    points = [[x, y, height] for _, x, y, _ in trial["actual"]["path"]]
+    until = poses.time[number]
+    seen = [p for p, row in zip(points, trial["actual"]["path"], strict=True) if row[0] <= until]
+    pixels = (camera.to_pixels(seen) * 16).round().astype(int)
+    cv2.polylines(frame, [pixels.reshape(-1, 1, 2)], False, (0, 140, 255), 2, cv2.LINE_AA, 4)
+    return frame
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Path(sys.argv[2]))

@@ -1,0 +1,80 @@
+"""The virtual robot put together: the same road over a socket, in real time, and when it breaks."""
+
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from neurosim.commands import RandomCommands
+from neurosim.lab import Pacer, VirtualRig
+from neurosim.record import RecordSettings, record
+
+
+def recorded(folder, **options):
+    with VirtualRig(1, noise_seed=3, camera=False, **options) as rig:
+        record(folder, rig.robot, None, RandomCommands(seed=3), RecordSettings(12))
+        return rig.lab.body.pose.copy()
+
+
+def test_a_socket_does_what_a_device_file_does(tmp_path):
+    np.testing.assert_array_equal(
+        recorded(tmp_path / "pty"), recorded(tmp_path / "socket", device="socket")
+    )
+    assert (tmp_path / "pty" / "commands.csv").read_bytes() == (
+        tmp_path / "socket" / "commands.csv"
+    ).read_bytes()
+
+
+def test_other_noise_leads_elsewhere(tmp_path):
+    with VirtualRig(1, noise_seed=4, camera=False) as rig:
+        record(tmp_path / "r", rig.robot, None, RandomCommands(seed=3), RecordSettings(12))
+        assert np.abs(rig.lab.body.pose - recorded(tmp_path / "same"))[:2].max() > 1e-3
+
+
+@pytest.mark.parametrize("device", ["pty", "socket"])
+def test_nxt_test_passes_in_real_time(device):
+    with VirtualRig(0, camera=False, device=device, real_time=True) as rig, Pacer(rig.lab):
+        if device == "pty":
+            where = ["--backend", "devfile", "--filename", rig.address["filename"]]
+        else:
+            where = ["--backend", "socket", "--server-host", "127.0.0.1"]
+            where += ["--server-port", str(rig.address["server_port"])]
+        done = subprocess.run(
+            [sys.executable, "-m", "nxt.command.test", *where],
+            capture_output=True,
+            text=True,
+            timeout=60,
+        )
+        assert done.returncode == 0, done.stderr
+        assert "NXT brick name: lab-0" in done.stdout
+        assert rig.alive
+
+
+def test_in_real_time_a_second_is_a_second():
+    with VirtualRig(0, camera=False, real_time=True) as rig, Pacer(rig.lab), rig.robot as robot:
+        began, lab_began = time.monotonic(), robot.clock.now()
+        robot.drive(50, 50)
+        robot.clock.sleep_until(lab_began + 1.0)
+        assert time.monotonic() - began > 0.9
+        assert robot.clock.now() - lab_began == pytest.approx(1.0, abs=0.2)
+
+
+def test_what_breaks_inside_the_lab_is_told_and_not_a_lost_link(tmp_path):
+    class DiskFull(OSError):
+        pass
+
+    rig = VirtualRig(0, fps=10)
+
+    def on_frame(when, frame):
+        raise DiskFull(28, "No space left on device")
+
+    def drive():
+        with rig, rig.robot as robot:
+            rig.camera.start(on_frame)
+            for _ in range(20):
+                robot.drive(10, 10)
+
+    with pytest.raises(DiskFull):
+        drive()
