@@ -209,6 +209,7 @@ def open_brick(
 def _open_device(filename: str) -> nxt.brick.Brick:
     try:
         import termios
+        import tty
 
         from nxt.backend.devfile import DevFileSock
     except ImportError:
@@ -217,8 +218,21 @@ def _open_device(filename: str) -> nxt.brick.Brick:
         ) from None
     sock = DevFileSock(filename)
     sock._device = None
+
+    def connect() -> nxt.brick.Brick:
+        # As the socket's own connect does, but never as the controlling terminal: a session's
+        # leader (a notebook's kernel, a service) would be hung up on with the line.
+        sock._device = open(  # noqa: SIM115
+            filename,
+            "r+b",
+            buffering=0,
+            opener=lambda path, flags: os.open(path, flags | os.O_NOCTTY),
+        )
+        tty.setraw(sock._device)
+        return nxt.brick.Brick(sock)
+
     try:
-        brick = _within(OPEN_WITHIN, sock.connect)
+        brick = _within(OPEN_WITHIN, connect)
         # What an earlier program left unread would be taken for the first reply.
         termios.tcflush(sock._device, termios.TCIOFLUSH)
     except TimeoutError:

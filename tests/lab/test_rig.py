@@ -1,5 +1,6 @@
 """The virtual robot put together: the same road over a socket, in real time, and when it breaks."""
 
+import os
 import subprocess
 import sys
 import time
@@ -78,3 +79,22 @@ def test_what_breaks_inside_the_lab_is_told_and_not_a_lost_link(tmp_path):
 
     with pytest.raises(DiskFull):
         drive()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no controlling terminals")
+def test_a_line_that_closes_does_not_hang_up_a_notebook(tmp_path):
+    """A session's leader without a terminal, as a notebook's kernel is, survives the line."""
+    program = (
+        "from neurosim.lab import VirtualRig\n"
+        "with VirtualRig(0, camera=False) as rig, rig.robot as robot:\n"
+        "    robot.drive(10, 10)\n"
+        "print('alive')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        start_new_session=True,
+        timeout=60,
+    )
+    assert (done.returncode, done.stdout) == (0, "alive\n"), done.stderr
