@@ -209,7 +209,6 @@ def open_brick(
 def _open_device(filename: str) -> nxt.brick.Brick:
     try:
         import termios
-        import tty
 
         from nxt.backend.devfile import DevFileSock
     except ImportError:
@@ -219,20 +218,8 @@ def _open_device(filename: str) -> nxt.brick.Brick:
     sock = DevFileSock(filename)
     sock._device = None
 
-    def connect() -> nxt.brick.Brick:
-        # As the socket's own connect does, but never as the controlling terminal: a session's
-        # leader (a notebook's kernel, a service) would be hung up on with the line.
-        sock._device = open(  # noqa: SIM115
-            filename,
-            "r+b",
-            buffering=0,
-            opener=lambda path, flags: os.open(path, flags | os.O_NOCTTY),
-        )
-        tty.setraw(sock._device)
-        return nxt.brick.Brick(sock)
-
     try:
-        brick = _within(OPEN_WITHIN, connect)
+        brick = _within(OPEN_WITHIN, lambda: _connect(sock))
         # What an earlier program left unread would be taken for the first reply.
         termios.tcflush(sock._device, termios.TCIOFLUSH)
     except TimeoutError:
@@ -257,6 +244,21 @@ def _open_device(filename: str) -> nxt.brick.Brick:
         }.get(error.errno, os.strerror(error.errno) if error.errno else str(error))
         raise RobotError(f"cannot open {filename}: {why}") from None
     return brick
+
+
+def _connect(sock: Any) -> nxt.brick.Brick:
+    """Open as the device-file socket's own connect does, but never as controlling terminal.
+
+    A session's leader (a notebook's kernel, a service) would be hung up on when the line closes.
+    """
+    import tty
+
+    def opener(path: str, flags: int) -> int:
+        return os.open(path, flags | os.O_NOCTTY)
+
+    sock._device = open(sock._filename, "r+b", buffering=0, opener=opener)  # noqa: SIM115
+    tty.setraw(sock._device)
+    return nxt.brick.Brick(sock)
 
 
 def _within(seconds: float, function: Callable[[], T]) -> T:

@@ -375,7 +375,7 @@ def test_lines_that_are_no_brick(answer, words):
 @needs_pty
 def test_a_line_that_never_opens(monkeypatch):
     opened = threading.Event()
-    monkeypatch.setattr("nxt.backend.devfile.DevFileSock.connect", lambda sock: opened.wait(10))
+    monkeypatch.setattr(nxt_link, "_connect", lambda sock: opened.wait(10))
     monkeypatch.setattr(nxt_link, "OPEN_WITHIN", 0.1)
     assert "cannot open /dev/rfcomm0: nothing on that line" in refused(filename="/dev/rfcomm0")
     opened.set()
