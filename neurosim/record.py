@@ -201,18 +201,28 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     recording = Recording(out)
     if recording.meta["complete"]:
         raise UserError(f"{out} is complete; there is nothing to resume")
-    for part in ("settings", "markers", "board"):
-        name = _difference(recording.meta.get(part, {}), wanted[part], part)
-        if name:
+    for part, keys in _SAME.items():
+        was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        if keys is not None:
+            was, now = ({key: side.get(key) for key in keys} for side in (was, now))
+        found = _difference(was, now, part)
+        if found:
             raise UserError(
-                f"{out} was recorded with another {name[0]} ({name[1]!r}, now {name[2]!r}); "
+                f"{out} was recorded with another {found[0]} ({found[1]!r}, now {found[2]!r}); "
                 "resume with the same settings, or start a new recording"
             )
-    for part in ("robot", "camera"):
-        was, now = recording.meta.get(part, {}).get("kind"), wanted[part].get("kind")
-        if was != now:
-            raise UserError(f"{out} was recorded with another {part} ({was!r}, now {now!r})")
     return recording
+
+
+#: What a resumed recording must share with its beginning: all of a part, or some keys of it.
+_SAME: dict[str, tuple[str, ...] | None] = {
+    "settings": None,
+    "markers": None,
+    "board": None,
+    "robot": ("kind", "ports", "invert", "regulation"),
+    "camera": ("kind", "source", "size", "fps"),
+    "virtual_lab": ("robot_seed",),
+}
 
 
 def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:

@@ -40,13 +40,15 @@ def run_trial(
     *,
     track: Callable[[Path], Any],
     calibration: str | Path | None = None,
+    guard: Guard = Guard(at_line="end"),  # noqa: B008 - frozen
     settings: dict[str, Any] | None = None,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Drive a plan, record and track it, and compare.
 
-    The plan ends at the first perimeter line: beyond it there is nothing left to win.
+    The trial ends where a light sensor meets the perimeter line, unless the guard says otherwise:
+    the robot is then at the grid's edge or beyond, with little left to win and a fall to fear.
 
     Args:
         controller: folder of a plan.
@@ -55,6 +57,7 @@ def run_trial(
         camera: what films it.
         track: tracks the recording in a folder.
         calibration: the camera's.
+        guard: of the perimeter line.
         settings: of :class:`neurosim.record.RecordSettings`, beside the commands and guard.
         finish, lab: as :func:`neurosim.record.record` takes them.
 
@@ -71,7 +74,7 @@ def run_trial(
         robot,
         camera,
         FixedCommands(commands),
-        RecordSettings(len(commands), Guard(at_line="end"), **(settings or {})),
+        RecordSettings(len(commands), guard, **(settings or {})),
         calibration=calibration,
         finish=finish,
         lab=lab,
@@ -96,12 +99,14 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     poses = recording.poses().of_session(1)
     track = Track(poses.time, poses.pose, poses.quality)
     actual = [_pose_at(track, time) for time in boundaries]
-    ended_early = len(sent) < len(plan.given) or any(line.kind == "cut" for line in motor)
+    # Where a command was cut short is not where it would have led.
+    cut = actual.pop() if any(line.kind == "cut" for line in motor) else None
+    ended_early = len(sent) < len(plan.given) or len(actual) == len(sent)
     if actual[0] is None:
         raise UserError(f"{recording.path}: the robot was not seen at its start")
     dense, segment = _dense(poses, boundaries)
     task = make_task(plan.task["name"], **plan.task.get("settings", {}))
-    given = np.append(np.ones(len(plan.given), bool), False)
+    given = np.append(np.ones(len(sent), bool), False)
     judged = task.evaluate_track(dense[:, 1:], segment, given)
     predicted = plan.predicted["poses"]
     rest = _median_pose(poses, boundaries[-1] + AT_REST, boundaries[-1] + 2 * AT_REST)
@@ -121,6 +126,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         },
         "actual": {
             "poses": [*actual, *[None] * (len(predicted) - len(actual))],
+            "cut": cut,
             "rest": rest,
             "fitness": float(judged.fitness[0]),
             "completes": bool(judged.completes[0]) and not ended_early,

@@ -297,7 +297,7 @@ class Recording:
         )
 
     def write_poses(self, poses: Poses) -> None:
-        """Write poses.csv, whole or not at all: millimetres to 3, radians to 5 decimals."""
+        """Write poses.csv, whole or not at all: to a thousandth of a millimetre, microradians."""
         x, y, theta = (np.round(poses.pose[:, i], 6) for i in range(3))
         columns = (poses.session, poses.frame, np.round(poses.time, 6), x, y, theta)
         write_csv(

@@ -136,6 +136,8 @@ def track(
     calibration: str | Path | CameraModel | None = None,
     overlay: str | Path | None = None,
     videos: Sequence[str | Path] = (),
+    *,
+    partial: bool = False,
 ) -> dict[str, Any]:
     """Track a recording: poses.csv and tracking.json into its folder.
 
@@ -151,6 +153,8 @@ def track(
             session's number is added to the name.
         videos: filmed with something else, of the sessions that have no video of their own, in
             order.
+        partial: use a video that was cut short although its session ended as it should. (That
+            of a session that was killed is always used as far as it goes.)
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
@@ -172,14 +176,22 @@ def track(
             # Interrupted before its first command: there may not even be a video.
             sessions.append({"session": session, "left_out": "no command was sent"})
             continue
+        times = source.frame_times(session)
         seen = follow(
             path,
             *names,
             geometry=geometry,
-            times=source.frame_times(session),
+            times=times,
             overlay=_overlay_of(overlay, session, source.sessions),
             expected_size=camera.image_size,
         )
+        missing = 0 if times is None else len(times) - len(seen.frame)
+        ended = any(line.session == session and line.kind == "end" for line in lines)
+        if missing > 0 and ended and not partial:
+            raise UserError(
+                f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
+                "after it was recorded; restore it, or use what there is of it with --partial"
+            )
         lamp = pulses(line for line in lines if line.session == session)
         try:
             clock = fit_clock(seen.time, seen.lamp, lamp)
@@ -192,7 +204,9 @@ def track(
                 np.full(count, session), seen.frame, clock.to_robot(seen.time), poses, seen.quality
             )
         )
-        sessions.append(_session_summary(session, path, seen, clock))
+        sessions.append(
+            {**_session_summary(session, path, seen, clock), "frames_missing": max(missing, 0)}
+        )
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
     joined = Poses(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from neurosim.base.errors import UserError
 from neurosim.cli._common import Size
@@ -90,6 +92,7 @@ def open_rig(
     lab_seed = options.pop("lab_seed")
     size, fps, source = (options.pop(name) for name in ("camera_size", "fps", "camera"))
     if kind == "virtual":
+        _refuse_hardware(source)
         from neurosim.lab import VirtualRig
 
         with VirtualRig(
@@ -99,6 +102,7 @@ def open_rig(
             camera=source != "none",
             camera_size=size or (640, 480),
             fps=fps or 30.0,
+            lamp=_or_none(options["lamp"]),
         ) as virtual:
             yield Rig(virtual.robot, virtual.camera, virtual.write_truth, virtual.describe())
         return
@@ -106,32 +110,77 @@ def open_rig(
     yield Rig(robot, _camera(source, robot.clock.now, size, fps), None, None)
 
 
+#: Options that mean nothing to the virtual robot, whose wiring is what it is.
+_HARDWARE = {
+    "host": "--host",
+    "device": "--device",
+    "server": "--server",
+    "left_port": "--left",
+    "right_port": "--right",
+    "light_left": "--light-left",
+    "light_right": "--light-right",
+    "invert": "--invert",
+}
+
+
+def _refuse_hardware(camera: str | None) -> None:
+    given = [option for name, option in _HARDWARE.items() if _is_given(name)]
+    if camera not in (None, "none"):
+        given.append("--camera")
+    if given:
+        raise UserError(
+            f"{given[0]} is for a real robot: name it, for example with --robot nxt, or leave "
+            f"{given[0]} out to use the virtual lab"
+        )
+
+
+def _is_given(name: str) -> bool:
+    context = click.get_current_context(silent=True)
+    return context is not None and context.get_parameter_source(name) == ParameterSource.COMMANDLINE
+
+
 def _robot(kind: str, options: dict[str, Any]) -> Any:
     from neurosim.robots import robot_factory
 
-    server = options.pop("server")
-    host_port: dict[str, Any] = {}
+    factory = robot_factory(kind)
+    wanted = _driver_options(options)
+    if kind != "nxt":
+        # A driver from elsewhere has options of its own: it gets those that were given.
+        wanted = {name: value for name, (value, given) in wanted.items() if given}
+    else:
+        wanted = {name: value for name, (value, _) in wanted.items()}
+    try:
+        inspect.signature(factory).bind(**wanted)
+    except TypeError as error:
+        raise UserError(f"the driver {kind!r} does not take these options: {error}") from None
+    return factory(**wanted)
+
+
+def _driver_options(options: dict[str, Any]) -> dict[str, tuple[Any, bool]]:
+    """Return the driver's keywords: value, and whether the user gave it."""
+    found: dict[str, tuple[Any, bool]] = {}
+    server = options["server"]
     if server:
         name, _, port = server.rpartition(":")
         if not port.isdigit():
             raise UserError(f"--server {server!r}: expected HOST:PORT, such as localhost:2727")
-        host_port = {"server_host": name or "localhost", "server_port": int(port)}
-    factory = robot_factory(kind)
-    options_of_driver = dict(
-        host=options.pop("host"),
-        filename=options.pop("device"),
-        **host_port,
-        left=options.pop("left_port"),
-        right=options.pop("right_port"),
-        lamp=_or_none(options.pop("lamp")),
-        light_left=_or_none(options.pop("light_left")),
-        light_right=_or_none(options.pop("light_right")),
-        invert=options.pop("invert"),
-    )
-    try:
-        return factory(**options_of_driver)
-    except TypeError as error:
-        raise UserError(f"the driver {kind!r} does not take these options: {error}") from None
+        found["server_host"] = (name or "localhost", True)
+        found["server_port"] = (int(port), True)
+    for keyword, option in (
+        ("host", "host"),
+        ("filename", "device"),
+        ("left", "left_port"),
+        ("right", "right_port"),
+        ("lamp", "lamp"),
+        ("light_left", "light_left"),
+        ("light_right", "light_right"),
+        ("invert", "invert"),
+    ):
+        value = options[option]
+        if option in ("lamp", "light_left", "light_right"):
+            value = _or_none(value)
+        found[keyword] = (value, _is_given(option))
+    return found
 
 
 def _or_none(text: str | None) -> str | None:

@@ -33,6 +33,10 @@ from neurosim.cli._robots import open_rig, robot_options
     help="What to do where a light sensor sees a line.",
 )
 @click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
+@click.option("--full-speed", default=0.5, show_default=True, help="Wheels at 100 %, m/s, and")
+@click.option(
+    "--wheel-track", default=0.13, show_default=True, help="between the wheels, m: to find back."
+)
 @click.option("--battery-limit", default=6.5, show_default=True, help="Pause below it, in V.")
 @click.option(
     "--calibration", type=PATH, help="The camera's calibration.json, kept with the recording."
@@ -50,6 +54,8 @@ def record(
     stopped: float,
     at_line: Any,
     line_contrast: float,
+    full_speed: float,
+    wheel_track: float,
     battery_limit: float,
     calibration: Path | None,
     markers: str,
@@ -72,6 +78,8 @@ def record(
         commands,
         Guard(at_line, line_contrast),
         battery_limit,
+        full_speed,
+        wheel_track,
         markers=marker_settings(markers),
     )
     # Each session of a resumed recording meets other chances, as it would on a real robot.

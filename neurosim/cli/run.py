@@ -19,6 +19,15 @@ from neurosim.cli.record import marker_settings
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new trial.")
 @robot_options
 @click.option("--calibration", type=PATH, required=True, help="The camera's calibration.json.")
+@click.option(
+    "--at-line",
+    type=click.Choice(["end", "ignore"]),
+    default="end",
+    show_default=True,
+    help="What to do where a light sensor sees a line.",
+)
+@click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
+@click.option("--battery-limit", default=6.5, show_default=True, help="Do not start below it, V.")
 @click.option("--markers", default="pink,blue", show_default=True, help="Colours: FRONT,REAR.")
 @seed_option
 @json_option
@@ -26,6 +35,9 @@ def run(
     controller: Path,
     out: Path,
     calibration: Path,
+    at_line: Any,
+    line_contrast: float,
+    battery_limit: float,
     markers: str,
     seed: int,
     as_json: bool,
@@ -37,6 +49,7 @@ def run(
     rectangle, facing rectangle 1, the top-left one.
     """
     from neurosim.controllers import Plan
+    from neurosim.record import Guard
     from neurosim.trial import run_trial
     from tracking.track import track
 
@@ -51,7 +64,8 @@ def run(
             rig.camera,
             track=track,
             calibration=calibration,
-            settings={"markers": marker_settings(markers)},
+            guard=Guard(at_line, line_contrast),
+            settings={"markers": marker_settings(markers), "battery_limit": battery_limit},
             finish=rig.finish,
             lab=rig.lab,
         )

@@ -22,6 +22,7 @@ from neurosim.cli._common import PATH, emit, json_option
     type=PATH,
     help="Of a session that was filmed with something else; once for each.",
 )
+@click.option("--partial", is_flag=True, help="Use a video that was cut short as far as it goes.")
 @click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
 @click.option(
     "--height", default=0.0, show_default=True, help="Of a video file's markers over the board, m."
@@ -33,6 +34,7 @@ def track(
     calibration: Path | None,
     overlay: Path | None,
     videos: tuple[Path, ...],
+    partial: bool,
     out: Path | None,
     height: float,
     as_json: bool,
@@ -58,7 +60,7 @@ def track(
     else:
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
-        result = track_(recording, pair, calibration, overlay, videos)
+        result = track_(recording, pair, calibration, overlay, videos, partial=partial)
         where, then = recording, f"\nNext: neurosim dataset {recording} -o DATASET"
     emit(
         result,

@@ -37,6 +37,8 @@ class VirtualRig:
         camera: whether there is a camera.
         camera_size: its frames, (width, height) in pixels.
         fps: frames per second.
+        lamp: which lamp to use: that on motor port ``A``, ``color:3`` for the colour sensor's,
+            or None.
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
         real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
@@ -57,6 +59,7 @@ class VirtualRig:
         camera: bool = True,
         camera_size: tuple[int, int] = (640, 480),
         fps: float = 30.0,
+        lamp: str | None = "A",
         device: str | None = None,
         port: int = 0,
         real_time: bool = False,
@@ -78,7 +81,7 @@ class VirtualRig:
         self.radio = Radio(self.brick, self.lab.clock, rng, patience=patience)
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
-        self.robot = NXT(clock=self.lab.clock, **self.address)
+        self.robot = NXT(clock=self.lab.clock, lamp=lamp, **self.address)
         self.camera: RoofCamera | None = self.lab.camera
 
     @property

@@ -120,6 +120,45 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     assert json.loads(capsys.readouterr().out)["sessions"] == 2
 
 
+def test_a_real_robots_option_without_a_real_robot(refused):
+    said = refused("record", "r", "--host", "00:16:53:01:02:03", "--commands", 1)
+    assert "--host is for a real robot" in said
+    assert "--camera" in refused("record", "r", "--camera", "0")
+
+
+@pytest.mark.parametrize(
+    ("options", "names"),
+    [
+        (["--lab-seed", "1"], "virtual_lab.robot_seed"),
+        (["--camera-size", "320x240"], "camera.size"),
+        (["--fps", "20"], "camera.fps"),
+        (["--lamp", "color:3"], "robot.ports.lamp"),
+        (["--seed", "9"], "settings.source.seed"),
+    ],
+)
+def test_a_recording_resumed_as_another(refused, copy, options, names):
+    edit(copy("recording") / "recording.json", '"complete": true', '"complete": false')
+    words = ["record", "recording", "--commands", "60", "--seed", "4", "--resume"]
+    assert names in refused(*words, *options)
+
+
+class OtherRobot:
+    """A driver from another package, with options of its own."""
+
+    def __init__(self, filename=None):
+        from neurosim.base.errors import RobotError
+
+        raise RobotError(f"nothing on {filename}")
+
+
+def test_a_driver_from_elsewhere_gets_only_what_was_given(refused, monkeypatch):
+    monkeypatch.setattr("neurosim.robots.robot_factory", lambda name: OtherRobot)
+    words = ["record", "r", "--robot", "other", "--camera", "none"]
+    assert "nothing on None" in refused(*words)
+    assert "nothing on /dev/x" in refused(*words, "--device", "/dev/x")
+    assert "does not take these options" in refused(*words, "--host", "00:16")
+
+
 # Recordings and videos
 
 
@@ -164,14 +203,15 @@ def test_a_video_of_zero_frames(refused, copy):
     assert "video-001.avi" in refused("track", "recording")
 
 
-def test_a_video_that_was_cut_short_is_used_as_far_as_it_goes(
-    road, copy, tmp_path, monkeypatch, capsys
-):
+def test_a_video_that_was_cut_short(refused, copy, monkeypatch, capsys):
     video = copy("recording") / "video-001.avi"
     whole = video.read_bytes()
     video.write_bytes(whole[: len(whole) // 2])
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "argv", ["neurosim", "track", "recording", "--json"])
+    said = refused("track", "recording")
+    assert "video-001.avi ends after" in said
+    assert "--partial" in said
+    # As far as it goes it can be used.
+    monkeypatch.setattr(sys, "argv", ["neurosim", "track", "recording", "--partial", "--json"])
     main()
     capsys.readouterr()
     monkeypatch.setattr(sys, "argv", ["neurosim", "dataset", "recording", "-o", "d", "--json"])
