@@ -32,7 +32,9 @@ class Plan:
         task: {"name", "settings"} of the task that it was made for.
         start: x (m), y (m), heading (rad) where it starts, in the board's frame.
         predicted: ``poses`` [[x, y, theta], ...], the start and after each given command;
-            ``rest`` [x, y, theta]; ``fitness``; ``completes``.
+            ``rest`` [x, y, theta]; ``fitness``; ``completes``. Where the simulator tells outcomes
+            apart also ``probability`` of completing the task and ``expected_fitness``, over so
+            many ``draws``.
         simulator: {"path", "sha256"} of what it was evolved in.
         evolution: settings and history of its evolution.
     """
@@ -135,6 +137,9 @@ class Plan:
             raise FileError(path, "expected a number", field="predicted.fitness")
         if not isinstance(self.predicted.get("completes"), bool):
             raise FileError(path, "expected true or false", field="predicted.completes")
+        probability = self.predicted.get("probability", 0.0)
+        if not _is_number(probability) or not 0 <= probability <= 1:
+            raise FileError(path, "expected a number in 0 to 1", field="predicted.probability")
 
 
 def _command(path: Path, field: str, value: Any) -> Command | None:

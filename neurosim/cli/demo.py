@@ -60,7 +60,9 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
         yield ["train", dataset, "-o", simulator, *seeded, *resume]
     yield ["evaluate", simulator, dataset]
     if not controller.exists():
-        yield ["evolve", simulator, "--task", "nine-rectangles", "-o", controller, *seeded]
+        words = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
+        yield [*words, *seeded]
+    yield ["plan-check", controller, simulator]
     if not (trial / "trial.json").exists():
         # A trial that was interrupted is no trial; it is kept, out of the way.
         if trial.exists():

@@ -13,6 +13,7 @@ from neurosim.cli.dataset import dataset
 from neurosim.cli.demo import demo
 from neurosim.cli.evolve import evolve
 from neurosim.cli.lab import lab
+from neurosim.cli.plan_check import plan_check
 from neurosim.cli.record import record
 from neurosim.cli.report import report
 from neurosim.cli.run import run
@@ -38,7 +39,20 @@ def cli() -> None:
     """
 
 
-for verb in (record, calibrate, track, dataset, train, evaluate, evolve, run, report, lab, demo):
+for verb in (
+    record,
+    calibrate,
+    track,
+    dataset,
+    train,
+    evaluate,
+    evolve,
+    plan_check,
+    run,
+    report,
+    lab,
+    demo,
+):
     cli.add_command(verb)
 
 

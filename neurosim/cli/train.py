@@ -17,14 +17,32 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
 @click.option(
     "--trainer",
-    default="ga",
+    default="exponents",
     show_default=True,
-    help="ga: the paper's, every weight a gene. exponents: the product units' exponents are "
-    "genes, the rest is solved for; far better in far less time.",
+    help="exponents: the product units' exponents are searched for, the rest is solved for. "
+    "ga: the paper's, every weight a gene. gradient: perceptrons, to compare with.",
+)
+@click.option(
+    "--members",
+    type=click.IntRange(min=1),
+    help="Networks of each output in the ensemble.  [8; ga: 1]",
+)
+@click.option(
+    "--noise/--no-noise",
+    default=None,
+    help="Learn a model of what cannot be foreseen.  [yes; ga: no]",
 )
 @click.option("--generations", type=click.IntRange(min=1), help="[default: the trainer's own]")
-@click.option("--product-units", type=click.IntRange(min=0), default=10, show_default=True)
-@click.option("--summation-units", type=click.IntRange(min=0), default=10, show_default=True)
+@click.option(
+    "--product-units",
+    type=click.IntRange(min=0),
+    help="[default: the trainer's own; ga: 10]",
+)
+@click.option(
+    "--summation-units",
+    type=click.IntRange(min=0),
+    help="[default: the trainer's own; ga: 10]",
+)
 @click.option("--hidden-activation", type=_ACTIVATION, default="linear", show_default=True)
 @click.option("--output-activation", type=_ACTIVATION, default="linear", show_default=True)
 @click.option("--population", type=click.IntRange(min=2), help="[ga: 250]")
@@ -39,9 +57,11 @@ def train(
     dataset: Path,
     out: Path,
     trainer: str,
+    members: int | None,
+    noise: bool | None,
     generations: int | None,
-    product_units: int,
-    summation_units: int,
+    product_units: int | None,
+    summation_units: int | None,
     hidden_activation: str,
     output_activation: str,
     device: str,
@@ -52,26 +72,37 @@ def train(
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
     from neurosim.training.train import train as train_
+    from neurosim.training.trainers import trainer_class
 
+    own = trainer_class(trainer).default_hidden
+    hidden = (product_units, summation_units)
     simulator = train_(
         dataset,
         out,
         trainer=trainer,
         generations=generations,
         seed=seed,
-        hidden=(product_units, summation_units),
+        members=members,
+        noise=noise,
+        hidden=tuple(b if a is None else a for a, b in zip(hidden, own, strict=True)),
         activations=(hidden_activation, output_activation),
         settings={name: value for name, value in genetic.items() if value is not None},
         device=device,
         resume=resume,
     )
     errors = simulator.meta["test_errors"]
-    result = {"simulator": str(out), "test_errors": errors, **simulator.meta["wall_clock"]}
+    coverage = simulator.meta["test_coverage"]
+    result = {
+        "simulator": str(out),
+        "test_errors": errors,
+        "test_coverage": coverage,
+        **simulator.meta["wall_clock"],
+    }
     emit(
         result,
         as_json,
         f"{out}: mean absolute error on the held-out fifth: {_in_words(errors)} "
-        f"({result['training_seconds']:.0f} s).\n"
+        f"({result['training_seconds']:.0f} s).{_coverage_in_words(coverage)}\n"
         f"Next: neurosim evolve {out} --task nine-rectangles -o CONTROLLER",
     )
 
@@ -81,6 +112,17 @@ def _in_words(errors: dict[str, Any]) -> str:
         f"{name} {error['mean_absolute_error']:.2f} {error['unit']}"
         for name, error in errors.items()
     )
+
+
+def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
+    if coverage is None:
+        return ""
+    rows = [
+        f"{name} " + ", ".join(f"{100 * share:.0f}" for share in shares.values())
+        for name, shares in coverage.items()
+    ]
+    levels = ", ".join(f"{100 * float(level):.0f}" for level in next(iter(coverage.values())))
+    return f"\nIts {levels} % intervals hold, in %: {'; '.join(rows)}."
 
 
 @click.command()
@@ -117,4 +159,6 @@ def _table_2(result: dict[str, Any]) -> str:
     lines += ["", "MSE in the square of the error's unit; error: mean absolute error."]
     if result["baseline"]:
         lines.append(f"unicycle: {result['baseline']['description']}.")
+    if result["coverage"]:
+        lines.append(_coverage_in_words(result["coverage"]).strip())
     return "\n".join(lines)

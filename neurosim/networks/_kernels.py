@@ -1,4 +1,4 @@
-"""The compiled inner loops of population_error and product_gram."""
+"""The compiled inner loop of population_error."""
 
 from __future__ import annotations
 
@@ -56,14 +56,6 @@ def _add_unit(out, weight, exponents, log2, start, rows, limit):
         out[j] += weight * _exp2(min(max(z[j], -limit), limit))
 
 
-@_njit
-def _dot(a, b):
-    total = 0.0
-    for j in range(a.shape[0]):
-        total += a[j] * b[j]
-    return total
-
-
 @numba.njit(
     fastmath={"contract", "reassoc", "nsz", "arcp"},
     error_model="numpy",
@@ -111,57 +103,4 @@ def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, lim
                     block += out[j] * out[j]
                 total += block
         sums[g, p] = total
-    return sums
-
-
-@numba.njit(
-    fastmath={"contract", "reassoc", "nsz", "arcp"},
-    error_model="numpy",
-    parallel=True,
-    cache=True,
-)
-def gram(exponents, signs, log2, factor, others, spans, limit):
-    """Return sums over rows of products of columns.
-
-    The columns are rounded to single precision, but their products are summed in double: however
-    nearly dependent the columns are, the matrix has no negative eigenvalue of any size.
-
-    Args:
-        exponents: of product units, [C, K, I], single precision.
-        signs: cosine of each product unit by sign pattern, [C, M, K], single precision.
-        log2: base-2 logarithms of the inputs' magnitudes, [I, N], single precision.
-        factor: of each row, [N], double precision.
-        others: further columns, [F, N], double precision.
-        spans: first row and end of each sign pattern, [M, 2].
-        limit: bound of a product unit's base-2 logarithm.
-
-    Returns:
-        Each product unit (times factor) with each product unit and each other column,
-        [C, K, K + F], float64.
-    """
-    population, units, _ = exponents.shape
-    sums = np.zeros((population, units, units + others.shape[0]))
-    for c in numba.prange(population):
-        unit = np.empty(_ROWS, np.float32)
-        values = np.empty((units, _ROWS))
-        for pattern in range(spans.shape[0]):
-            for start in range(spans[pattern, 0], spans[pattern, 1], _ROWS):
-                rows = min(_ROWS, spans[pattern, 1] - start)
-                of_row = factor[start : start + rows]
-                for k in range(units):
-                    unit[:] = _f(0.0)
-                    sign = signs[c, pattern, k]
-                    _add_unit(unit, sign, exponents[c, k], log2, start, rows, limit)
-                    row = values[k, :rows]
-                    for j in range(rows):
-                        row[j] = unit[j] * of_row[j]
-                for k in range(units):
-                    row = values[k, :rows]
-                    for m in range(k, units):
-                        sums[c, k, m] += _dot(row, values[m, :rows])
-                    for m in range(others.shape[0]):
-                        sums[c, k, units + m] += _dot(row, others[m, start : start + rows])
-        for k in range(units):
-            for m in range(k):
-                sums[c, k, m] = sums[c, m, k]
     return sums

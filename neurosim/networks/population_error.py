@@ -67,7 +67,7 @@ class PopulationError:
     def _pieces(self, genes: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return exponents [O,P,K,I], signed weights [O,P,M,K], linear map [O,P,I], bias [O,P]."""
         w = self.network.split(genes)
-        signed = w.product_weights.unsqueeze(-2) * self._rows.signs(w.exponents)
+        signed = w.product_weights.unsqueeze(-2) * self._rows.signs(w.phases)
         return w.exponents, signed, *self.network.collapsed(genes)
 
     def _compiled(self, genes: Tensor) -> Tensor:

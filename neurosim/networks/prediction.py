@@ -32,7 +32,8 @@ class Prediction:
         self._bits = 2 ** torch.arange(inputs, device=genes.device)
         patterns = torch.arange(2**inputs, device=genes.device)
         negative = (patterns.unsqueeze(-1) // self._bits % 2).to(genes)  # [2^I, I]
-        signs = torch.cos(torch.pi * (negative @ self._exponents))
+        phases = w.phases.flatten(0, 1).T
+        signs = torch.cos(torch.pi * (negative @ phases))
         self._signed = signs * w.product_weights.flatten()  # [2^I, O * P]
         weights, self._bias = network.collapsed(genes)
         self._linear = weights.T.contiguous()

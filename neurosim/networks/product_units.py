@@ -42,14 +42,17 @@ class Weights(NamedTuple):
     summation_bias: Tensor  #: [..., S]
     summation_weights: Tensor  #: from summation units to the output, [..., S]
     bias: Tensor  #: of the output, [...]
+    #: Of the product units, [..., P, I]: their exponents, but for networks that have phases.
+    phases: Tensor | None = None
 
 
 @dataclass(frozen=True)
 class ProductSummationNetwork:
     """The shape of a network with one output; its weights are one row of genes.
 
-    Genes are laid out as the fields of :class:`Weights` in order, each row by row. Product units
-    have no bias: it would be a factor, which their weight to the output is already.
+    Genes are laid out as the fields of :class:`Weights` in order, each row by row; phases only
+    where there are any. Product units have no bias: it would be a factor, which their weight to
+    the output is already.
 
     Attributes:
         inputs: number of inputs I, scaled to about [-1, 1].
@@ -58,6 +61,9 @@ class ProductSummationNetwork:
         hidden_activation: of both kinds of hidden units: linear, tanh or sigmoid.
         output_activation: likewise.
         floor: the smallest magnitude of an input in a product unit.
+        phases: a negative input turns a product unit not by its exponent times pi but by a
+            number of its own, which stands in the cosine in the exponent's place. So a unit may
+            be odd or even in an input whatever its exponent.
     """
 
     inputs: int
@@ -66,6 +72,7 @@ class ProductSummationNetwork:
     hidden_activation: str = "linear"
     output_activation: str = "linear"
     floor: float = 0.01
+    phases: bool = False
 
     def __post_init__(self) -> None:
         if self.inputs < 1 or min(self.products, self.summations) < 0:
@@ -90,50 +97,53 @@ class ProductSummationNetwork:
 
     def _sizes(self) -> tuple[int, ...]:
         p, s, i = self.products, self.summations, self.inputs
-        return (p * i, p, s * i, s, s, 1)
+        return (p * i, p, s * i, s, s, 1, p * i if self.phases else 0)
 
     def split(self, genes: Tensor) -> Weights:
         """Return views of the weights in ``genes``, [..., G]."""
         parts = genes.split(self._sizes(), dim=-1)
+        units = (self.products, self.inputs)
         return Weights(
-            exponents=parts[0].unflatten(-1, (self.products, self.inputs)),
+            exponents=parts[0].unflatten(-1, units),
             product_weights=parts[1],
             summation=parts[2].unflatten(-1, (self.summations, self.inputs)),
             summation_bias=parts[3],
             summation_weights=parts[4],
             bias=parts[5].squeeze(-1),
+            phases=parts[6 if self.phases else 0].unflatten(-1, units),
         )
 
     def join(self, weights: Weights) -> Tensor:
         """Return the genes [..., G] of these weights."""
-        return torch.cat(
-            [
-                weights.exponents.flatten(-2),
-                weights.product_weights,
-                weights.summation.flatten(-2),
-                weights.summation_bias,
-                weights.summation_weights,
-                weights.bias.unsqueeze(-1),
-            ],
-            dim=-1,
-        )
+        genes = [
+            weights.exponents.flatten(-2),
+            weights.product_weights,
+            weights.summation.flatten(-2),
+            weights.summation_bias,
+            weights.summation_weights,
+            weights.bias.unsqueeze(-1),
+        ]
+        if self.phases:
+            genes.append(weights.phases.flatten(-2))
+        return torch.cat(genes, dim=-1)
 
     def log_magnitude(self, x: Tensor) -> Tensor:
         """Return ln|x| of scaled inputs, the magnitude taken to be at least the floor."""
         return x.abs().clamp(min=self.floor).log()
 
-    def product_units(self, exponents: Tensor, x: Tensor) -> Tensor:
+    def product_units(self, exponents: Tensor, x: Tensor, phases: Tensor | None = None) -> Tensor:
         """Return the net values of product units.
 
         Args:
             exponents: [..., P, I].
             x: scaled inputs, [N, I].
+            phases: [..., P, I]; the exponents if not given.
 
         Returns:
             [..., P, N].
         """
         magnitude = exponents @ self.log_magnitude(x).T
-        turns = exponents @ (x < 0).to(x).T
+        turns = (exponents if phases is None else phases) @ (x < 0).to(x).T
         return magnitude.clamp(-LOG_LIMIT, LOG_LIMIT).exp() * torch.cos(torch.pi * turns)
 
     def forward(self, genes: Tensor, x: Tensor) -> Tensor:
@@ -148,7 +158,7 @@ class ProductSummationNetwork:
         """
         w = self.split(genes)
         hidden = ACTIVATIONS[self.hidden_activation]
-        products = hidden(self.product_units(w.exponents, x))
+        products = hidden(self.product_units(w.exponents, x, w.phases))
         sums = hidden(w.summation @ x.T + w.summation_bias.unsqueeze(-1))
         net = (
             (w.product_weights.unsqueeze(-1) * products).sum(-2)

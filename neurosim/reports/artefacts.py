@@ -34,6 +34,8 @@ _FIELDS: dict[str, dict[str, type | tuple]] = {
     "simulator": {"inputs": list, "outputs": list},
     "controller": {"commands": list, "task": dict, "predicted": dict},
 }
+#: The newest version of each that this page reads.
+_VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
 
 
 @dataclass
@@ -125,7 +127,7 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         seen.add(path.resolve())
         kind = _kind(path)
-        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", 1, _FIELDS[kind])
+        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FIELDS[kind])
         if kind == "trial":
             found.trials.append(_trial(path, meta))
         elif kind == "dataset":

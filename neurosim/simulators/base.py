@@ -11,7 +11,7 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.errors import FileError
 
-FORMAT, VERSION = "neurosim-simulator", 1
+FORMAT, VERSION = "neurosim-simulator", 2
 
 
 @runtime_checkable

@@ -4,6 +4,9 @@ Pretorius et al. 2009, section 5.3: the networks are given the motors' speeds be
 the command and its duration, and predict the displacement in the robot's own frame; displacements
 are composed into a path. Which inputs there are is the dataset's matter: those called ``prev_...``
 are remembered in the state, the others are the command.
+
+Beyond the paper, a simulator may be an ensemble of such networks with a learned noise model: the
+members disagree where there was little to learn from, the noise is what no network can foresee.
 """
 
 from __future__ import annotations
@@ -13,31 +16,53 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.errors import FileError
-from neurosim.networks import Prediction, ProductSummationNetwork
+from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.kernels import Arrays
+from neurosim.simulators.noise import (
+    COMPONENTS,
+    COUPLING_FEATURES,
+    SCALE_FEATURES,
+    WIDTHS,
+    CommandFeatures,
+    NoiseModel,
+    disturb,
+)
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
-#: What the networks' outputs are: the displacement itself, or the constant body twist whose
-#: exponential it is (see :mod:`neurosim.base.se2`), the duration taken as unit time.
-COORDINATES = ("displacement", "twist")
+#: What the networks' outputs are, and how many networks that takes: the displacement itself; the
+#: constant body twist whose exponential it is (see :mod:`neurosim.base.se2`), the duration taken
+#: as unit time; or such a twist and an offset (x, y), added in the frame at the command's start,
+#: where the speed changes.
+COORDINATES = {"displacement": 3, "twist": 3, "twist-offset": 5}
 
 
 class MotionNetwork:
     """A simulator of a robot in the plane, learned from a dataset.
 
+    A trajectory keeps one member of the ensemble from its start to its end; the column
+    ``member`` of its state says which, -1 standing for the mean of all. Where noise lasts for
+    longer than a command, the columns ``drift_...`` hold what lasts. A simulator of one member
+    without noise, as in the paper, has neither.
+
     Attributes:
         inputs: names and units of the inputs, [{name, unit}].
-        network: the shape that its three networks have.
-        genes: their weights, [3, G], float64.
+        network: the shape that its networks have.
+        genes: their weights, [M, O, G], float64: M members of as many networks as
+            :data:`COORDINATES` says.
         input_scale: [I]; inputs are divided by it.
-        output_scale: [3]; the networks' outputs times this are metres, metres and radians.
+        output_scale: [M, O]; the networks' outputs times this are in metres and radians.
         coordinates: one of :data:`COORDINATES`.
+        noise: the noise model, or None.
+        dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
+            too slowly stands.
         meta: what else simulator.json says: training, test errors, source.
     """
 
@@ -46,34 +71,51 @@ class MotionNetwork:
     def __init__(
         self,
         inputs: Sequence[Mapping[str, str]],
-        network: ProductSummationNetwork,
+        network: ProductSummationNetwork | Perceptron,
         genes: Tensor,
         input_scale: Tensor,
         output_scale: Tensor,
         coordinates: str = "displacement",
         meta: Mapping[str, Any] | None = None,
+        noise: NoiseModel | None = None,
+        dead_zone: Tensor | None = None,
     ):
+        """Make a simulator.
+
+        ``genes`` [O, G] are those of a single member, an ``output_scale`` [O] is that of all.
+        """
         names = tuple(entry["name"] for entry in inputs)
         remembered = tuple(name for name in names if name.startswith("prev_"))
         self.command_names = tuple(name for name in names if name not in remembered)
-        self.state_names = ("x", "y", "theta", *remembered)
         for name in remembered:
             if name.removeprefix("prev_") not in self.command_names:
                 raise ValueError(f"there is an input {name}, but no {name.removeprefix('prev_')}")
-        if len(names) != network.inputs or genes.shape != (len(OUTPUTS), network.genes):
-            raise ValueError("inputs, network and genes do not fit each other")
+        genes = genes.unsqueeze(0) if genes.ndim == 2 else genes
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}")
+        shape = (len(genes), COORDINATES[coordinates], network.genes)
+        if len(names) != network.inputs or genes.shape != shape or len(genes) == 0:
+            raise ValueError("inputs, network and genes do not fit each other")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
         self.genes = genes.double()
         self.input_scale = input_scale.to(self.genes)
-        self.output_scale = output_scale.to(self.genes)
+        self.output_scale = output_scale.to(self.genes).expand(shape[:2]).contiguous()
+        zero = torch.zeros_like(self.input_scale)
+        self.dead_zone = zero if dead_zone is None else dead_zone.to(zero)
         self.coordinates = coordinates
+        self.noise = noise
         self.meta = dict(meta or {})
+        self.state_names = ("x", "y", "theta", *remembered)
+        if self.members > 1:
+            self.state_names += ("member",)
+        if noise is not None and noise.lasting:
+            self.state_names += tuple(f"drift_{name}" for name in COMPONENTS)
         given = (*remembered, *self.command_names)
         device = self.genes.device
-        self._predict = Prediction(network, self.genes)
+        self._columns = CommandFeatures.of(names)
+        self._predict = Prediction(network, self.genes.flatten(0, 1))
+        self._remembered = slice(3, 3 + len(remembered))
         self._order = torch.tensor([given.index(name) for name in names], device=device)
         self._next = torch.tensor(
             [self.command_names.index(name.removeprefix("prev_")) for name in remembered],
@@ -86,29 +128,142 @@ class MotionNetwork:
         """Names of the inputs, in the order of :meth:`displacement`'s columns."""
         return tuple(entry["name"] for entry in self.inputs)
 
-    def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Return the states [B, S] of robots that stand still at ``pose`` [B, 3]."""
+    @property
+    def members(self) -> int:
+        """How many networks of each output there are."""
+        return len(self.genes)
+
+    def start(
+        self,
+        pose: Tensor,
+        generator: torch.Generator | None = None,
+        member: Tensor | int | None = None,
+    ) -> Tensor:
+        """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
+
+        Args:
+            pose: x (m), y (m), heading (rad).
+            generator: each trajectory draws its member, and the noise that lasts; without one it
+                follows the mean of the members.
+            member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
+        """
         pose = pose.to(self.genes)
-        return torch.cat([pose, pose.new_zeros(len(pose), len(self.state_names) - 3)], dim=1)
+        rows = len(pose)
+        state = torch.cat([pose, pose.new_zeros(rows, len(self.state_names) - 3)], dim=1)
+        if self.members > 1:
+            if member is None:
+                member = -1 if generator is None else self.draw_members(rows, generator)
+            state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
+        if generator is not None and self.noise is not None and self.noise.lasting:
+            state[:, -3:] = self.noise.draw_drift(rows, generator)
+        return state
+
+    def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
+        """Return a member for each trajectory, [rows], all alike probable."""
+        device = generator.device
+        return torch.randint(self.members, (rows,), generator=generator, device=device)
 
     def step(
         self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
     ) -> Tensor:
         """Return the states [B, S] after ``command`` [B, C] was carried out from ``state``.
 
-        This simulator has no noise: the generator is not used.
+        With a generator, and where there is a noise model, fresh noise is drawn for every row;
+        without one the answer is the mean of the row's member.
         """
-        inputs = torch.cat([state[:, 3:], command], dim=1)[:, self._order]
-        pose = compose(state[:, :3], self.displacement(inputs))
-        return torch.cat([pose, command[:, self._next]], dim=1)
+        inputs = torch.cat([state[:, self._remembered], command], dim=1)[:, self._order]
+        member = state[:, self._remembered.stop].long() if self.members > 1 else -1
+        moved = self.displacement(inputs, member)
+        rest = state[:, self._remembered.stop :]
+        if generator is not None and self.noise is not None:
+            lasting = state[:, -3:] if self.noise.lasting else torch.zeros_like(state[:, :3])
+            z, lasting = self.noise.next_draw(lasting, generator)
+            moved = self.disturbed(inputs, moved, z)
+            if self.noise.lasting:
+                rest = torch.cat([rest[:, :-3], lasting], dim=1)
+        pose = compose(state[:, :3], moved)
+        return torch.cat([pose, command[:, self._next], rest], dim=1)
 
-    def displacement(self, inputs: Tensor) -> Tensor:
-        """Return the displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
+    def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
+        """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
 
         They are in the robot's frame at the command's start, REP 103.
+
+        Args:
+            inputs: in the dataset's units.
+            member: of the ensemble, for all rows or for each [B]; -1: the mean of the networks'
+                outputs over all members.
         """
-        outputs = self._predict(inputs / self.input_scale) * self.output_scale
-        return exp(outputs) if self.coordinates == "twist" else outputs
+        return self.from_outputs(_of_member(self.outputs(inputs), member))
+
+    def scaled(self, inputs: Tensor) -> Tensor:
+        """Return ``inputs`` [B, I] as the networks take them."""
+        scaled = inputs / self.input_scale
+        return torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+
+    def outputs(self, inputs: Tensor) -> Tensor:
+        """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
+        outputs = self._predict(self.scaled(inputs))
+        return outputs.unflatten(-1, (self.members, -1)) * self.output_scale
+
+    def from_outputs(self, outputs: Tensor) -> Tensor:
+        """Return the displacements [B, 3] that networks' outputs [B, O] stand for."""
+        if self.coordinates == "displacement":
+            return outputs
+        moved = exp(outputs[:, :3])
+        if self.coordinates == "twist":
+            return moved
+        return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
+
+    def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:
+        """Return displacements [B, 3] with noise of the draws ``z`` [B, 3].
+
+        Args:
+            inputs: [B, I], in the dataset's units.
+            mean: of :meth:`displacement`, [B, 3].
+            z: of :meth:`NoiseModel.draw`.
+        """
+        if self.noise is None:
+            return mean
+        return disturb(self.noise, self._columns, self.scaled(inputs), mean, z)
+
+    def arrays(self) -> Arrays:
+        """Return what :mod:`neurosim.simulators.kernels` computes with.
+
+        Raises:
+            ValueError: if the networks' activations are not linear.
+        """
+        if not self.network.linear:
+            raise ValueError("compiled simulators are of networks with linear activations")
+        genes, scale = self.genes.cpu(), self.output_scale.cpu().unsqueeze(-1)
+        w, count = self.network.split(genes), self.network.inputs
+        patterns = torch.arange(2**count).unsqueeze(-1)
+        negative = (patterns // 2 ** torch.arange(count) % 2).to(genes)  # [2^I, I]
+        cosines = torch.cos(torch.pi * (negative @ w.phases.transpose(-1, -2)))
+        linear, bias = self.network.collapsed(genes)
+        shapes = NoiseModel.SHAPES
+        noise = {
+            name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
+            for name in ("unit", "log_scale", "coupling")
+        }
+        tensors = {
+            "exponents": w.exponents,
+            "signed": cosines * (scale * w.product_weights).unsqueeze(-2),
+            "linear": scale * linear,
+            "bias": scale.squeeze(-1) * bias,
+            "input_scale": self.input_scale,
+            "dead_zone": self.dead_zone,
+            **{f"noise_{name}": value for name, value in noise.items()},
+        }
+        return Arrays(
+            **{k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()},
+            floor=self.network.floor,
+            twist=self.coordinates != "displacement",
+            noisy=self.noise is not None,
+            driven=np.array(self._columns.driven, np.int64),
+            before=np.array(self._columns.before, np.int64),
+            duration=self._columns.duration,
+        )
 
     def write(self, folder: str | Path) -> None:
         """Write simulator.json and weights.safetensors into an existing folder."""
@@ -120,11 +275,21 @@ class MotionNetwork:
                 {"name": name, "unit": unit}
                 for name, unit in zip(OUTPUTS, ("m", "m", "rad"), strict=True)
             ],
-            "network": {k: v for k, v in asdict(self.network).items() if k != "inputs"},
+            "network": {
+                **({"kind": "perceptron"} if isinstance(self.network, Perceptron) else {}),
+                **{k: v for k, v in asdict(self.network).items() if k != "inputs"},
+            },
             "coordinates": self.coordinates,
+            "members": self.members,
+            "noise": None if self.noise is None else _NOISE,
             **self.meta,
         }
-        tensors = {name: getattr(self, name).cpu().numpy() for name in _tensors(self.network)}
+        tensors = {
+            name: getattr(self, name).cpu().numpy()
+            for name in ("genes", "input_scale", "output_scale", "dead_zone")
+        }
+        if self.noise is not None:
+            tensors |= {f"noise.{k}": v.numpy() for k, v in self.noise.tensors().items()}
         files.write_tensors(folder / "weights.safetensors", tensors)
         files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
 
@@ -145,15 +310,26 @@ class MotionNetwork:
         if not all(isinstance(i, dict) and isinstance(i.get("name"), str) for i in inputs):
             raise FileError(path, "expected a list of {name, unit}", field="inputs")
         try:
-            network = ProductSummationNetwork(inputs=len(inputs), **content["network"])
-        except (TypeError, ValueError) as error:
+            shape = dict(content["network"])
+            kinds = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
+            network = kinds[shape.pop("kind", "product-summation")](len(inputs), **shape)
+        except (KeyError, TypeError, ValueError) as error:
             raise FileError(path, f"is no network ({error})", field="network") from None
-        tensors = files.read_tensors(Path(folder) / "weights.safetensors", _tensors(network))
+        members, noisy = _members_and_noise(path, content)
+        if content["coordinates"] not in COORDINATES:
+            raise FileError(path, f"expected one of {', '.join(COORDINATES)}", field="coordinates")
+        expected = _tensors(network, members, COORDINATES[content["coordinates"]])
+        if noisy:
+            expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
+        if content["version"] == 1:
+            expected |= {name: expected[name][1:] for name in ("genes", "output_scale")}
+            del expected["dead_zone"]
+        tensors = files.read_tensors(Path(folder) / "weights.safetensors", expected)
         if (tensors["input_scale"] <= 0).any():
             weights = Path(folder) / "weights.safetensors"
             raise FileError(weights, "expected numbers above 0", field="input_scale")
         loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-        described = ("format", "version", "outputs", *fields)
+        described = ("format", "version", "outputs", "members", "noise", *fields)
         meta = {key: value for key, value in content.items() if key not in described}
         try:
             return cls(
@@ -164,6 +340,8 @@ class MotionNetwork:
                 loaded["output_scale"],
                 content["coordinates"],
                 meta,
+                _noise(loaded) if noisy else None,
+                loaded.get("dead_zone"),
             )
         except ValueError as error:
             raise FileError(path, f"is no motion network ({error})") from None
@@ -186,9 +364,46 @@ def exp(twist: Tensor) -> Tensor:
     return torch.stack([cos * vx - sin * vy, sin * vx + cos * vy, omega], dim=-1)
 
 
-def _tensors(network: ProductSummationNetwork) -> dict[str, tuple[int, ...]]:
+#: What simulator.json says of a noise model; its numbers stand beside the weights.
+_NOISE = {
+    "kind": "cholesky-mixture",
+    "components": list(COMPONENTS),
+    "scale_features": list(SCALE_FEATURES),
+    "coupling_features": list(COUPLING_FEATURES),
+    "widths": list(WIDTHS),
+}
+
+
+def _of_member(outputs: Tensor, member: Tensor | int) -> Tensor:
+    """Return the outputs [N, O] of a member, of outputs [N, M, O]."""
+    if isinstance(member, int):
+        return outputs.mean(1) if member < 0 else outputs[:, member]
+    own = torch.take_along_dim(outputs, member.clamp(min=0)[:, None, None], 1).squeeze(1)
+    average = member < 0
+    return torch.where(average.unsqueeze(-1), outputs.mean(1), own) if average.any() else own
+
+
+def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:
+    if content["version"] == 1:
+        return 1, False
+    members, noise = content.get("members"), content.get("noise")
+    if isinstance(members, bool) or not isinstance(members, int) or members < 1:
+        raise FileError(path, f"expected a number from 1, found {members!r}", field="members")
+    if noise is not None and noise != _NOISE:
+        raise FileError(path, "is no noise model that this version reads", field="noise")
+    return members, noise is not None
+
+
+def _noise(tensors: Mapping[str, Tensor]) -> NoiseModel:
+    return NoiseModel(**{name: tensors[f"noise.{name}"] for name in NoiseModel.SHAPES})
+
+
+def _tensors(
+    network: ProductSummationNetwork | Perceptron, members: int, outputs: int
+) -> dict[str, tuple[int, ...]]:
     return {
-        "genes": (len(OUTPUTS), network.genes),
+        "genes": (members, outputs, network.genes),
         "input_scale": (network.inputs,),
-        "output_scale": (len(OUTPUTS),),
+        "output_scale": (members, outputs),
+        "dead_zone": (network.inputs,),
     }

@@ -18,11 +18,15 @@ class Evaluation:
     Attributes:
         fitness: (B,) float64, finite; the higher the better.
         completes: (B,) bool, whether the task is done.
+        reason: (B,) why not: a place in the task's ``reasons``, or -1 where it is done.
+        segment: (B,) the segment during which that was settled; the last where it is done.
         detail: name -> (B,) array: what the fitness was made of; a task's own.
     """
 
     fitness: NDArray[np.float64]
     completes: NDArray[np.bool_]
+    reason: NDArray[np.int64]
+    segment: NDArray[np.int64]
     detail: dict[str, NDArray]
 
 
@@ -37,10 +41,12 @@ class Task(Protocol):
     Attributes:
         name: what ``--task`` takes.
         start: x (m), y (m), heading (rad) where every trial starts.
+        reasons: the ways in which a trial can fail, in words that follow "the robot".
     """
 
     name: str
     start: tuple[float, float, float]
+    reasons: tuple[str, ...]
 
     def evaluate(self, poses: ArrayLike, given: ArrayLike) -> Evaluation:
         """Judge trajectories.

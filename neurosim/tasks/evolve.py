@@ -64,6 +64,13 @@ def evolve(
 def _plan(
     result: PlanResult, task: Task, settings: PlanSettings, seed: int, source: dict[str, str]
 ) -> Plan:
+    drawn = {}
+    if result.probability is not None:
+        drawn = {
+            "probability": result.probability,
+            "expected_fitness": result.expected_fitness,
+            "draws": result.draws,
+        }
     return Plan(
         commands=tuple(result.commands),
         task=task.describe(),
@@ -73,6 +80,7 @@ def _plan(
             "rest": result.rest.tolist(),
             "fitness": result.fitness,
             "completes": result.completes,
+            **drawn,
         },
         simulator=source,
         evolution={

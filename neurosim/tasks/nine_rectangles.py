@@ -32,11 +32,11 @@ line to the end pose.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
@@ -53,6 +53,7 @@ SPACING = 0.02
 #: What a robot can do wrong; 0 is nothing.
 FAULTS = {1: "entered the centre rectangle", 2: "left the grid", 3: "skipped a rectangle"}
 _CENTRE, _OUTSIDE, _SKIPPED = FAULTS
+_NOT_THERE = "did not end in rectangle 8"
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,7 @@ class NineRectangles:
     longest_arc: float = 1.5
 
     name: ClassVar[str] = "nine-rectangles"
+    reasons: ClassVar[tuple[str, ...]] = (*FAULTS.values(), _NOT_THERE)
     start: ClassVar[tuple[float, float, float]] = (-LENGTH, 0.0, math.pi / 2)
 
     def __post_init__(self) -> None:
@@ -119,7 +121,8 @@ class NineRectangles:
         seen = np.concatenate([np.arange(1, len(track)), np.full(len(silent), -1)])[order]
         arrivals = np.maximum.accumulate(np.concatenate([[0], seen]))
         ends = np.append(np.diff(steps) > 0, True)
-        return self._judge(track[arrivals][None], given[steps][None], ends)
+        result = self._judge(track[arrivals][None], given[steps][None], ends)
+        return replace(result, segment=steps[result.segment])
 
     def fitness(self, poses: ArrayLike, given: ArrayLike) -> NDArray[np.float64]:
         """Return the fitness (B,) of trajectories; see :meth:`evaluate`."""
@@ -132,24 +135,35 @@ class NineRectangles:
     def region(self, poses: ArrayLike) -> NDArray[np.int64]:
         """Return the rectangle of each pose (..., 3): 0 to 7, -1 the centre, -2 outside."""
         poses = np.asarray(poses, np.float64)
-        with np.errstate(invalid="ignore"):
-            column = np.floor(poses[..., 0] / LENGTH + 1.5)
-            row = np.floor(1.5 - poses[..., 1] / WIDTH)
-            inside = (column >= 0) & (column < 3) & (row >= 0) & (row < 3)
-        place = COURSE[
-            np.where(inside, row, 0).astype(np.int64), np.where(inside, column, 0).astype(np.int64)
-        ]
-        return np.where(inside, place, -2)
+        return _places(poses[..., 0].ravel(), poses[..., 1].ravel()).reshape(poses.shape[:-1])
 
     def describe(self) -> dict[str, Any]:
         """Return name and settings."""
         return {"name": self.name, "settings": asdict(self)}
 
     def _judge(self, poses: NDArray, given: NDArray, ends: NDArray) -> Evaluation:
-        furthest, no_gain, fault = _drive(poses, given, ends, self.longest_arc)
+        furthest, no_gain, fault, segment = _drive(poses, given, ends, self.longest_arc)
         fitness = furthest**2 - no_gain / 10.0 - self.penalty * (fault != 0)
+        completes = furthest == LAST
+        reason = np.where(completes, -1, np.where(fault > 0, fault, len(self.reasons)) - 1)
         detail = {"furthest": furthest, "no_gain": no_gain, "fault": fault}
-        return Evaluation(fitness, furthest == LAST, detail)
+        return Evaluation(fitness, completes, reason, segment, detail)
+
+
+@njit(cache=True, nogil=True)
+def _places(x: NDArray, y: NDArray) -> NDArray:
+    places = np.empty(len(x), np.int64)
+    for i in range(len(x)):
+        places[i] = _place(x[i], y[i])
+    return places
+
+
+@njit(cache=True, nogil=True)
+def _room(x: float, y: float) -> float:
+    """Return how far (m) a point in the grid is from the borders of its rectangle."""
+    column, row = x / LENGTH + 1.5, 1.5 - y / WIDTH
+    column, row = column - math.floor(column), row - math.floor(row)
+    return min(LENGTH * min(column, 1.0 - column), WIDTH * min(row, 1.0 - row))
 
 
 @njit(cache=True, nogil=True)
@@ -199,32 +213,31 @@ def _segment(start: NDArray, end: NDArray, progress: int, longest: float) -> tup
     length = chord if straight else chord / abs(ratio)
     samples = math.ceil(length / SPACING)
     highest = progress
-    for sample in range(1, samples):
+    # Samples that are nearer than the rectangle's border cannot lie beyond it.
+    sample = max(1, int(_room(start[0], start[1]) / length * samples)) if samples > 1 else 1
+    while sample < samples:
         part = sample / samples
         along, angle = part, 0.0
         if not straight and abs(half) > 1e-6:
             along = math.sin(part * half) / math.sin(half)
             angle = (part - 1.0) * half
         cos, sin = math.cos(angle), math.sin(angle)
-        progress, fault = _advance(
-            progress,
-            _place(
-                start[0] + along * (cos * x - sin * y),
-                start[1] + along * (sin * x + cos * y),
-            ),
-        )
+        at_x = start[0] + along * (cos * x - sin * y)
+        at_y = start[1] + along * (sin * x + cos * y)
+        progress, fault = _advance(progress, _place(at_x, at_y))
         highest = max(highest, progress)
         if fault:
             return progress, highest, fault
+        sample += max(1, int(_room(at_x, at_y) / length * samples))
     progress, fault = _advance(progress, _place(end[0], end[1]))
     return progress, max(highest, progress), fault
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, parallel=True)
 def _drive(
     poses: NDArray, given: NDArray, ends: NDArray, longest: float
-) -> tuple[NDArray, NDArray, NDArray]:
-    """Return N_max, C_nogain and the fault (B,) of trajectories.
+) -> tuple[NDArray, NDArray, NDArray, NDArray]:
+    """Return N_max, C_nogain, the fault and the segment it happened in (B,) of trajectories.
 
     Args:
         poses: (B, S + 1, 3).
@@ -236,15 +249,20 @@ def _drive(
     furthest = np.zeros(batch, np.int64)
     no_gain = np.zeros(batch, np.int64)
     faults = np.zeros(batch, np.int64)
-    for b in range(batch):
+    where = np.full(batch, max(segments - 1, 0))
+    for b in prange(batch):
         progress, fault = _advance(0, _place(poses[b, 0, 0], poses[b, 0, 1]))
         if progress != 0:
             progress, fault = 0, _SKIPPED
+        if fault != 0:
+            where[b] = 0
         began = 0
         for s in range(segments):
             if fault == 0:
                 progress, highest, fault = _segment(poses[b, s], poses[b, s + 1], progress, longest)
                 furthest[b] = max(furthest[b], min(highest, LAST - 1))
+                if fault != 0:
+                    where[b] = s
             if ends[s]:
                 if given[b, s] and min(progress, LAST) <= began:
                     no_gain[b] += 1
@@ -252,4 +270,4 @@ def _drive(
         if fault == 0 and progress == LAST:
             furthest[b] = LAST
         faults[b] = fault
-    return furthest, no_gain, faults
+    return furthest, no_gain, faults, where

@@ -1,39 +1,113 @@
 """Evolution of a command set in a simulator, Pretorius et al. (2009), section 6.2.
 
-A chromosome has a constant number of commands, each of four genes: whether it is null (not
-given), left and right speed, duration. The genetic algorithm is that of Table 1. Crossover
-pairs commands that were given in the same rectangle: of two parents, the n-th command that one
-was given in a rectangle with the n-th that the other was given there, wherever they stand in the
-two command sets. Each such pair is crossed by simulated binary crossover; commands without a
-counterpart, and null ones, pass unchanged. Mutation changes each gene with the same probability,
-see :func:`mutate`. The paper leaves open how a null command is encoded, which counterparts are
-paired where several were given in a rectangle, and what mutation does.
+The genetic algorithm is that of Table 1, its operators are those of
+:mod:`neurosim.tasks.breeding`. A plan that is evolved on what the simulator expects drives along
+the edge of what the task allows, and fails wherever the robot does a little otherwise: see
+:mod:`neurosim.tasks.robust` for evolution over drawn outcomes, which starts from such plans.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Any
 
+import numba
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
-from neurosim.evolution.genetic import GeneticAlgorithm, GeneticSettings
-from neurosim.evolution.operators import sbx
+from neurosim.evolution.genetic import GeneticSettings
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Evaluation, Task
+from neurosim.tasks.breeding import GENES, PlanPopulation, decode, encode, pairing_keys
+from neurosim.tasks.rollouts import PLACING, Rollouts, rollouts
 
-COMMAND_NAMES = ("left", "right", "duration")
-GENES = 4
-#: Share of a first generation's commands that are null.
-NULL_SHARE = 0.2
-#: The motors run down for this long after the last command before the robot is at rest, s.
-RUN_DOWN = 0.5
+#: The genetic algorithm of plans: the paper's own. What keeps runs from getting stuck is where
+#: null commands come back (``PlanSettings.insertion``), more than any rate.
+DEFAULT_GENETIC = GeneticSettings()
+#: Of robust evolution: the way is known, it is to be smoothed without losing variety.
+ROBUST_GENETIC = GeneticSettings(tournament=5, mutation=0.1, eta=2.0, mutation_scale=0.03)
+#: A generation of fewer commands than this takes a core about a millisecond.
+_WORTH_SHARING = 10_000
+
+
+@dataclass(frozen=True)
+class RobustSettings:
+    """How plans are made robust.
+
+    Attributes:
+        objective: ``probability`` of completing the task, or ``fitness``, the expected fitness.
+            The latter often prefers plans that stop halfway and are safe.
+        generations: how many, after those without noise.
+        draws: outcomes that every plan of a generation meets.
+        refresh: new outcomes are drawn every so many generations, lest plans be fitted to them.
+        selection_draws: outcomes on which the plan to keep is chosen in the end.
+        genetic: the genetic algorithm; its mutation is finer than before.
+    """
+
+    objective: str = "probability"
+    generations: int = 300
+    draws: int = 32
+    refresh: int = 10
+    selection_draws: int = 1024
+    genetic: GeneticSettings = ROBUST_GENETIC
+
+    def __post_init__(self) -> None:
+        if self.objective not in ("fitness", "probability"):
+            raise UserError(
+                f"robust evolution is for fitness or probability, not {self.objective!r}"
+            )
+        for name in ("generations", "draws", "refresh", "selection_draws"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class PlanSettings:
+    """How plans are evolved; commands and generations are those of section 6.2.
+
+    Attributes:
+        commands: commands in a chromosome, null ones included.
+        generations: how many populations are evaluated.
+        runs: independent runs, evaluated together.
+        max_speed: fastest motor speed, percent.
+        durations: shortest and longest command, s.
+        genetic: the genetic algorithm of every run; its ``mutation_scale`` is a share of a
+            gene's range. ``GeneticSettings()`` is Table 1 of the paper.
+        insertion: whether a null command that mutation brings back comes at any place of the
+            plan; False: where it is, as we read the paper.
+        robust: how to make the plans robust, or None.
+        placing: standard deviation of where the robot is put down, in x and y (m), in heading
+            (rad); for drawn outcomes alone.
+        final_draws: fresh outcomes from which the probability of success is told.
+    """
+
+    commands: int = 10
+    generations: int = 1000
+    runs: int = 1
+    max_speed: float = 50.0
+    durations: tuple[float, float] = (0.5, 3.0)
+    genetic: GeneticSettings = DEFAULT_GENETIC
+    insertion: bool = True
+    robust: RobustSettings | None = None
+    placing: tuple[float, float] = PLACING
+    final_draws: int = 4096
+
+    def __post_init__(self) -> None:
+        for name in ("commands", "generations", "runs", "final_draws"):
+            if getattr(self, name) < 1:
+                raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
+        if not 0 < self.max_speed <= 100:
+            raise UserError(f"the highest speed must be in 0 to 100 %, not {self.max_speed:g}")
+        low, high = self.durations
+        if not 0 < low <= high:
+            raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
+        if min(self.placing) < 0:
+            raise UserError("the scatter of the start pose must not be negative")
 
 
 @dataclass(frozen=True)
@@ -42,12 +116,17 @@ class PlanResult:
 
     Attributes:
         commands: (left %, right %, duration s) each, None for a null command.
-        poses: (G + 1, 3) the start and the predicted pose after each of the G given commands,
+        poses: (G + 1, 3) the start and the expected pose after each of the G given commands,
             at the instant when the next takes over.
-        rest: (3,) the predicted pose once the motors, stopped after the last command, stand.
-        fitness: predicted fitness, of the path until the robot is at rest.
-        completes: whether the prediction completes the task.
-        history: best and mean fitness of every generation, {"best": [...], "mean": [...]}.
+        rest: (3,) the expected pose once the motors, stopped after the last command, stand.
+        fitness: fitness of the expected path until the robot is at rest.
+        completes: whether the expected path completes the task.
+        probability: share of drawn outcomes that complete the task; None where the simulator
+            has nothing to draw.
+        expected_fitness: mean fitness over drawn outcomes, likewise.
+        draws: how many outcomes these two are of.
+        history: best and mean fitness of every generation, {"best": [...], "mean": [...]}; after
+            robust evolution also what it maximised, {"robust_best": ..., "robust_mean": ...}.
         run: which of the runs it came from.
         interrupted: whether evolution was stopped before its last generation.
     """
@@ -57,67 +136,12 @@ class PlanResult:
     rest: NDArray[np.float64]
     fitness: float
     completes: bool
+    probability: float | None
+    expected_fitness: float | None
+    draws: int
     history: dict[str, list[float]]
     run: int
     interrupted: bool
-
-
-@dataclass(frozen=True)
-class PlanSettings:
-    """How plans are evolved; the defaults are section 6.2 and Table 1 of the paper.
-
-    Attributes:
-        commands: commands in a chromosome, null ones included.
-        generations: how many populations are evaluated.
-        runs: independent runs, evaluated together.
-        max_speed: fastest motor speed, percent.
-        durations: shortest and longest command, s.
-        genetic: the genetic algorithm of every run; its ``mutation_scale`` is a share of a
-            gene's range.
-    """
-
-    commands: int = 10
-    generations: int = 1000
-    runs: int = 1
-    max_speed: float = 50.0
-    durations: tuple[float, float] = (0.5, 3.0)
-    genetic: GeneticSettings = field(default_factory=GeneticSettings)
-
-    def __post_init__(self) -> None:
-        for name in ("commands", "generations", "runs"):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
-        if not 0 < self.max_speed <= 100:
-            raise UserError(f"the highest speed must be in 0 to 100 %, not {self.max_speed:g}")
-        low, high = self.durations
-        if not 0 < low <= high:
-            raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
-
-
-def rollout(
-    simulator: Simulator, start: Sequence[float], commands: Tensor, given: Tensor
-) -> Tensor:
-    """Drive command sets in a simulator, then stop the motors.
-
-    Args:
-        simulator: any; its commands must be left, right, duration.
-        start: x (m), y (m), heading (rad).
-        commands: [B, K, 3] left, right (percent), duration (s).
-        given: [B, K] bool; a command that is not given leaves the robot as it is.
-
-    Returns:
-        [B, K + 2, 3]: the poses at the start, after each command, and at rest.
-    """
-    pose = commands.new_tensor(list(start)).expand(len(commands), 3)
-    state = simulator.start(pose)
-    poses = [state[:, :3]]
-    for index in range(commands.shape[1]):
-        after = simulator.step(state, commands[:, index])
-        state = torch.where(given[:, index, None], after, state)
-        poses.append(state[:, :3])
-    stop = commands.new_tensor([0.0, 0.0, RUN_DOWN]).expand(len(commands), 3)
-    poses.append(simulator.step(state, stop)[:, :3])
-    return torch.stack(poses, dim=1)
 
 
 def evolve_plan(
@@ -127,7 +151,6 @@ def evolve_plan(
     *,
     seed: int,
     progress: bool = True,
-    device: str | torch.device = "cpu",
 ) -> list[PlanResult]:
     """Evolve command sets for a task in a simulator.
 
@@ -139,41 +162,170 @@ def evolve_plan(
         settings: sizes, limits and the genetic algorithm.
         seed: of all that is drawn; the same seed gives the same plans.
         progress: whether to show progress on stderr.
-        device: where the simulator lives.
 
     Returns:
-        The best plan of every run, the best first.
+        The best plan of every run, the best first: by what robust evolution maximised, else by
+        the fitness of the expected path.
 
     Raises:
-        UserError: if the simulator takes other commands.
+        UserError: if the simulator takes other commands, or robust plans are asked of one that
+            has neither noise nor members that disagree.
     """
     settings = settings or PlanSettings()
-    if tuple(simulator.command_names) != COMMAND_NAMES:
+    course = Course(rollouts(simulator, task.start), task, settings)
+    uncertain = is_uncertain(simulator)
+    if settings.robust is not None:
+        _check_uncertain(uncertain)
+    evolution = Evolution(course, seed)
+    interrupted = _run(evolution, settings.generations, "evolving", progress)
+    if settings.robust is not None and not interrupted:
+        population, history = evolution.population, [evolution.history]
+        return _robust(course, population, history, seed, progress)
+    seed_of_draws = seed if uncertain else None
+    best = evolution.population.best
+    return _results(course, best, [evolution.history], seed_of_draws, interrupted)
+
+
+def improve_plans(
+    simulator: Simulator,
+    task: Task,
+    plans: Sequence[PlanResult],
+    settings: PlanSettings,
+    *,
+    seed: int,
+    progress: bool = True,
+) -> list[PlanResult]:
+    """Evolve plans robustly that have been evolved already, each in a run of its own.
+
+    Args:
+        simulator, task, seed, progress: as :func:`evolve_plan` takes them.
+        plans: as many as ``settings.runs``; at most ``settings.commands`` commands each.
+        settings: with ``robust``; ``generations`` are those that the plans have had.
+
+    Returns:
+        As :func:`evolve_plan`; the history is that of robust evolution alone.
+
+    Raises:
+        UserError: likewise.
+    """
+    _check_uncertain(is_uncertain(simulator))
+    course = Course(rollouts(simulator, task.start), task, settings)
+    genes = np.stack([encode(p.commands, settings.max_speed, settings.durations) for p in plans])
+    genes = np.repeat(genes[:, None], settings.genetic.population, axis=1)
+    population = PlanPopulation(genes, settings.genetic, seed)
+    return _robust(course, population, [], seed, progress)
+
+
+def _robust(
+    course: Course, first: PlanPopulation, history: list, seed: int, progress: bool
+) -> list[PlanResult]:
+    from neurosim.tasks.robust import RobustEvolution
+
+    evolution = RobustEvolution(course, first, seed)
+    generations = course.settings.robust.generations
+    interrupted = _run(evolution, generations, "making it robust", progress)
+    history = [*(history or [[]]), evolution.history]
+    return _results(course, evolution.finish(), history, seed, interrupted)
+
+
+def _check_uncertain(uncertain: bool) -> None:
+    if not uncertain:
         raise UserError(
-            f"plans are of {', '.join(COMMAND_NAMES)}, but this simulator takes "
-            f"{', '.join(simulator.command_names)}; use one that was learned from motor commands"
+            "robust plans need a simulator that knows what it does not know, and this one has "
+            "neither noise nor an ensemble; train one with the default trainer"
         )
-    evolution = _Evolution(simulator, task, settings, torch.Generator(device).manual_seed(seed))
-    interrupted = False
-    bar_or_none = (
-        Progress("evolving", settings.generations, "generations") if progress else nullcontext()
-    )
-    with _one_thread(), bar_or_none as bar:
-        try:
-            for _ in range(settings.generations):
-                best = evolution.generation()
-                if bar is not None:
-                    bar.advance(note=f"fitness {best:.1f}")
-        except KeyboardInterrupt:
-            if not evolution.history:
-                raise
-            interrupted = True
-    return evolution.results(interrupted)
+
+
+def is_uncertain(simulator: Simulator) -> bool:
+    """Return whether a simulator's outcomes differ; of kinds not known here it is assumed."""
+    members = getattr(simulator, "members", 2)
+    return members > 1 or getattr(simulator, "noise", None) is not None
+
+
+class Course:
+    """A task in a simulator: what becomes of chromosomes.
+
+    Attributes:
+        settings: how plans are evolved.
+    """
+
+    def __init__(self, drives: Rollouts, task: Task, settings: PlanSettings):
+        self._drives, self._task, self.settings = drives, task, settings
+
+    def expected(self, genes: NDArray) -> tuple[Evaluation, NDArray, NDArray, NDArray]:
+        """Return evaluation, paths [B, K + 2, 3], commands and given of chromosomes [B, 4 K]."""
+        commands, given = self.decode(genes)
+        poses = self._drives.expected(commands, given)
+        return self._task.evaluate(poses, _with_rest(given)), poses, commands, given
+
+    def drawn(self, genes: NDArray, draws: Any) -> tuple[NDArray, NDArray, NDArray]:
+        """Return fitness [B, R], completes [B, R] and the keys of commands [B, K]."""
+        commands, given = self.decode(genes)
+        poses = self._drives.drawn(commands, given, draws)
+        counted = np.repeat(_with_rest(given), len(draws), axis=0)
+        judged = self._task.evaluate(poses.reshape(-1, *poses.shape[2:]), counted)
+        shape = poses.shape[:2]
+        keys = self.keys(poses[:, 0], given)
+        return judged.fitness.reshape(shape), judged.completes.reshape(shape), keys
+
+    def draw(self, count: int, seed: int) -> Any:
+        """Draw outcomes."""
+        return self._drives.draw(count, self.settings.commands, seed, self.settings.placing)
+
+    def keys(self, poses: NDArray, given: NDArray) -> NDArray[np.int64]:
+        """Return the keys [B, K] by which crossover pairs the commands of paths."""
+        return pairing_keys(self._task.region(poses[:, : given.shape[1]]), given)
+
+    def decode(self, genes: NDArray) -> tuple[NDArray, NDArray]:
+        """Return commands [B, K, 3] and given [B, K] of chromosomes [B, 4 K]."""
+        return decode(genes, self.settings.max_speed, *map(float, self.settings.durations))
+
+
+class Evolution:
+    """Several runs of the genetic algorithm on what the simulator expects.
+
+    Attributes:
+        population: chromosomes of all runs.
+        history: best and mean fitness of each generation, [runs] each.
+    """
+
+    def __init__(self, course: Course, seed: int):
+        self._course, settings = course, course.settings
+        rng = np.random.default_rng([seed, 0x91A4])
+        genes = rng.random((settings.runs, settings.genetic.population, settings.commands * GENES))
+        self.population = PlanPopulation(genes, settings.genetic, seed, settings.insertion)
+        self.history: list[tuple[NDArray, NDArray]] = []
+
+    def generation(self) -> str:
+        """Evaluate a population, make the next, and say how it stands."""
+        genes = self.population.genes
+        with _threads_for(genes.size // GENES):
+            evaluation, poses, _, given = self._course.expected(genes.reshape(-1, genes.shape[-1]))
+            keys = self._course.keys(poses, given).reshape(*genes.shape[:2], -1)
+            fitness = evaluation.fitness.reshape(genes.shape[:2])
+            self.population.tell(fitness, keys)
+        self.history.append((self.population.best_fitness.copy(), fitness.mean(axis=1)))
+        return f"fitness {self.population.best_fitness.max():.1f}"
 
 
 @contextmanager
-def _one_thread() -> Iterator[None]:
-    """Keep torch to one thread: what happens in a generation is too little to be shared out."""
+def _threads_for(commands: int) -> Iterator[None]:
+    """Keep a generation of so few commands on one core: it is done sooner than it is shared out.
+
+    On a machine that is busy with something else too, every sharing out may cost a time slice of
+    the scheduler, more than the whole generation.
+    """
+    threads = numba.get_num_threads()
+    if commands < _WORTH_SHARING:
+        numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(threads)
+
+
+@contextmanager
+def _one_torch_thread() -> Iterator[None]:
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
@@ -182,172 +334,67 @@ def _one_thread() -> Iterator[None]:
         torch.set_num_threads(threads)
 
 
-class _Evolution:
-    """Several runs of the genetic algorithm, rolled out together."""
+def _run(stage: Any, generations: int, label: str, progress: bool) -> bool:
+    """Run a stage of evolution; return whether Ctrl-C ended it early."""
+    bar_or_none = Progress(label, generations, "generations") if progress else nullcontext()
+    # Where a simulator is stepped in PyTorch there is too little in a step to be shared out.
+    with _one_torch_thread(), bar_or_none as bar:
+        try:
+            for _ in range(generations):
+                note = stage.generation()
+                if bar is not None:
+                    bar.advance(note=note)
+        except KeyboardInterrupt:
+            if not stage.history:
+                raise
+            return True
+    return False
 
-    def __init__(
-        self, simulator: Simulator, task: Task, settings: PlanSettings, generator: torch.Generator
-    ):
-        self._simulator, self._task, self._settings = simulator, task, settings
-        shape = (settings.runs, settings.genetic.population, settings.commands * GENES)
-        initial = torch.rand(
-            shape, generator=generator, dtype=torch.float64, device=generator.device
+
+def _results(
+    course: Course, best: NDArray, history: list, seed: int | None, interrupted: bool
+) -> list[PlanResult]:
+    """Return what is to be said of the best plan [N, 4 K] of each run, the best first."""
+    evaluation, poses, commands, given = course.expected(best)
+    series = {}
+    for name, stage in zip(("", "robust_"), history, strict=False):
+        for which, values in zip(("best", "mean"), zip(*stage, strict=True), strict=False):
+            series[name + which] = np.stack(values, axis=1).tolist()
+    fitness = completes = None
+    if seed is not None:
+        draws = course.draw(course.settings.final_draws, seed + 0xF14A1)
+        outcomes = [course.drawn(one[None], draws) for one in best]
+        fitness = [float(f.mean()) for f, _, _ in outcomes]
+        completes = [float(c.mean()) for _, c, _ in outcomes]
+    results = [
+        PlanResult(
+            commands=[
+                tuple(command) if keep else None
+                for command, keep in zip(commands[run].tolist(), given[run], strict=True)
+            ],
+            poses=poses[run][[0, *(np.flatnonzero(given[run]) + 1)]],
+            rest=poses[run, -1],
+            fitness=float(evaluation.fitness[run]),
+            completes=bool(evaluation.completes[run]),
+            probability=None if completes is None else completes[run],
+            expected_fitness=None if fitness is None else fitness[run],
+            draws=0 if seed is None else course.settings.final_draws,
+            history={name: values[run] for name, values in series.items()},
+            run=run,
+            interrupted=interrupted,
         )
-        self._algorithm = GeneticAlgorithm(
-            initial, settings.genetic, generator, crossover=self._cross, mutation=self._mutate
-        )
-        #: Of the population last evaluated, [runs, population, commands].
-        self._keys = torch.empty(0)
-        #: Best and mean fitness of each generation, [runs] each.
-        self.history: list[tuple[Tensor, Tensor]] = []
-
-    def generation(self) -> float:
-        """Evaluate a population, make the next, and return the best fitness so far."""
-        population = self._algorithm.ask()
-        runs, size, _ = population.shape
-        evaluation, poses, given = self._evaluate(population.flatten(0, 1))
-        region = torch.from_numpy(self._task.region(poses[:, :-2])).to(given.device)
-        self._keys = pairing_keys(region, given).view(runs, size, -1)
-        fitness = torch.from_numpy(evaluation.fitness).view(runs, size)
-        self._algorithm.tell(fitness)
-        self.history.append((self._algorithm.best_fitness.clone(), fitness.mean(-1)))
-        return float(self._algorithm.best_fitness.max())
-
-    def results(self, interrupted: bool) -> list[PlanResult]:
-        """Return the best plan of each run, the best first."""
-        evaluation, poses, given = self._evaluate(self._algorithm.best)
-        commands = decode(self._algorithm.best, self._settings)[0].tolist()
-        best, mean = (torch.stack(series).T.tolist() for series in zip(*self.history, strict=True))
-        results = []
-        for run, keep in enumerate(given.tolist()):
-            after = [index + 1 for index, is_given in enumerate(keep) if is_given]
-            results.append(
-                PlanResult(
-                    commands=[
-                        tuple(command) if is_given else None
-                        for command, is_given in zip(commands[run], keep, strict=True)
-                    ],
-                    poses=poses[run, [0, *after]],
-                    rest=poses[run, -1],
-                    fitness=float(evaluation.fitness[run]),
-                    completes=bool(evaluation.completes[run]),
-                    history={"best": best[run], "mean": mean[run]},
-                    run=run,
-                    interrupted=interrupted,
-                )
-            )
-        return sorted(results, key=lambda result: -result.fitness)
-
-    def _evaluate(self, genes: Tensor) -> tuple[Evaluation, NDArray, Tensor]:
-        """Return the evaluation, poses (B, K + 2, 3) and given [B, K] of chromosomes [B, G]."""
-        commands, given = decode(genes, self._settings)
-        poses = rollout(self._simulator, self._task.start, commands, given).cpu().numpy()
-        counted = torch.cat([given, given.new_zeros(len(given), 1)], dim=1)
-        return self._task.evaluate(poses, counted.cpu().numpy()), poses, given
-
-    def _cross(
-        self, population: Tensor, first: Tensor, second: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        a, b = (_take(population, index).unflatten(-1, (-1, GENES)) for index in (first, second))
-        eta = self._settings.genetic.eta
-        return cross_paired(
-            a, b, _take(self._keys, first), _take(self._keys, second), eta, generator
-        )
-
-    def _mutate(self, genes: Tensor, generator: torch.Generator) -> Tensor:
-        genetic = self._settings.genetic
-        return mutate(genes, genetic.mutation, genetic.mutation_scale, generator)
+        for run in range(len(best))
+    ]
+    robust = course.settings.robust
+    return sorted(results, key=lambda result: _merit(result, robust), reverse=True)
 
 
-def mutate(genes: Tensor, probability: float, scale: float, generator: torch.Generator) -> Tensor:
-    """Change each gene with ``probability``.
-
-    A speed or duration gets normally distributed noise or is drawn anew, one as often as the
-    other. A command whose null gene is hit becomes null; one that was null comes back, all of
-    it drawn anew, for what it was before has not been selected for since.
-
-    Args:
-        genes: [..., 4 K] in 0..1.
-        probability: chance of each gene.
-        scale: standard deviation of the noise.
-        generator: source of the draws.
-    """
-    draws = {"generator": generator, "dtype": genes.dtype, "device": genes.device}
-    which = torch.rand(genes.shape, **draws)
-    near = (genes + scale * torch.randn(genes.shape, **draws)).clamp_(0.0, 1.0)
-    anew = torch.rand(genes.shape, **draws)
-    hit = which < probability
-    changed = torch.where(hit, torch.where(which < probability / 2, near, anew), genes)
-    old, new, fresh, hit = (part.unflatten(-1, (-1, GENES)) for part in (genes, changed, anew, hit))
-    was_null, flipped = is_null(old[..., :1]), hit[..., :1]
-    new = torch.where(flipped & was_null, fresh, new)
-    kept = fresh[..., :1] * (1.0 - NULL_SHARE)
-    null = torch.where(was_null, kept, 1.0 - 0.5 * NULL_SHARE * fresh[..., :1])
-    flag = torch.where(flipped, null, old[..., :1])
-    return torch.cat([flag, new[..., 1:]], dim=-1).flatten(-2)
+def _merit(result: PlanResult, robust: RobustSettings | None) -> float:
+    if robust is None:
+        return result.fitness
+    return result.expected_fitness if robust.objective == "fitness" else result.probability
 
 
-def cross_paired(
-    a: Tensor, b: Tensor, keys_a: Tensor, keys_b: Tensor, eta: float, generator: torch.Generator
-) -> tuple[Tensor, Tensor]:
-    """Cross the commands of two parents that have the same key.
-
-    Args:
-        a, b: parents, [..., K, 4], genes in 0..1.
-        keys_a, keys_b: [..., K], as from :func:`pairing_keys`; no key twice in a parent.
-        eta: distribution index of simulated binary crossover.
-        generator: source of the draws.
-
-    Returns:
-        Children, [..., 4 K] each: a's with its paired commands crossed, and b's.
-    """
-    same = keys_a.unsqueeze(-1) == keys_b.unsqueeze(-2)  # [..., command of a, command of b]
-    partner = torch.take_along_dim(b, same.int().argmax(-1, keepdim=True), -2)
-    crossed_a, crossed_b = sbx(a, partner, eta, generator, bounds=(0.0, 1.0))
-    # The second children stand at the places of a's commands: bring them back to b's.
-    crossed_b = torch.take_along_dim(crossed_b, same.int().argmax(-2).unsqueeze(-1), -2)
-    child_a = torch.where(same.any(-1, keepdim=True), crossed_a, a)
-    child_b = torch.where(same.any(-2).unsqueeze(-1), crossed_b, b)
-    return child_a.flatten(-2), child_b.flatten(-2)
-
-
-def decode(genes: Tensor, settings: PlanSettings) -> tuple[Tensor, Tensor]:
-    """Return commands [B, K, 3] (percent, percent, s) and which are given [B, K].
-
-    In whole percents and milliseconds, as they will be sent.
-
-    Args:
-        genes: [B, 4 K] in 0..1: null above 1 - NULL_SHARE, left, right, duration.
-        settings: limits of speed and duration.
-    """
-    parts = genes.unflatten(-1, (-1, GENES))
-    speeds = ((2.0 * parts[..., 1:3] - 1.0) * settings.max_speed).round()
-    low, high = settings.durations
-    duration = (low + (high - low) * parts[..., 3:]).round(decimals=3)
-    return torch.cat([speeds, duration], dim=-1), ~is_null(parts[..., 0])
-
-
-def is_null(gene: Tensor) -> Tensor:
-    """Return whether a command's first gene says that it is not given."""
-    return gene > 1.0 - NULL_SHARE
-
-
-def pairing_keys(region: Tensor, given: Tensor) -> Tensor:
-    """Return a key [B, K] per command, equal in two plans for commands to be paired.
-
-    The n-th command that was given in a region has the same key in every plan, and no other
-    command of its plan has it. Null commands have keys that no other command has.
-
-    Args:
-        region: [B, K] where the robot was when each command was given, small whole numbers.
-        given: [B, K] bool.
-    """
-    batch, commands = region.shape
-    same = (region.unsqueeze(-1) == region.unsqueeze(-2)) & given.unsqueeze(-2)
-    rank = same.tril(-1).sum(-1)
-    alone = torch.arange(batch * commands, device=region.device).view(batch, commands)
-    return torch.where(given, region * commands + rank, alone + 10**6)
-
-
-def _take(population: Tensor, index: Tensor) -> Tensor:
-    return torch.take_along_dim(population, index.unsqueeze(-1), -2)
+def _with_rest(given: NDArray) -> NDArray[np.bool_]:
+    """Return ``given`` with the segment in which the motors run down, which is no command."""
+    return np.concatenate([given, np.zeros((len(given), 1), np.bool_)], axis=1)

@@ -50,10 +50,10 @@ def _not_zero(scale: Tensor) -> Tensor:
 
 @contextmanager
 def one_thread(device: str) -> Iterator[None]:
-    """Let PyTorch work in one thread where compiled kernels do the heavy part in several.
+    """Let PyTorch work in one thread where more do not pay.
 
-    A genetic algorithm's tensors are small; and PyTorch's second thread, between two of its
-    tasks, keeps busy on the core that the kernels want.
+    The tensors of a search are small; and PyTorch's second thread, between two of its tasks, keeps
+    busy on a core that compiled kernels, or other programs, want.
     """
     threads = torch.get_num_threads()
     if torch.device(device).type == "cpu":
@@ -62,6 +62,45 @@ def one_thread(device: str) -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
+
+
+@dataclass(frozen=True)
+class PursuitSettings:
+    """How product units are searched for, one at a time.
+
+    Attributes:
+        candidates: units drawn for each function that may get one.
+        parents: best of them, from which others are made.
+        children: made by changing parents.
+        mutation_scales: standard deviations of the change of exponents, one a round.
+        limits: lowest and highest exponent.
+        ridge: added to the diagonal of the equations, scaled to ones.
+        refine_every: units from one refinement of all exponents to the next.
+        refine_steps: steps of a refinement.
+        reweigh_at: numbers of units at which the rows are weighed anew by their expected error.
+        unit_cost: degrees of freedom that a unit counts as in generalised cross-validation.
+        least_gain: relative gain of the score that counts as one.
+        patience: units without a gain after which the search ends.
+    """
+
+    candidates: int = 600
+    parents: int = 12
+    children: int = 150
+    mutation_scales: tuple[float, ...] = (0.4, 0.15)
+    limits: tuple[float, float] = (-3.0, 4.0)
+    ridge: float = 1e-7
+    refine_every: int = 2
+    refine_steps: int = 2
+    reweigh_at: tuple[int, ...] = (4, 8)
+    unit_cost: float = 12.0
+    least_gain: float = 1e-3
+    patience: int = 8
+
+    def __post_init__(self) -> None:
+        if min(self.candidates, self.parents, self.children, self.refine_every) < 1:
+            raise ValueError("candidates, parents, children and refine_every are at least 1")
+        if not self.limits[0] < self.limits[1]:
+            raise ValueError("the lowest exponent must be below the highest")
 
 
 class Trainer(Protocol):
@@ -74,11 +113,13 @@ class Trainer(Protocol):
         source: where the method was published.
         settings_type: class of its settings.
         default_generations: generations that it needs.
+        default_hidden: units of both kinds that its networks have if nobody says otherwise.
     """
 
     source: str
     settings_type: type
     default_generations: int
+    default_hidden: tuple[int, int]
 
     def __init__(
         self,

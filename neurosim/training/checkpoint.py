@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
@@ -55,6 +56,7 @@ class Checkpoint:
             raise UserError(f"there is no interrupted training at {self.folder}; start it anew")
         fields = {"settings": dict}
         begun = files.read_json(self._settings, FORMAT, VERSION, fields)["settings"]
+        settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
         for name in [*settings, *(name for name in begun if name not in settings)]:
             if begun.get(name) != settings.get(name):
                 raise UserError(

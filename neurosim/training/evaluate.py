@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from neurosim.base import files
 from neurosim.base.errors import UserError
 from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.training.coverage import coverage
 from neurosim.training.unicycle import unicycle
 from tracking.dataset import Dataset
 
@@ -42,7 +43,8 @@ def evaluate(
         ``rows`` used, ``which`` of them in words, ``held_out`` (bool), ``errors`` by output
         (``mse``, ``mean_absolute_error``, ``unit``) of the simulator, the same of ``paper`` and
         of the ideal unicycle (``baseline``: description and errors; None where the inputs are
-        not a unicycle's).
+        not a unicycle's); ``coverage`` of its intervals, as
+        :func:`neurosim.training.coverage.coverage`, None where it has no noise model.
 
     Raises:
         FileError: if a file is missing or wrong.
@@ -77,6 +79,7 @@ def evaluate(
         "which": which,
         "held_out": own and held_out_only,
         "errors": table_of_errors(network, used),
+        "coverage": coverage(network, used),
         "paper": {name: {**PAPER[name], "unit": _FACTORS[name][1]} for name in PAPER},
         "baseline": baseline,
     }

@@ -1,58 +1,61 @@
-"""A genetic algorithm over the product units' exponents, everything linear solved exactly.
+"""The default trainer: networks that grow by product units whose exponents are searched for.
 
 Given its product units, a network with linear activations is linear in all its other weights, and
 the best of these follow from one small system of equations; only the exponents need searching.
-The networks learn the body twist whose exponential is the displacement, so that what the robot
-does (drive at a speed, turn at a rate) is not hidden behind the sine and cosine of where that led.
+
+The networks learn a body twist, whose exponential is where the robot gets to at steady speeds, so
+that what it does (drive at a speed, turn at a rate) is not hidden behind the sine and cosine of
+where that led; and an offset, for what happens at the beginning of a command, before the speeds
+are reached, when the robot still looks where it did.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
-from neurosim.evolution import GeneticAlgorithm, GeneticSettings
-from neurosim.networks import ProductGram, ProductSummationNetwork, Weights
+from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork
-from neurosim.training.base import TrainingData, one_thread, root_mean_square
+from neurosim.training.base import PursuitSettings, TrainingData, one_thread, root_mean_square
+from neurosim.training.dead_zone import find_dead_zone
+from neurosim.training.pursuit import Pursuit
 
 
 @dataclass(frozen=True)
-class ExponentsSettings(GeneticSettings):
-    """Settings of the search: Table 1 of the paper, and what it does not say.
+class ExponentsSettings(PursuitSettings):
+    """Settings of the search.
 
     Attributes:
-        initial: first exponents are drawn between minus and plus this.
-        sparsity: share of the first exponents that are zero: most products are of few inputs.
-        limit: exponents stay between minus and plus this.
-        ridge: added to the diagonal of the equations, features having a mean square of one.
+        floor: the smallest magnitude of an input in a product unit.
+        dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
+            the data if not given.
     """
 
-    mutation_scale: float = 0.3
-    initial: float = 2.0
-    sparsity: float = 0.6
-    limit: float = 4.0
-    ridge: float = 1e-6
+    floor: float = 0.02
+    dead_zone: tuple[float, ...] | None = None
 
 
 class ExponentsTrainer:
-    """One genetic algorithm an output over [products x inputs] exponents.
+    """One search for the turn, and one for twist and offset of the translation.
 
     The displacement of a constant body twist (vx, vy, omega) over unit time is, seen from
     half way round, (vx, vy) times the chord factor sinc(omega / 2). Fitting that factor times the
     networks' outputs to the displacement rotated back by half its turn minimises the error of the
-    displacement itself, and needs no logarithm, which has none near whole turns.
+    displacement itself, and needs no logarithm, which has none near whole turns. The offset, in
+    the frame of the start, is turned by minus half the turn there. Given the turn, both are linear.
     """
 
     source = (
-        "Ridge regression on evolved product units, after Martínez-Estudillo et al. 2006; "
+        "Orthogonal least squares (Chen, Cowan, Grant 1991) over product units (Durbin and "
+        "Rumelhart 1989) with exponents refined by variable projection (Golub and Pereyra 1973); "
         "twist coordinates: Lynch and Park 2017, section 3.3"
     )
     settings_type = ExponentsSettings
-    default_generations = 100
+    default_generations = 24
+    default_hidden = (24, 1)
 
     def __init__(
         self,
@@ -65,102 +68,97 @@ class ExponentsTrainer:
         if not network.linear or network.summations < 1 or network.products < 1:
             raise ValueError("exponents are trained for linear activations and units of both kinds")
         self._data = data
+        self._network = replace(network, phases=True, floor=settings.floor)
+        self._generator = torch.Generator(device).manual_seed(seed)
         self._device = device
-        self._network = network
-        self._settings = settings
-        x = data.scaled_inputs.to(device)
-        targets, factors = half_way(data.y.to(device))  # [N, 3], [N, 3]
-        self._scale = root_mean_square(targets)
-        linear = torch.cat([x, torch.ones_like(x[:, :1])], dim=1).T
-        self._grams = []
-        for factor, target in zip(factors.T, (targets / self._scale).T, strict=True):
-            others = torch.cat([linear * factor, target.unsqueeze(0)])
-            self._grams.append(ProductGram(network, x, factor, others))
-        generator = torch.Generator(device).manual_seed(seed)
-        genes = network.products * network.inputs
-        shape = (targets.shape[1], settings.population, genes)
-        draws = {"generator": generator, "device": device, "dtype": x.dtype}
-        first = settings.initial * (2.0 * torch.rand(shape, **draws) - 1.0)
-        first *= torch.rand(shape, **draws) >= settings.sparsity
-        self._ga = GeneticAlgorithm(
-            first,
-            settings,
-            generator,
-            bounds=(-settings.limit, settings.limit),
+        x, y = data.scaled_inputs.to(device), data.y.to(device)
+        if settings.dead_zone is None:
+            names = [entry["name"] for entry in data.inputs]
+            with one_thread(device):
+                self._dead_zone = find_dead_zone(names, x, y[:, 2], settings, settings.floor)
+        else:
+            self._dead_zone = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)
+        x = torch.where(x.abs() < self._dead_zone, 0.0, x)
+        targets, factors = half_way(y)
+        self._scale = root_mean_square(targets)[[0, 2]]  # of translations and of turns
+        translation = translation_factors(y[:, 2], factors[:, 0])
+        search = (settings, network.products, self._generator, settings.floor)
+        self._turn = Pursuit(
+            x, torch.ones_like(y[:, 2])[None, None], targets[:, 2:].T / self._scale[1], *search
         )
+        self._shift = Pursuit(x, translation, targets[:, :2].T / self._scale[0], *search)
 
     def advance(self) -> Tensor:
-        """Work one generation; return the least mean squared error so far, [3], in SI units.
+        """Give the turn one unit more and the translation two; return the mean squared errors.
 
-        Those of dx and dy are of the displacement seen from half way round, the turn taken as
-        measured.
+        Returns:
+            [3], in SI units, of the units there are now. Those of dx and dy are of the
+            displacement seen from half way round, the turn taken as measured.
         """
         with one_thread(self._device):
-            error, _ = self._solve(self._ga.ask())
-            self._ga.tell(1.0 / error)
-        return (self._scale.square() / self._ga.best_fitness).cpu()
+            self._turn.grow()
+            for _ in range(2):
+                self._shift.grow()
+        errors = torch.cat([self._shift.mean_squared_error, self._turn.mean_squared_error])
+        return (errors * self._scale[[0, 0, 1]].square()).cpu()
 
     def result(self) -> MotionNetwork:
-        """Return the three best networks so far."""
-        network = self._network
-        best = self._ga.best.unsqueeze(1)
-        _, readout = self._solve(best)  # [3, 1, P + I + 1]
-        readout = readout.squeeze(1)
-        p, i, s = network.products, network.inputs, network.summations
-        outputs = len(readout)
-        # The linear map goes into the first summation unit; the others have nothing to add.
-        summation = readout.new_zeros(outputs, s, i)
-        summation[:, 0] = readout[:, p : p + i]
-        summation_weights = readout.new_zeros(outputs, s)
-        summation_weights[:, 0] = 1.0
-        weights = Weights(
-            exponents=best.view(outputs, p, i),
-            product_weights=readout[:, :p],
-            summation=summation,
-            summation_bias=readout.new_zeros(outputs, s),
-            summation_weights=summation_weights,
-            bias=readout[:, -1],
-        )
+        """Return the networks that promise to generalise best."""
+        state = self.state()
+        for search in (self._turn, self._shift):
+            search.settle()
+        (vx, vy, ox, oy), (omega,) = (self._functions(s) for s in (self._shift, self._turn))
+        genes = torch.stack([vx, vy, omega, ox, oy]).cpu()
+        self.load(state)
+        translation, turn = self._scale.tolist()
         return MotionNetwork(
             self._data.inputs,
-            network,
-            network.join(weights).cpu(),
+            self._network,
+            genes,
             self._data.input_scale,
-            self._scale.cpu(),
-            coordinates="twist",
+            torch.tensor([translation, translation, turn, translation, translation]),
+            coordinates="twist-offset",
+            dead_zone=self._dead_zone.cpu(),
         )
 
+    def _functions(self, search: Pursuit) -> list[Tensor]:
+        """Return the genes of each function, the units that it lacks being nothing."""
+        network = self._network
+        genes = []
+        units = zip(search.exponents, search.phases, search.readout(), strict=True)
+        for exponents, phases, (weights, linear) in units:
+            missing = network.products - len(exponents)
+            summation = linear.new_zeros(network.summations, network.inputs)
+            summation_weights = linear.new_zeros(network.summations)
+            # The linear map goes into the first summation unit; the others have nothing to add.
+            summation[0], summation_weights[0] = linear[:-1], 1.0
+            genes.append(
+                network.join(
+                    Weights(
+                        exponents=torch.nn.functional.pad(exponents, (0, 0, 0, missing)),
+                        product_weights=torch.nn.functional.pad(weights, (0, missing)),
+                        summation=summation,
+                        summation_bias=linear.new_zeros(network.summations),
+                        summation_weights=summation_weights,
+                        bias=linear[-1],
+                        phases=torch.nn.functional.pad(phases, (0, 0, 0, missing)),
+                    )
+                )
+            )
+        return genes
+
     def state(self) -> dict[str, Tensor]:
-        """Return the genetic algorithm's state."""
-        return self._ga.state()
+        """Return the state of both searches."""
+        state = {"generator": self._generator.get_state()}
+        for name, search in (("turn", self._turn), ("shift", self._shift)):
+            state |= {f"{name}.{key}": value for key, value in search.state().items()}
+        return state
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a state, bit for bit."""
-        self._ga.load(state)
-
-    def _solve(self, exponents: Tensor) -> tuple[Tensor, Tensor]:
-        """Return mean squared errors [O, C] and read-outs [O, C, F] of exponents [O, C, P*I].
-
-        The equations are scaled to a unit diagonal: a product unit's size says nothing.
-        """
-        errors, readouts = zip(
-            *(self._solve_output(o, e) for o, e in enumerate(exponents)), strict=True
-        )
-        return torch.stack(errors), torch.stack(readouts)
-
-    def _solve_output(self, output: int, exponents: Tensor) -> tuple[Tensor, Tensor]:
-        units = exponents.view(-1, self._network.products, self._network.inputs)
-        gram = self._grams[output](units)  # the last column is the target
-        square, cross, power = gram[:, :-1, :-1], gram[:, :-1, -1], gram[:, -1, -1]
-        size = square.diagonal(dim1=-2, dim2=-1).sqrt().clamp(min=1e-12)
-        square = square / (size.unsqueeze(-1) * size.unsqueeze(-2))
-        square.diagonal(dim1=-2, dim2=-1).add_(self._settings.ridge)
-        cross = cross / size
-        triangle, failed = torch.linalg.cholesky_ex(square)
-        readout = torch.cholesky_solve(cross.unsqueeze(-1), triangle).squeeze(-1)
-        # |y - Fw|^2 for the ridge solution w: y'y - 2 w'c + w'Sw, S without the ridge.
-        error = power - (readout * cross).sum(-1) - self._settings.ridge * readout.square().sum(-1)
-        return torch.where(failed == 0, error.clamp(min=1e-12), torch.inf), readout / size
+        for name, search in (("turn.", self._turn), ("shift.", self._shift)):
+            search.load({k.removeprefix(name): v for k, v in state.items() if k.startswith(name)})
+        self._generator.set_state(state["generator"])
 
 
 def half_way(displacement: Tensor) -> tuple[Tensor, Tensor]:
@@ -177,3 +175,19 @@ def half_way(displacement: Tensor) -> tuple[Tensor, Tensor]:
     targets = torch.stack([cos * dx + sin * dy, cos * dy - sin * dx, dtheta], dim=-1)
     chord = torch.sinc(dtheta / (2.0 * torch.pi))
     return targets, torch.stack([chord, chord, torch.ones_like(chord)], dim=-1)
+
+
+def translation_factors(turn: Tensor, chord: Tensor) -> Tensor:
+    """Return what (vx, vy, offset x, offset y) count in a translation seen from half way round.
+
+    Args:
+        turn: [N], rad.
+        chord: sinc(turn / 2), [N].
+
+    Returns:
+        [2, 4, N].
+    """
+    cos, sin, none = (turn / 2.0).cos(), (turn / 2.0).sin(), torch.zeros_like(turn)
+    return torch.stack(
+        [torch.stack([chord, none, cos, sin]), torch.stack([none, chord, -sin, cos])]
+    )

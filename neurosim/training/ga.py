@@ -36,6 +36,7 @@ class GaTrainer:
     source = "Pretorius, du Plessis, Cilliers 2009, section 5.3 and Table 1"
     settings_type = GaSettings
     default_generations = 15_000
+    default_hidden = (10, 10)
 
     def __init__(
         self,

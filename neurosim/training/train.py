@@ -15,13 +15,22 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
-from neurosim.networks import ProductSummationNetwork
+from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import Trainer, TrainingData
 from neurosim.training.checkpoint import Checkpoint
+from neurosim.training.coverage import coverage
+from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.evaluate import table_of_errors
-from neurosim.training.trainers import trainer_class, trainer_settings
+from neurosim.training.gradient import GradientTrainer
+from neurosim.training.trainers import DEFAULT, trainer_class, trainer_settings
 from tracking.dataset import Dataset
+
+#: Networks of each output in an ensemble.
+MEMBERS = 8
+
+#: The trainer that stands for the paper: alone and without noise unless more is asked for.
+PAPER = "ga"
 
 #: The share of rows, last in time, that is never seen by training.
 HELD_OUT = 0.2
@@ -37,10 +46,12 @@ def train(
     dataset: str | Path,
     out: str | Path,
     *,
-    trainer: str = "ga",
+    trainer: str = DEFAULT,
+    members: int | None = None,
+    noise: bool | None = None,
     generations: int | None = None,
     seed: int = 0,
-    hidden: tuple[int, int] = (10, 10),
+    hidden: tuple[int, int] | None = None,
     activations: tuple[str, str] = ("linear", "linear"),
     settings: Mapping[str, Any] | None = None,
     device: str = "cpu",
@@ -57,10 +68,13 @@ def train(
         dataset: a dataset folder.
         out: the simulator folder to write.
         trainer: a name in :data:`neurosim.training.trainers.TRAINERS`.
-        generations: how long to train; by default as long as the trainer says.
+        members: networks of each output; by default :data:`MEMBERS`, and 1 of the paper's.
+        noise: whether to learn a noise model; by default yes, and no for the paper's.
+        generations: how long each search is; by default as long as the trainer says.
         seed: of all random numbers.
-        hidden: number of product units and of summation units.
-        activations: of the hidden units and of the output: linear, tanh or sigmoid.
+        hidden: number of product units and of summation units; by default the trainer's own.
+        activations: of the hidden units and of the output: linear, tanh or sigmoid; a perceptron
+            has its own.
         settings: the trainer's own settings that are not to be its defaults.
         device: where to compute, as PyTorch names it.
         resume: go on with the interrupted training of ``out``.
@@ -76,6 +90,11 @@ def train(
     chosen = trainer_settings(trainer, dict(settings or {}))
     kind = trainer_class(trainer)
     generations = kind.default_generations if generations is None else generations
+    members = (1 if trainer == PAPER else MEMBERS) if members is None else members
+    noise = trainer != PAPER if noise is None else noise
+    hidden = kind.default_hidden if hidden is None else hidden
+    if members < 1:
+        raise UserError(f"the number of members must be at least 1, not {members}")
     if generations < 1:
         raise UserError(f"the number of generations must be at least 1, not {generations}")
     _check_device(device)
@@ -90,6 +109,8 @@ def train(
     begun = {
         "trainer": trainer,
         "source": kind.source,
+        "members": members,
+        "noise": noise,
         "generations": generations,
         "seed": seed,
         "device": device,
@@ -98,10 +119,28 @@ def train(
         "held_out": HELD_OUT,
         **asdict(chosen),
     }
-    source = {"dataset": Path(dataset).name, "sha256": files.sha256(Path(dataset) / "dataset.csv")}
+    source = {
+        "dataset": Path(dataset).name,
+        "sha256": files.sha256(Path(dataset) / "dataset.csv"),
+        "virtual": bool(rows.meta.get("virtual", False)),
+    }
     try:
-        network = ProductSummationNetwork(len(rows.inputs), *hidden, *activations)
-        learner = kind(data, network, chosen, seed, device)
+        if kind is GradientTrainer:
+            network = Perceptron(len(rows.inputs), *hidden)
+        else:
+            network = ProductSummationNetwork(len(rows.inputs), *hidden, *activations)
+        learner = EnsembleTrainer(
+            kind,
+            data,
+            network,
+            chosen,
+            seed,
+            device,
+            members=members,
+            generations=generations,
+            noise=noise,
+            order=command_order(earlier),
+        )
     except ValueError as error:
         raise UserError(f"trainer {trainer!r} cannot be set so: {error}") from None
 
@@ -112,14 +151,17 @@ def train(
     else:
         checkpoint.begin(settings_now)
         run = _Run()
-    _advance(learner, checkpoint, generations, run, checkpoint_every, progress)
+    _advance(learner, checkpoint, learner.generations, run, checkpoint_every, progress)
+    began = time.monotonic()
     simulator = learner.result()
+    run.seconds += time.monotonic() - began
     simulator.meta = {
         "training": {**begun, "rows": len(earlier), "held_out_rows": len(later)},
         "history": [
             {"generation": int(generation), "mse": mse} for generation, *mse in run.history
         ],
         "test_errors": table_of_errors(simulator, later),
+        "test_coverage": coverage(simulator, later, seed),
         "source": source,
         "wall_clock": {"training_seconds": round(run.seconds, 1)},
     }
@@ -136,6 +178,13 @@ def training_data(dataset: Dataset) -> TrainingData:
         torch.tensor(dataset.input_array()),
         torch.tensor(dataset.output_array()),
     )
+
+
+def command_order(rows: Dataset) -> Tensor:
+    """Return a number for each row, [N], that differs by one where one command followed another."""
+    recording = rows.table["recording"].factorize()[0].astype("int64")
+    # Recordings lie far apart, however many commands they have.
+    return torch.tensor(recording * 2**40 + rows.table["command"].to_numpy("int64"))
 
 
 @dataclass

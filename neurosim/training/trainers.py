@@ -9,8 +9,16 @@ from neurosim.base.errors import UserError
 from neurosim.training.base import Trainer
 from neurosim.training.exponents import ExponentsTrainer
 from neurosim.training.ga import GaTrainer
+from neurosim.training.gradient import GradientTrainer
 
-TRAINERS: dict[str, type[Trainer]] = {"ga": GaTrainer, "exponents": ExponentsTrainer}
+TRAINERS: dict[str, type[Trainer]] = {
+    "exponents": ExponentsTrainer,
+    "ga": GaTrainer,
+    "gradient": GradientTrainer,
+}
+
+#: The name of the trainer that is used if nobody says otherwise.
+DEFAULT = "exponents"
 
 
 def trainer_class(name: str) -> type[Trainer]:

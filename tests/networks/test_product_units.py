@@ -9,7 +9,6 @@ from neurosim.networks import (
     LOG_LIMIT,
     PopulationError,
     Prediction,
-    ProductGram,
     ProductSummationNetwork,
     Weights,
 )
@@ -159,18 +158,33 @@ def test_fast_predictions_are_the_plain_ones(inputs, products, summations, rows,
     torch.testing.assert_close(Prediction(network, genes)(x), plain, rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.parametrize("compiled", [True, False])
-@pytest.mark.parametrize("inputs", [2, 5])
-def test_the_gram_matrix_is_the_mean_of_products_of_columns(inputs, compiled):
-    g = torch.Generator().manual_seed(4)
-    network = ProductSummationNetwork(inputs, 3, 1)
-    x = rows_with_zeros_and_negatives(g, 600, inputs)
-    factor = torch.randn(600, generator=g, dtype=torch.float64)
-    others = torch.randn(2, 600, generator=g, dtype=torch.float64)
-    exponents = torch.randn(4, 3, inputs, generator=g, dtype=torch.float64)
-    gram = ProductGram(network, x, factor, others, kernel=compiled)(exponents)
-    for c in range(4):
-        columns = torch.cat([network.product_units(exponents[c], x) * factor, others])
-        expected = columns @ columns.T / 600
-        size = expected.diagonal().sqrt()
-        assert ((gram[c] - expected).abs() < 1e-5 * torch.outer(size, size)).all()
+def test_a_phase_says_what_a_negative_input_does_whatever_its_exponent():
+    network = ProductSummationNetwork(2, 1, 0, phases=True)
+    x = torch.tensor([[-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [0.5, 0.5]], dtype=torch.float64)
+    exponents = torch.tensor([[2.0, 1.0]], dtype=torch.float64)
+    phases = torch.tensor([[1.0, 0.0]], dtype=torch.float64)  # odd in x0, even in x1
+    found = network.product_units(exponents, x, phases)[0]
+    assert found.tolist() == pytest.approx([-0.125, 0.125, -0.125, 0.125])
+
+
+@given(**shapes)
+@settings(max_examples=10, deadline=None)
+def test_networks_with_phases_are_the_same_by_all_ways(
+    inputs, products, summations, rows, spread, seed
+):
+    g = torch.Generator().manual_seed(seed)
+    network = ProductSummationNetwork(inputs, products, summations, phases=True)
+    x = rows_with_zeros_and_negatives(g, rows, inputs)
+    genes = spread * torch.randn(3, network.genes, generator=g, dtype=torch.float64)
+    plain = network.forward(genes, x)
+    torch.testing.assert_close(Prediction(network, genes)(x).T, plain, rtol=1e-9, atol=1e-6)
+    torch.testing.assert_close(network.join(network.split(genes)), genes)
+    fast = PopulationError(network, x, torch.zeros(1, rows, dtype=torch.float64))(genes[None])[0]
+    expected = plain.square().mean(-1)
+    torch.testing.assert_close(fast, expected, rtol=4e-4 * max(1, spread), atol=1e-6)
+    # With the exponents for phases it is the network without.
+    ordinary = ProductSummationNetwork(inputs, products, summations)
+    same = network.join(ordinary.split(genes[:, : ordinary.genes]))
+    torch.testing.assert_close(
+        network.forward(same, x), ordinary.forward(genes[:, : ordinary.genes], x)
+    )

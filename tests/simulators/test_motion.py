@@ -85,7 +85,7 @@ def test_a_batch_is_its_rows_and_nothing_is_remembered_outside_the_state():
 def test_inputs_may_stand_in_any_order():
     simulator = random_network()
     order = [4, 2, 0, 3, 1]
-    w = SMALL.split(simulator.genes)
+    w = SMALL.split(simulator.genes[0])
     shuffled = MotionNetwork(
         [MOTORS[i] for i in order],
         SMALL,
@@ -141,7 +141,7 @@ def edit(folder, **changes):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": 2}, "version"),
+        ({"version": 3}, "version"),
         ({"kind": "crystal-ball"}, "crystal-ball"),
         ({"format": "neurosim-dataset"}, "neurosim-simulator"),
         ({"inputs": ["left"]}, "inputs"),

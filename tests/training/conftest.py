@@ -2,8 +2,11 @@
 
 import numpy as np
 import pytest
+import torch
 
 from tracking.dataset import MOTOR_INPUTS, make
+
+torch.set_num_threads(1)  # tensors are small here; a second thread only waits
 
 FULL_SPEED, TRACK, LAG = 0.5, 0.13, 0.08
 

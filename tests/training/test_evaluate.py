@@ -6,15 +6,18 @@ import torch
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.networks import ProductSummationNetwork
-from neurosim.simulators import MotionNetwork
 from neurosim.training import evaluate, train
 from neurosim.training.base import TrainingData, root_mean_square
 from neurosim.training.evaluate import errors
-from neurosim.training.exponents import ExponentsSettings, ExponentsTrainer, half_way
+from neurosim.training.exponents import half_way
 from neurosim.training.unicycle import unicycle
 
-QUICK = {"hidden": (3, 2), "progress": False, "settings": {"population": 20, "tournament": 4}}
+QUICK = {
+    "trainer": "ga",
+    "hidden": (3, 2),
+    "progress": False,
+    "settings": {"population": 20, "tournament": 4},
+}
 VELOCITIES = {"prev_v": "m/s", "prev_w": "rad/s", "v": "m/s", "w": "rad/s", "duration": "s"}
 
 
@@ -101,31 +104,6 @@ def test_half_way_round_a_twist_is_its_chord():
     twist[0, 2], twist[1, 2] = 2 * np.pi, 0.0
     targets, factors = half_way(torch.tensor(se2.exp(twist)))
     np.testing.assert_allclose(targets, twist * factors.numpy(), atol=1e-12)
-
-
-def test_the_readout_is_the_least_squares_solution(robot_data):
-    inputs, outputs = map(torch.tensor, robot_data(200, 6))
-    data = TrainingData([{"name": n} for n in ("prev_a", "prev_b", "a", "b", "t")], inputs, outputs)
-    network = ProductSummationNetwork(5, 2, 1)
-    settings = ExponentsSettings(population=6, tournament=2, ridge=1e-9)
-    trainer = ExponentsTrainer(data, network, settings, seed=0)
-    mse = trainer.advance()
-    simulator = trainer.result()
-    assert isinstance(simulator, MotionNetwork)
-    targets, factors = half_way(outputs)
-    x = data.scaled_inputs
-    for o in range(3):
-        exponents = network.split(simulator.genes[o]).exponents
-        ones = torch.ones_like(x[:, :1])
-        features = torch.cat([network.product_units(exponents, x).T, x, ones], dim=1)
-        weighted = features * factors[:, o : o + 1]
-        solution = torch.linalg.lstsq(weighted, targets[:, o : o + 1]).solution
-        best = (weighted @ solution).squeeze(1) - targets[:, o]
-        assert best.square().mean().item() == pytest.approx(mse[o].item(), rel=1e-3)
-    rotated, _ = half_way(simulator.displacement(inputs))
-    assert (rotated - targets)[:, 2].square().mean().item() == pytest.approx(
-        mse[2].item(), rel=1e-3
-    )
 
 
 def test_scales():

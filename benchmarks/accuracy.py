@@ -1,0 +1,217 @@
+"""How well the trainers predict, beside ordinary regressors and the noise floor.
+
+    python benchmarks/accuracy.py DATASET [--floor data/noise_floor.json] [--seeds 5] [--json]
+    python benchmarks/accuracy.py DATASET --sizes
+    python benchmarks/accuracy.py UTIAS_FOLDER            (Odometry and Groundtruth files)
+
+Mean absolute error on the last rows in time (a fifth; of MRCLAM files a quarter), its ratio to the
+noise floor, and the seconds of one training of all outputs; medians over seeds. One network an
+output, no ensemble. Beside the trainers stand regressors of scikit-learn with its defaults, each
+also on what the ideal unicycle leaves: gradient boosting, a Gaussian process (one length for each
+input, its lengths found on 1,000 rows, at most 2,000 rows used) and a random forest.
+
+``--sizes`` trains on the first 100, 200, 500, 1,000, 2,000 and all rows. ``--quick`` takes one
+seed and a short run of the paper's trainer, whose whole run takes minutes (see ga_training.py).
+About 6 minutes on two cores with 5,000 rows; ``--trainers exponents --no-regressors`` 3 minutes.
+Regressors: pip install scikit-learn (extra ``bench``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import statistics
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from neurosim.networks import ProductSummationNetwork
+from neurosim.training.base import TrainingData
+from neurosim.training.evaluate import errors
+from neurosim.training.train import training_data
+from neurosim.training.trainers import TRAINERS
+from neurosim.training.unicycle import unicycle
+from tracking.dataset import Dataset
+from tracking.mrclam import import_mrclam
+
+OUTPUTS = ("dx", "dy", "dtheta")
+SIZES = (100, 200, 500, 1000, 2000, 5000)
+#: A whole run of the paper's trainer belongs to ga_training.py.
+GA_GENERATIONS = 500
+#: Learns from inputs (N, I) and outputs (N, 3) with a seed; returns what predicts.
+Learner = Callable[[Dataset, int], Callable[[np.ndarray], np.ndarray]]
+
+
+def read(path: Path) -> tuple[Dataset, Dataset]:
+    """Return the earlier rows and the held-out ones of a dataset or of MRCLAM files."""
+    if (path / "dataset.json").exists():
+        return Dataset.read(path).split(0.2)
+    with tempfile.TemporaryDirectory() as folder:
+        return import_mrclam(path, Path(folder) / "dataset").split(0.25)
+
+
+def trainer(name: str, generations: int | None = None) -> Learner:
+    kind = TRAINERS[name]
+
+    def learn(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+        data: TrainingData = training_data(rows)
+        network = ProductSummationNetwork(len(rows.inputs), *kind.default_hidden)
+        learner = kind(data, network, kind.settings_type(), seed, "cpu")
+        for _ in range(generations or kind.default_generations):
+            learner.advance()
+        simulator = learner.result()
+        return lambda x: simulator.displacement(torch.tensor(x)).numpy()
+
+    return learn
+
+
+def regressors() -> dict[str, Callable[[int], object]]:
+    from sklearn.ensemble import HistGradientBoostingRegressor, RandomForestRegressor
+
+    return {
+        "gradient boosting": lambda seed: HistGradientBoostingRegressor(random_state=seed),
+        "random forest": lambda seed: RandomForestRegressor(random_state=seed, n_jobs=2),
+        "Gaussian process": _GaussianProcess,
+    }
+
+
+class _GaussianProcess:
+    """A Gaussian process on a random part of the rows, its lengths found on a smaller one."""
+
+    def __init__(self, seed: int):
+        self._rng = np.random.default_rng(seed)
+
+    def fit(self, x: np.ndarray, y: np.ndarray) -> _GaussianProcess:
+        """Learn from inputs (N, I) and one output (N,)."""
+        from sklearn.gaussian_process import GaussianProcessRegressor
+        from sklearn.gaussian_process.kernels import RBF, ConstantKernel, WhiteKernel
+
+        order = self._rng.permutation(len(x))
+        kernel = ConstantKernel(1.0) * RBF(np.ones(x.shape[1])) + WhiteKernel(0.01)
+        part = order[:1000]
+        found = GaussianProcessRegressor(kernel, normalize_y=True).fit(x[part], y[part])
+        part = order[:2000]
+        self._model = GaussianProcessRegressor(found.kernel_, optimizer=None, normalize_y=True)
+        self._model.fit(x[part], y[part])
+        return self
+
+    def predict(self, x: np.ndarray) -> np.ndarray:
+        """Return the output (N,) of inputs (N, I)."""
+        return self._model.predict(x)
+
+
+def regressor(make: Callable[[int], object], on_residual: bool) -> Learner:
+    def learn(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+        ideal = unicycle(rows)
+        x, y = rows.input_array(), rows.output_array()
+        scale = np.abs(x).max(0)
+        left = y - ideal.displacement(x) if on_residual else y
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # lengths at their bounds
+            models = [make(seed).fit(x / scale, column) for column in left.T]
+
+        def predict(inputs: np.ndarray) -> np.ndarray:
+            found = np.stack([model.predict(inputs / scale) for model in models], axis=1)
+            return found + ideal.displacement(inputs) if on_residual else found
+
+        return predict
+
+    return learn
+
+
+def learners(options: argparse.Namespace) -> dict[str, Learner]:
+    found: dict[str, Learner] = {}
+    for name in options.trainers:
+        short = name == "ga"
+        label = f"ga, {GA_GENERATIONS} generations" if short else name
+        found[label] = trainer(name, GA_GENERATIONS if short else None)
+    found["ideal unicycle"] = lambda rows, seed: unicycle(rows).displacement
+    if options.regressors:
+        try:
+            for name, make in regressors().items():
+                found[name] = regressor(make, on_residual=False)
+                found[f"{name} on unicycle"] = regressor(make, on_residual=True)
+        except ImportError as error:
+            print(f"regressors are left out: {error}")
+    return found
+
+
+def judge(learn: Learner, rows: Dataset, later: Dataset, seeds: int) -> dict[str, object]:
+    """Return the errors (cm, cm, deg) of every seed, their medians, and the median seconds."""
+    runs, seconds = [], []
+    for seed in range(seeds):
+        began = time.perf_counter()
+        predict = learn(rows, seed)
+        seconds.append(time.perf_counter() - began)
+        table = errors(predict(later.input_array()), later.output_array())
+        runs.append([table[name]["mean_absolute_error"] for name in OUTPUTS])
+    median = np.median(runs, axis=0).tolist()
+    return {"error": median, "runs": runs, "seconds": statistics.median(seconds)}
+
+
+def first(rows: Dataset, count: int) -> Dataset:
+    table = rows.table.iloc[:count].reset_index(drop=True)
+    return Dataset(table, rows.inputs, rows.outputs, rows.meta)
+
+
+def read_floor(path: Path | None) -> list[float] | None:
+    if path is None or not path.exists():
+        return None
+    floor = json.loads(path.read_text(encoding="utf-8"))["floor"]
+    return [floor[name]["mean_absolute_deviation"] for name in OUTPUTS]
+
+
+def line(name: str, found: dict[str, object], floor: list[float] | None) -> str:
+    error = found["error"]
+    ratios = [e / f for e, f in zip(error, floor, strict=True)] if floor else [float("nan")] * 3
+    return (
+        f"{name:30s}"
+        + "".join(f"{ratio:8.2f}" for ratio in ratios)
+        + "".join(f"{value:9.3f}" for value in error)
+        + f"{found['seconds']:9.1f}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("dataset", type=Path)
+    parser.add_argument("--floor", type=Path, default=Path("data/noise_floor.json"))
+    parser.add_argument("--no-floor", action="store_true", help="of another robot")
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--trainers", nargs="*", default=list(TRAINERS), choices=list(TRAINERS))
+    parser.add_argument("--no-regressors", dest="regressors", action="store_false")
+    parser.add_argument("--sizes", action="store_true", help="error against the number of rows")
+    parser.add_argument("--quick", action="store_true", help="one seed")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    earlier, later = read(options.dataset)
+    same_robot = earlier.inputs[:2] == ("prev_left", "prev_right") and not options.no_floor
+    floor = read_floor(options.floor) if same_robot else None
+    seeds = 1 if options.quick else options.seeds
+    counts = [len(earlier)]
+    if options.sizes:
+        counts = [n for n in SIZES if n < len(earlier)] + counts
+    result: dict[str, object] = {"floor": floor, "held_out_rows": len(later), "rows": {}}
+    for count in counts:
+        if not options.json:
+            print(f"\n{count} rows to learn from, {len(later)} held out, {seeds} seeds")
+            print(f"{'':30s}{'error / floor':>24s}{'cm':>9s}{'cm':>9s}{'deg':>9s}{'s':>9s}")
+        table = result["rows"].setdefault(count, {})
+        for name, learn in learners(options).items():
+            repeats = 1 if name == "ideal unicycle" else seeds
+            table[name] = judge(learn, first(earlier, count), later, repeats)
+            if not options.json:
+                print(line(name, table[name], floor), flush=True)
+    if options.json:
+        print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,343 @@
+"""What robust evolution buys, and whether predicted probabilities of success can be believed.
+
+In a simulator learned from the reference dataset plans of 10 and 13 commands are evolved twice:
+without noise, and robustly from there. Each is driven many times in the virtual lab, with the
+lab's own variation (placing, slip, caster), and judged by its true path. What a blind plan can do
+at best is bounded by plans that are evolved robustly on from these in the lab's own physics.
+Reliability: plans of all qualities (both kinds, and stages on the way), predicted probability
+against what happened, Brier score against always saying the base rate.
+
+    python benchmarks/robust_plans.py                    30 plans of each length
+    python benchmarks/robust_plans.py --quick            6 plans of each length, 2 for the bound
+
+Drives are of the lab's physics itself; the first drive of every plan is made once more the long
+way, through brick, radio and driver (--brick 0 leaves that out).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+import tempfile
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from numba import njit, prange
+
+from neurosim.commands import Command, FixedCommands
+from neurosim.lab import VirtualRig, physics
+from neurosim.lab.params import LabParams
+from neurosim.record import Guard, RecordSettings, record
+from neurosim.simulators import read_simulator
+from neurosim.tasks.check import check_commands
+from neurosim.tasks.nine_rectangles import NineRectangles
+from neurosim.tasks.planning import (
+    PlanResult,
+    PlanSettings,
+    RobustSettings,
+    evolve_plan,
+    improve_plans,
+)
+from neurosim.tasks.rollouts import PLACING, RUN_DOWN
+from neurosim.training.train import train
+from tracking.recordings import Recording
+
+REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
+TASK = NineRectangles()
+#: The lab's motors, caster and slip need no finer step for a plan's rollout.
+COARSE = 0.01
+#: Poses of a true path are judged this often, s.
+DENSE = 0.02
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--simulator", type=Path, help="a folder; trained if not given")
+    parser.add_argument("--dataset", type=Path, default=REFERENCE)
+    parser.add_argument("--lengths", default="10,13", help="commands in a plan")
+    parser.add_argument("--plans", type=int, default=30, help="of each length")
+    parser.add_argument("--runs", type=int, default=4, help="of evolution, for each plan")
+    parser.add_argument("--generations", type=int, default=1000)
+    parser.add_argument("--robust-generations", type=int, default=200)
+    parser.add_argument("--bound-plans", type=int, default=10, help="of each length")
+    parser.add_argument("--bound-generations", type=int, default=40)
+    parser.add_argument("--drives", type=int, default=20, help="of each plan")
+    parser.add_argument("--brick", type=int, default=1, help="of these again through the brick")
+    parser.add_argument("--lab-seed", type=int, default=0, help="the robot that was recorded")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if options.quick:
+        options.plans, options.bound_plans = min(options.plans, 6), min(options.bound_plans, 2)
+    simulator = learned(options)
+    plans = []
+    for length in map(int, options.lengths.split(",")):
+        for number in range(options.plans):
+            began = time.perf_counter()
+            plans += one_set(simulator, length, number, options)
+            print(
+                f"{length} commands, plan {number + 1} of {options.plans}: "
+                f"{time.perf_counter() - began:.1f} s",
+                file=sys.stderr,
+                flush=True,
+            )
+    result = {
+        "settings": {key: str(value) for key, value in vars(options).items()},
+        "completed": [
+            summary(plans, int(length), kind)
+            for length in options.lengths.split(",")
+            for kind in ("without noise", "robust", "bound")
+        ],
+        "reliability": reliability(plans),
+        "plans": plans,
+    }
+    if options.json:
+        print(json.dumps(result))
+    else:
+        print_tables(result)
+
+
+def learned(options: argparse.Namespace):
+    if options.simulator is not None:
+        return read_simulator(options.simulator)
+    with tempfile.TemporaryDirectory() as folder:
+        return train(options.dataset, Path(folder) / "simulator")
+
+
+def one_set(simulator, length: int, number: int, options: argparse.Namespace) -> list[dict]:
+    """Evolve plans of the three kinds and some of lesser quality; drive them all."""
+    seed = 1000 * length + number
+    settings = PlanSettings(commands=length, runs=options.runs, generations=options.generations)
+    robust = replace(settings, robust=RobustSettings(generations=options.robust_generations))
+    half = replace(robust, robust=RobustSettings(generations=options.robust_generations // 8))
+    found = {"without noise": evolve_plan(simulator, TASK, settings, seed=seed, progress=False)}
+    start = found["without noise"]
+    for kind, how in (("robust", robust), ("halfway", half)):
+        found[kind] = improve_plans(simulator, TASK, start, how, seed=seed, progress=False)
+    found["lesser runs"] = found["without noise"][1:3] + found["robust"][1:3]
+    if number < options.bound_plans:
+        found["bound"] = bound(found["robust"][:1], length, seed, options)
+    return [
+        driven(simulator, plan, kind, length, seed, options)
+        for kind, results in found.items()
+        for plan in (results if kind == "lesser runs" else results[:1])
+        if any(plan.commands)
+    ]
+
+
+def bound(start: list[PlanResult], length: int, seed: int, options: argparse.Namespace):
+    """Evolve plans robustly on in the lab's own physics."""
+    how = RobustSettings(generations=options.bound_generations, draws=16, selection_draws=128)
+    how = replace(how, genetic=replace(how.genetic, population=50))
+    settings = PlanSettings(commands=length, runs=1, robust=how, final_draws=200)
+    lab = LabPhysics(LabParams.drawn(options.lab_seed))
+    return improve_plans(lab, TASK, start, settings, seed=seed, progress=False)
+
+
+def driven(simulator, plan: PlanResult, kind, length, seed, options) -> dict:
+    """Return what was predicted of a plan and what happened to it."""
+    given = [command for command in plan.commands if command is not None]
+    check = check_commands(given, simulator, TASK, draws=2048, seed=seed + 77)
+    truth = [drive(given, options.lab_seed, 100 * seed + n) for n in range(options.drives)]
+    brick = [
+        drive_brick(given, options.lab_seed, 100 * seed + n)
+        for n in range(options.brick if kind in ("without noise", "robust") else 0)
+    ]
+    return {
+        "kind": kind,
+        "length": length,
+        "commands": given,
+        "predicted": check.probability,
+        "members": check.members,
+        "completed": int(sum(truth)),
+        "drives": len(truth),
+        "completed_brick": int(sum(brick)),
+        "drives_brick": len(brick),
+    }
+
+
+# The lab, driven directly
+
+
+@njit(cache=True)
+def _dense_path(state, commands, p, field, dense):
+    """Drive commands and let the motors run down; return poses and their commands' numbers."""
+    inputs = np.zeros(6)
+    inputs[2:4], inputs[4:6] = physics.REGULATED, np.nan
+    total = 0
+    for k in range(len(commands)):
+        total += int(np.ceil(commands[k, 2] / dense))
+    poses, segment = np.empty((total + 1, 3)), np.zeros(total + 1, np.int64)
+    poses[0], at = state[1:4], 1
+    for k in range(len(commands)):
+        for wheel in range(2):
+            inputs[wheel] = commands[k, wheel]
+            physics.begin_command(state, wheel, p)
+        began, slices = state[0], int(np.ceil(commands[k, 2] / dense))
+        for n in range(slices):
+            physics.advance(state, inputs, p, field, began + commands[k, 2] * (n + 1) / slices)
+            poses[at], segment[at] = state[1:4], k
+            at += 1
+    return poses, segment
+
+
+_FIELDS: dict[int, np.ndarray] = {}
+
+
+def ground(params: LabParams) -> np.ndarray:
+    key = int(params.slip_seed)
+    if key not in _FIELDS:
+        _FIELDS[key] = physics.slip_field(params)
+    return _FIELDS[key]
+
+
+def drive(given: list, lab_seed: int, seed: int) -> bool:
+    """Drive a plan once in the lab's physics; return whether it completed the course."""
+    params = LabParams.drawn(lab_seed)
+    rng = np.random.default_rng([seed, 0xD21])
+    pose = np.asarray(TASK.start) + rng.standard_normal(3) * (PLACING[0], PLACING[0], PLACING[1])
+    state = physics.new_state(params, seed, tuple(pose))
+    commands = np.array([*given, (0.0, 0.0, 2 * RUN_DOWN)])
+    path, segment = _dense_path(state, commands, params.coefficients(), ground(params), DENSE)
+    return judged(path, segment, len(given))
+
+
+def drive_brick(given: list, lab_seed: int, seed: int) -> bool:
+    """Drive a plan once through driver, radio and brick, without the perimeter's guard."""
+    commands = [Command(*command) for command in given]
+    settings = RecordSettings(len(commands), Guard(at_line="ignore"))
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        VirtualRig(lab_seed, noise_seed=seed, start=TASK.start, camera=False) as rig,
+    ):
+        out = Path(folder) / "drive"
+        record(out, rig.robot, None, FixedCommands(commands), settings, say=lambda _: None)
+        lines = [line for line in Recording(out).commands() if line.is_motor]
+        truth = rig.lab.truth
+    boundaries = [line.time for line in lines][: len(commands) + 1]
+    inside = (truth.times >= boundaries[0]) & (truth.times <= boundaries[-1] + 2 * RUN_DOWN)
+    segment = np.searchsorted(boundaries, truth.times[inside], side="right") - 1
+    return judged(truth.poses[inside], segment, len(commands))
+
+
+def judged(path: np.ndarray, segment: np.ndarray, commands: int) -> bool:
+    given = np.append(np.ones(commands, bool), False)
+    return bool(TASK.evaluate_track(path, segment, given).completes[0])
+
+
+class LabPhysics:
+    """The lab's own physics as a simulator (see simulators.base): what no learner has."""
+
+    state_names = ("x", "y", "theta", *(f"lab_{n}" for n in range(int(physics.S.SIZE))))
+    command_names = ("left", "right", "duration")
+
+    def __init__(self, params: LabParams):
+        self._params, self._field = params, ground(params)
+
+    def start(self, pose, generator=None):
+        """Return the states of robots at ``pose``; a generator draws the seeds of their slip."""
+        states = np.stack([physics.new_state(self._params, 0, tuple(p)) for p in pose[:1].numpy()])
+        states = np.repeat(states, len(pose), 0)
+        states[:, 1:4] = pose.numpy()
+        if generator is not None:
+            seeds = torch.randint(2**52, (len(pose),), generator=generator)
+            states[:, physics.S.SEED] = seeds.double().numpy()
+        return torch.cat([pose, torch.from_numpy(states)], dim=1)
+
+    def step(self, state, command, generator=None):
+        """Return the states after a command; without a generator nothing is drawn."""
+        params = self._params
+        if generator is None:
+            params = replace(params, slip_draw=0.0, caster_draw=0.0)
+        states = state[:, 3:].numpy().copy()
+        _coarse(states, command.numpy(), params.coefficients(), self._field)
+        return torch.from_numpy(np.concatenate([states[:, 1:4], states], axis=1))
+
+
+@njit(cache=True, parallel=True)
+def _coarse(states, commands, p, field):
+    for b in prange(len(states)):
+        inputs = np.zeros(6)
+        inputs[2:4], inputs[4:6] = physics.REGULATED, np.nan
+        for wheel in range(2):
+            inputs[wheel] = commands[b, wheel]
+            physics.begin_command(states[b], wheel, p)
+        count = int(np.ceil(commands[b, 2] / COARSE))
+        for _ in range(count):
+            physics.step(states[b], inputs, p, field, commands[b, 2] / count)
+
+
+# What came of it
+
+
+def summary(plans: list[dict], length: int, kind: str) -> dict:
+    chosen = [plan for plan in plans if plan["length"] == length and plan["kind"] == kind]
+    drives = sum(plan["drives"] for plan in chosen)
+    brick = sum(plan["drives_brick"] for plan in chosen)
+    return {
+        "length": length,
+        "kind": kind,
+        "plans": len(chosen),
+        "predicted": float(np.mean([plan["predicted"] for plan in chosen])) if chosen else None,
+        "completed": sum(plan["completed"] for plan in chosen) / drives if drives else None,
+        "drives": drives,
+        "completed_brick": sum(p["completed_brick"] for p in chosen) / brick if brick else None,
+        "drives_brick": brick,
+    }
+
+
+def reliability(plans: list[dict], bins: int = 10) -> dict:
+    """Return the reliability diagram of predicted probabilities, and Brier scores.
+
+    Scores are over drives: mean squared difference between the probability that was said and
+    what happened, 0 or 1 (Brier 1950); the base rate's is that of always saying the mean.
+    """
+    plans = [plan for plan in plans if plan["kind"] != "bound"]
+    said = np.array([plan["predicted"] for plan in plans])
+    happened = np.array([plan["completed"] / plan["drives"] for plan in plans])
+    base = happened.mean()
+    place = np.minimum((said * bins).astype(int), bins - 1)
+    diagram = [
+        {
+            "from": low / bins,
+            "plans": int((place == low).sum()),
+            "predicted": float(said[place == low].mean()),
+            "completed": float(happened[place == low].mean()),
+        }
+        for low in range(bins)
+        if (place == low).any()
+    ]
+    return {
+        "plans": len(plans),
+        "brier": float(np.mean(happened * (1 - said) ** 2 + (1 - happened) * said**2)),
+        "brier_base_rate": float(base * (1 - base)),
+        "base_rate": float(base),
+        "diagram": diagram,
+    }
+
+
+def print_tables(result: dict) -> None:
+    print("commands  plans evolved   number   predicted   completed   through the brick")
+    for row in result["completed"]:
+        if row["plans"]:
+            brick = row["completed_brick"]
+            print(
+                f"{row['length']:8}  {row['kind']:14}{row['plans']:8}{row['predicted']:12.1%}"
+                f"{row['completed']:12.1%}" + (f"{brick:20.1%}" if brick is not None else "")
+            )
+    score = result["reliability"]
+    print(f"\n{score['plans']} plans of all qualities\n   predicted   completed   plans")
+    for part in score["diagram"]:
+        print(f"{part['predicted']:12.1%}{part['completed']:12.1%}{part['plans']:8}")
+    print(
+        f"Brier score {score['brier']:.3f}; always saying the base rate "
+        f"({score['base_rate']:.1%}): {score['brier_base_rate']:.3f}"
+    )
+
+
+if __name__ == "__main__":
+    main()

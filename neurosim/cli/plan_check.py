@@ -1,0 +1,74 @@
+"""``neurosim plan-check``: what to expect of a plan before the robot moves."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from neurosim.cli._common import PATH, emit, json_option, seed_option
+
+if TYPE_CHECKING:
+    from neurosim.tasks.check import PlanCheck
+
+
+@click.command("plan-check")
+@click.argument("controller", type=PATH)
+@click.argument("simulator", type=PATH)
+@click.option("--draws", type=click.IntRange(min=1), default=4096, show_default=True)
+@click.option(
+    "--placing",
+    type=(click.FloatRange(min=0), click.FloatRange(min=0)),
+    default=(3.0, 0.5),
+    show_default=True,
+    help="How exactly the robot is put down: standard deviations, mm and degrees.",
+)
+@seed_option
+@json_option
+def plan_check(
+    controller: Path,
+    simulator: Path,
+    draws: int,
+    placing: tuple[float, float],
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Tell how likely the plan CONTROLLER is to succeed, as SIMULATOR sees it, and where it fails.
+
+    SIMULATOR need not be the one that the plan was evolved in.
+    """
+    from neurosim.tasks.check import check_plan
+
+    scatter = (placing[0] / 1000.0, math.radians(placing[1]))
+    check = check_plan(controller, simulator, draws=draws, seed=seed, placing=scatter)
+    emit(check.as_dict(), as_json, lambda: _in_words(check))
+
+
+def _in_words(check: PlanCheck) -> str:
+    low, high = check.interval
+    lines = [
+        f"Completes the course with a probability of {_percent(check.probability)} "
+        f"({check.draws} outcomes drawn: {_percent(low)} to {_percent(high)})."
+    ]
+    if check.members is not None:
+        low, high = check.members
+        lines.append(
+            f"The members of the simulator's ensemble say {_percent(low)} to {_percent(high)}."
+        )
+    last = len(check.spread) - 1
+    if check.failures:
+        lines += ["", "Where it fails most often:"]
+        for failure in check.failures[:5]:
+            when = f"command {failure.command}" if failure.command <= last else "running down"
+            lines.append(f"  {_percent(failure.share):>7}  {when}: {failure.reason}")
+    lines += ["", "after command   95 % within   heading (standard deviation)"]
+    for number, (radius, turn) in enumerate(zip(check.spread, check.turn, strict=True), start=1):
+        name = str(number) if number <= last else "at rest"
+        lines.append(f"{name:>13}{100 * radius:11.1f} cm{math.degrees(turn):13.1f} deg")
+    return "\n".join(lines)
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.1f} %"

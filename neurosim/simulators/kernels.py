@@ -1,0 +1,173 @@
+"""A motion network and its noise as compiled functions of one robot, for loops of one's own.
+
+They compute what :meth:`MotionNetwork.displacement` and :func:`neurosim.simulators.noise.disturb`
+do for batches of tensors. Call them from functions compiled by Numba.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+from neurosim.networks.product_units import LOG_LIMIT
+
+
+class Arrays(NamedTuple):
+    """A simulator's numbers: C-contiguous, float64 but for the places, which are int64."""
+
+    exponents: np.ndarray  #: of product units, [M, O, P, I]
+    signed: np.ndarray  #: product weight times cosine; bit i: input i < 0. [M, O, 2^I, P]
+    linear: np.ndarray  #: of scaled inputs; as the two others in m and rad. [M, O, I]
+    bias: np.ndarray  #: [M, O]
+    input_scale: np.ndarray  #: [I]
+    dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
+    floor: float  #: the smallest magnitude of a scaled input in a product unit
+    twist: bool  #: whether the first three outputs are a body twist; two more: an offset
+    noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
+    noise_unit: np.ndarray  #: [3], this and the next two as in NoiseModel
+    noise_log_scale: np.ndarray  #: [3, F]
+    noise_coupling: np.ndarray  #: [3, F]
+    driven: np.ndarray  #: places of inputs, as in CommandFeatures
+    before: np.ndarray
+    duration: int
+
+
+@njit(cache=True, error_model="numpy")
+def _scaled(a, inputs, i):
+    x = inputs[i] / a.input_scale[i]
+    return 0.0 if abs(x) < a.dead_zone[i] else x
+
+
+@njit(cache=True, error_model="numpy")
+def displacement(a, member, inputs, out):
+    """Write the mean displacement (m, m, rad) of a command.
+
+    Args:
+        a: :class:`Arrays`.
+        member: of the ensemble; below 0 for the mean of all of them.
+        inputs: [I], in the dataset's units.
+        out: [3], written.
+    """
+    members, outputs, units, count = a.exponents.shape
+    first, end = (0, members) if member < 0 else (member, member + 1)
+    pattern = 0
+    for i in range(count):
+        if _scaled(a, inputs, i) < 0.0:
+            pattern += 1 << i
+    offset = (0.0, 0.0)
+    for o in range(outputs):
+        total = 0.0
+        for m in range(first, end):
+            total += a.bias[m, o]
+            for i in range(count):
+                total += a.linear[m, o, i] * _scaled(a, inputs, i)
+            for k in range(units):
+                power = 0.0
+                for i in range(count):
+                    x = max(abs(_scaled(a, inputs, i)), a.floor)
+                    power += a.exponents[m, o, k, i] * math.log(x)
+                power = min(max(power, -LOG_LIMIT), LOG_LIMIT)
+                total += a.signed[m, o, pattern, k] * math.exp(power)
+        total /= end - first
+        if o < 3:
+            out[o] = total
+        elif o == 3:
+            offset = (total, offset[1])
+        else:
+            offset = (offset[0], total)
+    if a.twist:
+        half = 0.5 * out[2]
+        chord = math.sin(half) / half if half != 0.0 else 1.0
+        cos, sin = chord * math.cos(half), chord * math.sin(half)
+        out[0], out[1] = cos * out[0] - sin * out[1], sin * out[0] + cos * out[1]
+    out[0] += offset[0]
+    out[1] += offset[1]
+
+
+@njit(cache=True, error_model="numpy")
+def disturb(a, inputs, mean, z, out):
+    """Write a displacement with noise; see :mod:`neurosim.simulators.noise`.
+
+    Args:
+        a: :class:`Arrays` of a simulator with a noise model.
+        inputs: [I], in the dataset's units.
+        mean: [3], of :func:`displacement`.
+        z: [3], of :meth:`NoiseModel.draw`.
+        out: [3], written; may be ``mean``.
+    """
+    size = np.empty(6)
+    spread(a, inputs, mean, size)
+    shake(mean, size, z, out)
+
+
+@njit(cache=True, error_model="numpy")
+def spread(a, inputs, mean, out):
+    """Write the size of the noise on a command, the same for all draws of it.
+
+    Args:
+        a, inputs, mean: as in :func:`disturb`.
+        out: [6], written: s_t (rad), s_f, s_s (m) and the couplings c_1, c_2, c_3.
+    """
+    duration = 1.0
+    if a.duration >= 0:
+        duration = max(_scaled(a, inputs, a.duration), 0.0)
+    travel, jump, reversal = 0.0, 0.0, 0.0
+    for k in range(len(a.driven)):
+        u = _scaled(a, inputs, a.driven[k])
+        v = u
+        if a.before[k] >= 0:
+            v = _scaled(a, inputs, a.before[k])
+        travel += abs(u) * duration / len(a.driven)
+        jump += abs(u - v)
+        reversal += max(-u * v, 0.0)
+    cos, sin = math.cos(0.5 * mean[2]), math.sin(0.5 * mean[2])
+    t = mean[2] / a.noise_unit[0]
+    f = (cos * mean[0] + sin * mean[1]) / a.noise_unit[1]
+    log_travel = math.log(travel + 0.01)
+    log_turn, log_forward = math.log(abs(t) + 0.02), math.log(abs(f) + 0.02)
+    log_jump, log_time = math.log(jump + 0.02), math.log(duration + 0.02)
+    root = math.sqrt(reversal)
+    product = t * f / (t * t + f * f + 0.01)
+    turning, going = t / math.sqrt(t * t + 0.05), f / math.sqrt(f * f + 0.05)
+    for j in range(3):
+        w, c = a.noise_log_scale[j], a.noise_coupling[j]
+        out[j] = math.exp(
+            w[0]
+            + w[1] * log_travel
+            + w[2] * log_travel * log_travel
+            + w[3] * log_turn
+            + w[4] * log_forward
+            + w[5] * log_jump
+            + w[6] * root
+            + w[7] * log_time
+        )
+        out[3 + j] = c[0] + c[1] * product + c[2] * turning + c[3] * going
+
+
+@njit(cache=True, error_model="numpy")
+def shake(mean, size, z, out):
+    """Write a displacement with noise of a size that is known.
+
+    Args:
+        mean: [3], of :func:`displacement`.
+        size: [6], of :func:`spread`.
+        z: [3], of :meth:`NoiseModel.draw`.
+        out: [3], written; may be ``mean``.
+    """
+    cos, sin = math.cos(0.5 * mean[2]), math.sin(0.5 * mean[2])
+    turned = math.copysign(1.0, mean[2])
+    went = math.copysign(1.0, cos * mean[0] + sin * mean[1])
+    z_t, z_f, z_s = turned * z[0], went * z[1], turned * went * z[2]
+    e_t = size[0] * z_t
+    e_f = size[1] * (z_f + size[3] * z_t)
+    e_s = size[2] * (z_s + size[4] * z_t + size[5] * z_f)
+    theta = mean[2] + e_t
+    cos, sin = math.cos(0.5 * e_t), math.sin(0.5 * e_t)
+    x, y = cos * mean[0] - sin * mean[1], sin * mean[0] + cos * mean[1]
+    cos, sin = math.cos(0.5 * theta), math.sin(0.5 * theta)
+    out[0] = x + cos * e_f - sin * e_s
+    out[1] = y + sin * e_f + cos * e_s
+    out[2] = theta

@@ -1,0 +1,291 @@
+"""The genetic operators of plans, compiled: Pretorius et al. (2009), section 6.2.
+
+A chromosome has a constant number of commands, each of four genes in 0..1: whether it is null (not
+given), left and right speed, duration. Crossover pairs commands that were given in the same
+rectangle: of two parents, the n-th command that one was given in a rectangle with the n-th that
+the other was given there, wherever they stand in the two command sets. Each such pair is crossed
+by simulated binary crossover; commands without a counterpart, and null ones, pass unchanged. The
+paper leaves open how a null command is encoded, which counterparts are paired where several were
+given in a rectangle, and what mutation does.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from neurosim.evolution.genetic import GeneticSettings
+
+GENES = 4
+#: Share of a first generation's commands that are null.
+NULL_SHARE = 0.2
+#: Key of a command that crossover leaves alone.
+NOT_PAIRED = np.iinfo(np.int64).min
+
+
+class PlanPopulation:
+    """Several independent runs of a generational genetic algorithm of plans, ask and tell.
+
+    Like :class:`neurosim.evolution.GeneticAlgorithm`, with operators that know of commands.
+
+    Attributes:
+        genes: [N, P, 4 K] in 0..1, the population of each of N runs; treat as read-only.
+        best: [N, 4 K] the best plan told of so far.
+        best_fitness: [N] its fitness.
+    """
+
+    def __init__(
+        self,
+        genes: NDArray[np.float64],
+        settings: GeneticSettings,
+        seed: int,
+        insertion: bool = True,
+    ):
+        """Start from a first population.
+
+        Args:
+            genes: [N, P, 4 K] in 0..1.
+            settings: sizes and probabilities.
+            seed: the same seed makes the same children.
+            insertion: whether null commands come back at any place, see :func:`mutate`.
+        """
+        self._insertion = insertion
+        self.genes = np.ascontiguousarray(genes, np.float64)
+        self._settings = settings
+        self._rng = np.random.default_rng([seed, 0xB4EED])
+        self.best = self.genes[:, 0].copy()
+        self.best_fitness = np.full(len(genes), -np.inf)
+
+    def tell(self, fitness: NDArray[np.float64], keys: NDArray[np.int64]) -> None:
+        """Take the fitness [N, P] of the population, the higher the better, and make the next.
+
+        Args:
+            fitness: NaN is worse than anything.
+            keys: [N, P, K] of :func:`pairing_keys`.
+        """
+        fitness = np.where(np.isnan(fitness), -np.inf, fitness)
+        runs = np.arange(len(fitness))
+        place = fitness.argmax(axis=1)
+        better = fitness[runs, place] > self.best_fitness
+        self.best[better] = self.genes[runs, place][better]
+        self.best_fitness[better] = fitness[runs, place][better]
+        s = self._settings
+        children = np.empty_like(self.genes)
+        if s.elites > 0:
+            order = np.argsort(-fitness, axis=1, kind="stable")[:, : s.elites]
+            children[:, : s.elites] = np.take_along_axis(self.genes, order[..., None], axis=1)
+        _breed(
+            self.genes,
+            keys,
+            fitness,
+            (s.tournament, s.elites, int(self._insertion)),
+            (s.crossover, s.mutation, s.mutation_scale, s.eta),
+            self._rng.integers(2**63),
+            children,
+        )
+        self.genes = children
+
+
+@njit(cache=True)
+def _uniform(state):
+    """Draw from [0, 1): SplitMix64 (Steele, Lea, Flood 2014)."""
+    state[0] += np.uint64(0x9E3779B97F4A7C15)
+    z = state[0]
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    z = z ^ (z >> np.uint64(31))
+    return np.int64(z >> np.uint64(11)) * 2.0**-53
+
+
+@njit(cache=True)
+def _normal(state):
+    """Draw from the standard normal distribution (Box-Muller)."""
+    radius = math.sqrt(-2.0 * math.log(1.0 - _uniform(state)))
+    return radius * math.cos(2.0 * math.pi * _uniform(state))
+
+
+@njit(cache=True)
+def _winner(fitness, size, state):
+    """Return the fittest of ``size`` drawn with replacement."""
+    best = int(_uniform(state) * len(fitness))
+    for _ in range(size - 1):
+        other = int(_uniform(state) * len(fitness))
+        if fitness[other] > fitness[best]:
+            best = other
+    return best
+
+
+@njit(cache=True)
+def cross(a, b, keys_a, keys_b, eta, state):
+    """Cross the commands of two plans that have the same key, in place.
+
+    Args:
+        a, b: [4 K] genes of two parents; they become their children.
+        keys_a, keys_b: [K]; no key but NOT_PAIRED twice in a parent.
+        eta: distribution index of simulated binary crossover, with which half of a pair's
+            genes are crossed: see :func:`neurosim.evolution.operators.sbx`.
+        state: [1] uint64 of the random generator, moved on.
+    """
+    for i in range(len(keys_a)):
+        for j in range(len(keys_b)):
+            if keys_a[i] != keys_b[j] or keys_a[i] == NOT_PAIRED:
+                continue
+            for g in range(GENES):
+                if _uniform(state) < 0.5:
+                    continue
+                u = _uniform(state)
+                beta = (2.0 * u if u <= 0.5 else 0.5 / (1.0 - u)) ** (1.0 / (eta + 1.0))
+                one, other = a[GENES * i + g], b[GENES * j + g]
+                shift = 0.5 * (1.0 - beta) * (other - one)
+                a[GENES * i + g] = min(max(one + shift, 0.0), 1.0)
+                b[GENES * j + g] = min(max(other - shift, 0.0), 1.0)
+            break
+
+
+@njit(cache=True)
+def mutate(genes, probability, scale, insertion, state):
+    """Change each gene of a plan with ``probability``, in place.
+
+    A speed or duration gets normally distributed noise or is drawn anew, one as often as the
+    other. A command whose null gene is hit becomes null. One that was null comes back drawn anew,
+    for what it was before has not been selected for since; with ``insertion`` at any place of the
+    plan, where the others make room: a plan that lacks a command need not have its null one there.
+
+    Args:
+        genes: [4 K] in 0..1.
+        probability: chance of each gene.
+        scale: standard deviation of the noise.
+        insertion: 1, or 0 for null commands to come back where they are.
+        state: [1] uint64 of the random generator, moved on.
+    """
+    for first in range(0, len(genes), GENES):
+        for g in range(first + 1, first + GENES):
+            if _uniform(state) < probability:
+                if _uniform(state) < 0.5:
+                    genes[g] = min(max(genes[g] + scale * _normal(state), 0.0), 1.0)
+                else:
+                    genes[g] = _uniform(state)
+        if _uniform(state) < probability:
+            if is_null(genes[first]):
+                place = first
+                if insertion:
+                    place = GENES * int(_uniform(state) * (len(genes) // GENES))
+                    _move(genes, first, place)
+                genes[place] = _uniform(state) * (1.0 - NULL_SHARE)
+                for g in range(place + 1, place + GENES):
+                    genes[g] = _uniform(state)
+            else:
+                genes[first] = 1.0 - 0.5 * NULL_SHARE * _uniform(state)
+
+
+@njit(cache=True)
+def _move(genes, source, place):
+    """Move the command whose genes begin at ``source`` to ``place``; those between shift."""
+    if source < place:
+        for g in range(source, place):
+            genes[g] = genes[g + GENES]
+    for g in range(source - 1, place - 1, -1):
+        genes[g + GENES] = genes[g]
+
+
+@njit(cache=True)
+def is_null(gene):
+    """Return whether a command's first gene says that it is not given."""
+    return gene > 1.0 - NULL_SHARE
+
+
+@njit(cache=True, parallel=True)
+def _breed(genes, keys, fitness, counts, rates, seed, children):
+    """Fill ``children`` [N, P, G] behind the elites."""
+    runs, population, width = genes.shape
+    tournament, elites, insertion = counts
+    crossover, mutation, scale, eta = rates
+    pairs = (population - elites + 1) // 2
+    for job in prange(runs * pairs):
+        run, pair = job // pairs, job % pairs
+        state = np.empty(1, np.uint64)
+        # Streams a long way apart: the generator's own increment separates draws within one.
+        state[0] = np.uint64(seed) + np.uint64(job) * np.uint64(0xD1342543DE82EF95)
+        first = _winner(fitness[run], tournament, state)
+        second = _winner(fitness[run], tournament, state)
+        both = np.empty((2, width))
+        both[0], both[1] = genes[run, first], genes[run, second]
+        if _uniform(state) < crossover:
+            cross(both[0], both[1], keys[run, first], keys[run, second], eta, state)
+        for child in range(2):
+            place = elites + 2 * pair + child
+            if place < population:
+                mutate(both[child], mutation, scale, insertion, state)
+                children[run, place] = both[child]
+
+
+@njit(cache=True, parallel=True)
+def decode(genes, max_speed, shortest, longest):
+    """Return commands [B, K, 3] (percent, percent, s) and which are given [B, K].
+
+    In whole percents and milliseconds, as they will be sent.
+
+    Args:
+        genes: [B, 4 K] in 0..1: null above 1 - NULL_SHARE, left, right, duration.
+        max_speed: fastest motor speed, percent.
+        shortest, longest: limits of a command's duration, s.
+    """
+    batch, count = len(genes), genes.shape[1] // GENES
+    commands = np.empty((batch, count, 3))
+    given = np.empty((batch, count), np.bool_)
+    for b in prange(batch):
+        for k in range(count):
+            part = genes[b, GENES * k : GENES * (k + 1)]
+            given[b, k] = not is_null(part[0])
+            for side in range(2):
+                commands[b, k, side] = np.rint((2.0 * part[1 + side] - 1.0) * max_speed)
+            duration = shortest + (longest - shortest) * part[3]
+            commands[b, k, 2] = np.rint(1000.0 * duration) / 1000.0
+    return commands, given
+
+
+@njit(cache=True, parallel=True)
+def pairing_keys(region, given):
+    """Return a key [B, K] per command, equal in two plans for commands to be paired.
+
+    The n-th command that was given in a region has the same key in every plan, and no other
+    command of its plan has it. Null commands have the key NOT_PAIRED.
+
+    Args:
+        region: [B, K] where the robot was when each command was given, small whole numbers.
+        given: [B, K] bool.
+    """
+    batch, count = region.shape
+    keys = np.empty((batch, count), np.int64)
+    for b in prange(batch):
+        for k in range(count):
+            if not given[b, k]:
+                keys[b, k] = NOT_PAIRED
+                continue
+            rank = 0
+            for before in range(k):
+                rank += given[b, before] and region[b, before] == region[b, k]
+            keys[b, k] = region[b, k] * count + rank
+    return keys
+
+
+def encode(commands, max_speed: float, durations: tuple[float, float]) -> NDArray[np.float64]:
+    """Return the genes [4 K] of a command set; undoes :func:`decode`.
+
+    Args:
+        commands: K of (left %, right %, duration s), or None for a null command.
+        max_speed: fastest motor speed, percent.
+        durations: shortest and longest command, s.
+    """
+    low, high = durations
+    genes = np.full((len(commands), GENES), 1.0 - 0.5 * NULL_SHARE)
+    for place, command in enumerate(commands):
+        if command is not None:
+            left, right, duration = command
+            speeds = [0.5 * (speed / max_speed + 1.0) for speed in (left, right)]
+            share = (duration - low) / (high - low) if high > low else 0.0
+            genes[place] = [0.5 * (1.0 - NULL_SHARE), *speeds, share]
+    return genes.ravel()

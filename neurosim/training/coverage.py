@@ -1,0 +1,96 @@
+"""Whether intervals and regions that a simulator gives hold what they say they hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion import OUTPUTS
+from tracking.dataset import Dataset
+
+#: What the intervals say they hold.
+LEVELS = (0.5, 0.8, 0.95)
+
+#: Outcomes drawn of each command.
+DRAWS = 400
+
+#: Rows worked on at a time.
+_ROWS = 500
+
+
+def coverage(
+    simulator: MotionNetwork, rows: Dataset, seed: int = 0
+) -> dict[str, dict[str, float]] | None:
+    """Return how much of a dataset lies within the intervals that a simulator gives.
+
+    Returns:
+        For each output, level ("0.5", ...) -> share of rows within the central interval of that
+        probability; None if the simulator has no noise model.
+    """
+    if simulator.noise is None:
+        return None
+    generator = torch.Generator().manual_seed(seed)
+    inputs = torch.tensor(rows.input_array())
+    drawn = draw_displacements(simulator, inputs, DRAWS, generator).numpy()
+    ranks = central(drawn, rows.output_array())
+    return {
+        name: {str(level): float((ranks[:, place] <= level).mean()) for level in LEVELS}
+        for place, name in enumerate(OUTPUTS)
+    }
+
+
+def draw_displacements(
+    simulator: MotionNetwork, inputs: Tensor, draws: int, generator: torch.Generator
+) -> Tensor:
+    """Return displacements [D, N, 3] drawn for inputs [N, I]: a member and noise in each draw."""
+    drawn = torch.empty(draws, len(inputs), 3, dtype=torch.float64)
+    members = torch.arange(draws) % simulator.members
+    for part in torch.arange(len(inputs)).split(_ROWS):
+        x = inputs[part]
+        mean = torch.stack([simulator.displacement(x, m) for m in range(simulator.members)])
+        means = mean[members].flatten(0, 1)
+        z = simulator.noise.draw(len(means), 1, generator)[:, 0]
+        noisy = simulator.disturbed(x.repeat(draws, 1), means, z)
+        drawn[:, part] = noisy.unflatten(0, (draws, -1))
+    return drawn
+
+
+def central(drawn: NDArray, actual: NDArray) -> NDArray:
+    """Return the probability of the smallest central interval that holds what happened.
+
+    Intervals are central in probability: as much lies below as above.
+
+    Args:
+        drawn: (D, N, K) outcomes drawn of each of N things.
+        actual: (N, K).
+
+    Returns:
+        (N, K) in 0..1; at most p for a share p of them if the intervals are right.
+    """
+    # Half a draw to either side: an outcome beyond all of the draws is not quite impossible.
+    below = ((drawn < actual).sum(0) + 0.5 * (drawn == actual).sum(0) + 0.5) / (len(drawn) + 1)
+    return np.abs(2.0 * below - 1.0)
+
+
+def region(drawn: NDArray, actual: NDArray) -> NDArray:
+    """Return the probability of the smallest region that holds where a robot came to.
+
+    Regions are ellipses about the mean of the points drawn, in the shape of their covariance
+    (Mahalanobis distance), as large as holds the share of the points drawn.
+
+    Args:
+        drawn: (D, N, 2) points drawn of each of N robots.
+        actual: (N, 2).
+
+    Returns:
+        (N,) in 0..1.
+    """
+    centre = drawn.mean(0)
+    off = drawn - centre
+    shape = np.linalg.inv(np.einsum("dni,dnj->nij", off, off) / (len(drawn) - 1))
+    far = np.einsum("dni,nij,dnj->dn", off, shape, off)
+    own = np.einsum("ni,nij,nj->n", actual - centre, shape, actual - centre)
+    return ((far < own).sum(0) + 0.5) / (len(drawn) + 1)
