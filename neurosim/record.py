@@ -28,6 +28,7 @@ from neurosim.commands import Command, CommandSource
 from neurosim.homing import Homing
 from neurosim.robots.base import Robot
 from tracking.camera import Camera, VideoSink
+from tracking.camera_model import CameraModel
 from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
 
 #: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
@@ -127,6 +128,8 @@ def record(
         BatteryLow: if the battery fell below the limit.
     """
     out = Path(out)
+    if calibration is not None:
+        _check_calibration(Path(calibration), camera)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
     recording = _resumed(out, wanted) if resume else None
     with robot:
@@ -233,6 +236,16 @@ def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
                 return found
         return None
     return None if was == now else (name, was, now)
+
+
+def _check_calibration(path: Path, camera: Camera | None) -> None:
+    """Refuse a calibration before anything moves, rather than after the drive."""
+    size = tuple(CameraModel.read(path).image_size)
+    if camera is not None and tuple(camera.size) != size:
+        raise UserError(
+            f"{path} is of pictures of {size[0]}x{size[1]}, but the camera's are "
+            f"{camera.size[0]}x{camera.size[1]}; calibrate at the size that is recorded"
+        )
 
 
 def _check_same_calibration(out: Path, calibration: Path) -> None:

@@ -23,6 +23,7 @@ from neurosim.record import Guard, RecordSettings, record
 from neurosim.robots.base import Robot
 from neurosim.tasks.base import make_task
 from tracking.camera import Camera
+from tracking.camera_model import CameraModel
 from tracking.displacements import Track
 from tracking.recordings import CommandLine, Poses, Recording
 
@@ -68,6 +69,11 @@ def run_trial(
         UserError: if anything on the way is not what it should be.
     """
     plan = Plan.read(controller)
+    if calibration is not None and not CameraModel.read(calibration).has_board:
+        raise UserError(
+            f"{calibration} has no points on the board, so poses cannot be held against the plan; "
+            "run neurosim calibrate with at least 4 marked points"
+        )
     commands = [Command(*command) for command in plan.given]
     record(
         out,

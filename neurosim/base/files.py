@@ -33,9 +33,16 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
         yield partial
+        partial.chmod(0o666 & ~_umask())  # some writers make files that only their owner reads
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -57,9 +64,7 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     try:
         yield partial
-        umask = os.umask(0)
-        os.umask(umask)
-        partial.chmod(0o777 & ~umask)  # mkdtemp's 0700 is not what a shared folder wants
+        partial.chmod(0o777 & ~_umask())  # mkdtemp's 0700 is not what a shared folder wants
         if path.exists():
             # Moved aside rather than deleted first: an interruption leaves one whole folder.
             old = partial.with_name(partial.name + "-old")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -33,8 +34,8 @@ class Size(click.ParamType):
             width, height = (int(part) for part in value.lower().split("x"))
         except ValueError:
             self.fail(f"{value!r} is not a size such as 640x480", param, ctx)
-        if min(width, height) < 16:
-            self.fail(f"{value!r} is too small for a picture", param, ctx)
+        if not (160 <= width <= 8192 and 120 <= height <= 8192):
+            self.fail(f"{value!r} is not between 160x120 and 8192x8192", param, ctx)
         return width, height
 
 
@@ -60,6 +61,11 @@ def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -
         click.echo(json.dumps(result, indent=2, default=_plain))
     else:
         click.echo(text() if callable(text) else text)
+
+
+def next_step(*words: Any) -> str:
+    """Return the line that names the next command, quoted so that it can be pasted."""
+    return f"Next: neurosim {shlex.join(str(word) for word in words)}"
 
 
 def _plain(value: Any) -> Any:

@@ -49,7 +49,9 @@ _OPTIONS = [
         "virtual lab has its own]",
     ),
     click.option("--camera-size", type=Size(), help="Frame size.  [virtual default: 640x480]"),
-    click.option("--fps", type=click.FloatRange(min=1), help="Frame rate.  [virtual default: 30]"),
+    click.option(
+        "--fps", type=click.FloatRange(min=1, max=240), help="Frame rate.  [virtual default: 30]"
+    ),
     click.option(
         "--lab-seed",
         type=click.IntRange(min=0),
@@ -107,7 +109,12 @@ def open_rig(
             yield Rig(virtual.robot, virtual.camera, virtual.write_truth, virtual.describe())
         return
     robot = _robot(kind, options)
-    yield Rig(robot, _camera(source, robot.clock.now, size, fps), None, None)
+    try:
+        # The robot before the camera: what is wrong with it is said first.
+        robot.connect()
+        yield Rig(robot, _camera(source, robot.clock.now, size, fps), None, None)
+    finally:
+        robot.close()
 
 
 #: Options that mean nothing to the virtual robot, whose wiring is what it is.

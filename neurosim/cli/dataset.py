@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option
+from neurosim.cli._common import PATH, emit, json_option, next_step
 
 
 @click.command()
@@ -37,5 +37,5 @@ def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool)
         result,
         as_json,
         f"{out}: {len(made.table)} rows; left out: {reasons or 'none'}.\n"
-        f"Next: neurosim train {out} -o SIMULATOR",
+        + next_step("train", out, "-o", "SIMULATOR"),
     )

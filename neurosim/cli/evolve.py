@@ -9,7 +9,7 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, Range, emit, json_option, seed_option
+from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed_option
 
 
 @click.command()
@@ -121,6 +121,9 @@ def evolve(
         result,
         as_json,
         f"{written[0]}: {len(best.given)} commands, fitness {best.predicted['fitness']:.1f}, "
-        f"{verdict} in the simulator; so do {complete} of {runs} runs.\n{chance}"
-        f"Next: neurosim run {written[0]} -o TRIAL",
+        f"{verdict} in the simulator; {complete} of {runs} runs found a plan that does.\n{chance}"
+        + next_step("run", written[0], "--calibration", "calibration.json", "-o", "TRIAL"),
     )
+    if best.evolution["interrupted"]:
+        click.echo("neurosim: interrupted; the best plan so far is kept", err=True)
+        click.get_current_context().exit(130)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, Size, emit, json_option, seed_option
+from neurosim.cli._common import PATH, Size, emit, json_option, next_step, seed_option
 
 
 @click.group()
@@ -77,5 +77,5 @@ def photographs(
         as_json,
         f"{out}: {count} photographs of a chessboard, a picture of the board, and points.csv "
         f"with the points that a person marked in it.\n"
-        f"Next: neurosim calibrate {out} --square 40 --points {out}/points.csv",
+        + next_step("calibrate", out, "--square", 40, "--points", out / "points.csv"),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import sys
 
 import click
@@ -56,8 +58,19 @@ for verb in (
     cli.add_command(verb)
 
 
+def _interrupt(number: int, frame: object) -> None:
+    raise KeyboardInterrupt
+
+
 def main() -> None:
     """Run the command line; the only place where errors become exit codes."""
+    # OpenCV's own complaints stand beside the one sentence and say less.
+    os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # A closed terminal or a kill must stop the motors as Ctrl-C does.
+    for name in ("SIGTERM", "SIGHUP"):
+        if hasattr(signal, name):
+            signal.signal(getattr(signal, name), _interrupt)
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -66,8 +79,15 @@ def main() -> None:
         error.show()
         sys.exit(error.exit_code)
     except (KeyboardInterrupt, click.exceptions.Abort):
-        click.echo("neurosim: interrupted; what was written so far can be read", err=True)
-        sys.exit(130)
+        _interrupted()
+    except SystemError as error:
+        # Ctrl-C within a compiled kernel comes out of it wrapped.
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        _interrupted()
+    except MemoryError:
+        click.echo("neurosim: there is not enough memory for this; use smaller sizes", err=True)
+        sys.exit(1)
     except UserError as error:
         click.echo(f"neurosim: {error}", err=True)
         sys.exit(1)
@@ -77,5 +97,11 @@ def main() -> None:
         sys.exit(1)
     except OSError as error:
         # Disk full, no permission: the user's to put right, and the file is named.
-        click.echo(f"neurosim: {error.strerror or error}: {error.filename or ''}", err=True)
+        where = f": {error.filename}" if error.filename else ""
+        click.echo(f"neurosim: {error.strerror or error}{where}", err=True)
         sys.exit(1)
+
+
+def _interrupted() -> None:
+    click.echo("neurosim: interrupted; what was written so far can be read", err=True)
+    sys.exit(130)

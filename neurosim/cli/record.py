@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, Range, emit, json_option, seed_option
+from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed_option
 from neurosim.cli._robots import open_rig, robot_options
 
 
@@ -80,7 +80,7 @@ def record(
         battery_limit,
         full_speed,
         wheel_track,
-        markers=marker_settings(markers),
+        markers=marker_settings(markers, robot["robot"]),
     )
     # Each session of a resumed recording meets other chances, as it would on a real robot.
     session = _sessions(out) if resume else 0
@@ -116,18 +116,23 @@ def record(
         as_json,
         f"{out}: {commands} commands ({sent} sent, {cut} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
-        f"Next: neurosim track {out}",
+        + next_step("track", out, *(() if calibration else ("--calibration", "calibration.json"))),
     )
 
 
-def marker_settings(colours: str) -> dict[str, Any]:
-    """Return the default markers with these colours, FRONT,REAR."""
+def marker_settings(colours: str, robot: str) -> dict[str, Any]:
+    """Return the default markers with these colours, FRONT,REAR, of a robot of this kind."""
     from neurosim.base.errors import UserError
+    from tracking.colours import parse_colour
     from tracking.recordings import DEFAULT_MARKERS
 
     names = [name.strip() for name in colours.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")
+    for name in names:
+        parse_colour(name)  # says what colours there are
+    if robot == "virtual" and names != ["pink", "blue"]:
+        raise UserError("the virtual robot's markers are pink and blue; leave --markers out")
     front, rear = (
         {**DEFAULT_MARKERS[which], "colour": name}
         for which, name in zip(("front", "rear"), names, strict=True)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, emit, json_option, seed_option
+from neurosim.cli._common import PATH, emit, json_option, next_step, seed_option
 from neurosim.cli._robots import open_rig, robot_options
 from neurosim.cli.record import marker_settings
 
@@ -56,6 +56,7 @@ def run(
     if robot["camera"] == "none":
         raise UserError("a trial is tracked as it ends, so it needs a camera")
     start = Plan.read(controller).start
+    robot_kind = robot["robot"]
     with open_rig(robot, seed=seed, start=start) as rig:
         report = run_trial(
             controller,
@@ -65,7 +66,10 @@ def run(
             track=track,
             calibration=calibration,
             guard=Guard(at_line, line_contrast),
-            settings={"markers": marker_settings(markers), "battery_limit": battery_limit},
+            settings={
+                "markers": marker_settings(markers, robot_kind),
+                "battery_limit": battery_limit,
+            },
             finish=rig.finish,
             lab=rig.lab,
         )
@@ -88,5 +92,5 @@ def run(
         f"{report['predicted']['fitness']:.1f}); after command {end['command']} it was "
         f"{100 * end['position']:.1f} cm and {abs(math.degrees(end['heading'])):.1f} degrees from "
         f"where the simulator said.\n"
-        f"Next: neurosim report SIMULATOR DATASET {controller} {out} -o report.html",
+        + next_step("report", "DATASET", "SIMULATOR", controller, out, "-o", "report.html"),
     )

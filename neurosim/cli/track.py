@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, emit, json_option
+from neurosim.cli._common import PATH, emit, json_option, next_step
 
 
 @click.command()
@@ -61,7 +61,7 @@ def track(
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
         result = track_(recording, pair, calibration, overlay, videos, partial=partial)
-        where, then = recording, f"\nNext: neurosim dataset {recording} -o DATASET"
+        where, then = recording, "\n" + next_step("dataset", recording, "-o", "DATASET")
     emit(
         result,
         as_json,

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, seed_option
+from neurosim.cli._common import PATH, emit, json_option, next_step, seed_option
 
 _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 
@@ -35,12 +35,12 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @click.option("--generations", type=click.IntRange(min=1), help="[default: the trainer's own]")
 @click.option(
     "--product-units",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, 1000),
     help="[default: the trainer's own; ga: 10]",
 )
 @click.option(
     "--summation-units",
-    type=click.IntRange(min=0),
+    type=click.IntRange(0, 1000),
     help="[default: the trainer's own; ga: 10]",
 )
 @click.option("--hidden-activation", type=_ACTIVATION, default="linear", show_default=True)
@@ -103,8 +103,14 @@ def train(
         as_json,
         f"{out}: mean absolute error on the held-out fifth: {_in_words(errors)} "
         f"({result['training_seconds']:.0f} s).{_coverage_in_words(coverage)}\n"
-        f"Next: neurosim evolve {out} --task nine-rectangles -o CONTROLLER",
+        + next_step(*_next(simulator.command_names, dataset, out)),
     )
+
+
+def _next(command_names: tuple[str, ...], dataset: Path, out: Path) -> tuple[Any, ...]:
+    if command_names == ("left", "right", "duration"):
+        return "evolve", out, "--task", "nine-rectangles", "-o", "CONTROLLER"
+    return "evaluate", out, dataset
 
 
 def _in_words(errors: dict[str, Any]) -> str:

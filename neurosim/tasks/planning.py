@@ -344,8 +344,9 @@ def _run(stage: Any, generations: int, label: str, progress: bool) -> bool:
                 note = stage.generation()
                 if bar is not None:
                     bar.advance(note=note)
-        except KeyboardInterrupt:
-            if not stage.history:
+        except (KeyboardInterrupt, SystemError) as error:
+            # Ctrl-C within a compiled kernel comes out of it wrapped.
+            if not isinstance(error.__cause__ or error, KeyboardInterrupt) or not stage.history:
                 raise
             return True
     return False

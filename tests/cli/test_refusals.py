@@ -142,6 +142,68 @@ def test_a_recording_resumed_as_another(refused, copy, options, names):
     assert names in refused(*words, *options)
 
 
+def test_a_calibration_is_looked_at_before_anything_moves(refused, copy, tmp_path):
+    copy("controller")
+    (tmp_path / "bad.json").write_text("{}")
+    for name in ("bad.json", "none.json"):
+        assert name in refused("record", "r", "--calibration", name)
+        assert name in refused("run", "controller", "-o", "t", "--calibration", name)
+    copy("calibration.json")
+    words = ["record", "r", "--calibration", "calibration.json", "--camera-size", "320x240"]
+    assert "640x480" in refused(*words)
+    copy("photographs")
+    monkey = json.loads((tmp_path / "calibration.json").read_text())
+    monkey["rotation"] = monkey["translation"] = monkey["homography"] = None
+    (tmp_path / "lens.json").write_text(json.dumps(monkey))
+    said = refused("run", "controller", "-o", "t", "--calibration", "lens.json")
+    assert "lens.json" in said
+
+
+def test_markers_that_the_virtual_robot_does_not_carry(refused):
+    assert "pink and blue" in refused("record", "r", "--markers", "green,orange")
+    assert "mauve" in refused("record", "r", "--markers", "mauve,blue")
+
+
+@posix
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_a_closed_terminal_stops_the_motors(tmp_path, name):
+    """A robot that runs on in real time in this process, recorded by another one."""
+    import signal
+    import subprocess
+    import time
+
+    from neurosim.lab import Pacer
+
+    with VirtualRig(0, camera=False, device="pty", real_time=True) as rig, Pacer(rig.lab):
+        words = ["record", "r", "--robot", "nxt", "--device", rig.address["filename"]]
+        words += ["--camera", "none", "--stopped", "0", "--durations", "2..3", "--commands", "20"]
+        child = subprocess.Popen(
+            [sys.executable, "-m", "neurosim", *words],
+            cwd=tmp_path,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        log = tmp_path / "r" / "commands.csv"
+        deadline = time.monotonic() + 60
+        while time.monotonic() < deadline and (
+            not log.exists() or ",command," not in log.read_text()
+        ):
+            time.sleep(0.02)
+        time.sleep(0.3)
+        child.send_signal(getattr(signal, name))
+        _, said = child.communicate(timeout=30)
+        assert child.returncode == 130
+        assert "interrupted" in said
+        assert "Traceback" not in said
+        time.sleep(0.7)
+        with rig.lab.lock:
+            before = [rig.lab.body.output(port).rotation_count for port in (1, 2)]
+        time.sleep(0.3)
+        with rig.lab.lock:
+            after = [rig.lab.body.output(port).rotation_count for port in (1, 2)]
+        assert before == after
+
+
 class OtherRobot:
     """A driver from another package, with options of its own."""
 
@@ -189,6 +251,7 @@ def test_a_video_without_a_flash(refused, copy):
     capture = cv2.VideoCapture(str(recording / "video-001.avi"))
     frames = [capture.read()[1] for _ in range(400)]
     make_video(recording / "video-001.avi", frames[120:])
+    (recording / "frames.csv").unlink()
     said = refused("track", "recording")
     assert "flash" in said
 
