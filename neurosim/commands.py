@@ -63,7 +63,7 @@ class RandomCommands:
             raise UserError(f"the largest speed must lie in 0..100 %, not {self.max_speed:g}")
         if not 0 < self.durations[0] <= self.durations[1] <= 60:
             raise UserError(
-                "durations must be above 0 s, at most 60 s, and the longest not below the shortest, "
+                "durations must lie in 0..60 s, the longest not below the shortest, "
                 f"not {self.durations[0]:g} and {self.durations[1]:g}"
             )
         if min(self.straight, self.stopped) < 0 or self.straight + self.stopped > 1:

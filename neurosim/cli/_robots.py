@@ -49,9 +49,7 @@ _OPTIONS = [
         "virtual lab has its own]",
     ),
     click.option("--camera-size", type=Size(), help="Frame size.  [virtual default: 640x480]"),
-    click.option(
-        "--fps", type=click.FloatRange(min=1, max=240), help="Frame rate.  [virtual default: 30]"
-    ),
+    click.option("--fps", type=click.FloatRange(1, 240), help="Frame rate.  [virtual default: 30]"),
     click.option(
         "--lab-seed",
         type=click.IntRange(min=0),

@@ -56,7 +56,7 @@ def run(
     if robot["camera"] == "none":
         raise UserError("a trial is tracked as it ends, so it needs a camera")
     start = Plan.read(controller).start
-    robot_kind = robot["robot"]
+    marked = marker_settings(markers, robot["robot"])
     with open_rig(robot, seed=seed, start=start) as rig:
         report = run_trial(
             controller,
@@ -67,7 +67,7 @@ def run(
             calibration=calibration,
             guard=Guard(at_line, line_contrast),
             settings={
-                "markers": marker_settings(markers, robot_kind),
+                "markers": marked,
                 "battery_limit": battery_limit,
             },
             finish=rig.finish,

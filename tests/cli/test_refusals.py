@@ -84,9 +84,13 @@ def test_a_robot_that_no_driver_knows(refused):
     assert "nxt" in said
 
 
-def test_a_camera_that_is_not_there(refused, tmp_path, monkeypatch):
-    said = refused("record", "r", "--robot", "nxt", "--camera", "nowhere.mp4")
-    assert "nowhere.mp4" in said
+@posix
+def test_a_camera_that_is_not_there(refused):
+    from neurosim.lab import Pacer
+
+    with VirtualRig(0, camera=False, device="pty", real_time=True) as rig, Pacer(rig.lab):
+        words = ["--robot", "nxt", "--device", rig.address["filename"]]
+        assert "nowhere.mp4" in refused("record", "r", *words, "--camera", "nowhere.mp4")
 
 
 def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
