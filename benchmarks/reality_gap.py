@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import sys
 import tempfile
 from dataclasses import replace
 from itertools import product
@@ -52,8 +53,12 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         calibration = make_calibration(folder)
-        for seed in range(options.seeds):
-            drives += one_seed(folder, calibration, seed, options)
+        try:
+            for seed in range(options.seeds):
+                drives += one_seed(folder, calibration, seed, options)
+        except KeyboardInterrupt:
+            print(f"interrupted: {seed} of {options.seeds} seeds are whole", file=sys.stderr)
+            options.seeds = seed
     table = [
         summary(drives, int(length), kind)
         for length in options.lengths.split(",")

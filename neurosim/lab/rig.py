@@ -81,7 +81,8 @@ class VirtualRig:
         self.radio = Radio(self.brick, self.lab.clock, rng, patience=patience)
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
-        self.robot = NXT(clock=self.lab.clock, lamp=lamp, **self.address)
+        # What takes long here is this computer (compiling the physics, once), not the brick.
+        self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **self.address)
         self.camera: RoofCamera | None = self.lab.camera
 
     @property
