@@ -42,6 +42,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--dataset", type=Path, default=REFERENCE)
     parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--first-seed", type=int, default=0, help="to share seeds out")
     parser.add_argument("--lengths", default="10,13", help="commands in a plan")
     parser.add_argument("--runs", type=int, default=1, help="plans of each kind a seed")
     parser.add_argument("--paper", action="store_true", help="train and evolve as the paper did")
@@ -55,7 +56,7 @@ def main() -> None:
         calibration = make_calibration(folder)
         try:
             for seed in range(options.seeds):
-                drives += one_seed(folder, calibration, seed, options)
+                drives += one_seed(folder, calibration, options.first_seed + seed, options)
         except KeyboardInterrupt:
             print(f"interrupted: {seed} of {options.seeds} seeds are whole", file=sys.stderr)
             options.seeds = seed
