@@ -19,7 +19,9 @@ from tracking.recordings import Recording
 
 def main(demo: Path, out: Path) -> None:
     trial = json.loads((demo / "trial" / "trial.json").read_text())
-    figure, (left, right) = plt.subplots(1, 2, figsize=(12, 4.4), width_ratios=(1, 1.12))
+    figure, (left, right) = plt.subplots(
+        1, 2, figsize=(12, 4.6), width_ratios=(1, 1.12), layout="constrained"
+    )
     left.imshow(frame_with_trail(demo / "trial", trial)[..., ::-1])
     left.axis("off")
     left.set_title("what the roof camera sees, and the track found in it", fontsize=10)
@@ -33,7 +35,6 @@ def main(demo: Path, out: Path) -> None:
         rest=trial["predicted"]["rest"],
     )
     right.set_title("predicted by the learned simulator, and driven", fontsize=10, loc="left")
-    figure.tight_layout()
     figure.savefig(out, dpi=110)
 
 
