@@ -19,6 +19,13 @@ json_option = click.option(
 seed_option = click.option(
     "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all random draws."
 )
+placing_option = click.option(
+    "--placing",
+    type=(click.FloatRange(min=0), click.FloatRange(min=0)),
+    default=(3.0, 0.5),
+    show_default=True,
+    help="How exactly the robot is put down: standard deviations, mm and degrees.",
+)
 
 
 class Size(click.ParamType):

@@ -9,7 +9,15 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed_option
+from neurosim.cli._common import (
+    PATH,
+    Range,
+    emit,
+    json_option,
+    next_step,
+    placing_option,
+    seed_option,
+)
 
 
 @click.command()
@@ -50,13 +58,7 @@ from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed
 @click.option(
     "--draws", type=click.IntRange(min=1), default=32, show_default=True, help="Outcomes."
 )
-@click.option(
-    "--placing",
-    type=(click.FloatRange(min=0), click.FloatRange(min=0)),
-    default=(3.0, 0.5),
-    show_default=True,
-    help="How exactly the robot is put down: standard deviations, mm and degrees.",
-)
+@placing_option
 @click.option("--max-speed", default=50.0, show_default=True, help="In percent.")
 @click.option("--durations", type=Range(), default="0.5..3", show_default=True, help="In s.")
 @click.option("--all", "keep_all", is_flag=True, help="Keep every run's plan: OUT-01, OUT-02, ...")

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, seed_option
+from neurosim.cli._common import PATH, emit, json_option, placing_option, seed_option
 
 if TYPE_CHECKING:
     from neurosim.tasks.check import PlanCheck
@@ -18,13 +18,7 @@ if TYPE_CHECKING:
 @click.argument("controller", type=PATH)
 @click.argument("simulator", type=PATH)
 @click.option("--draws", type=click.IntRange(min=1), default=4096, show_default=True)
-@click.option(
-    "--placing",
-    type=(click.FloatRange(min=0), click.FloatRange(min=0)),
-    default=(3.0, 0.5),
-    show_default=True,
-    help="How exactly the robot is put down: standard deviations, mm and degrees.",
-)
+@placing_option
 @seed_option
 @json_option
 def plan_check(

@@ -103,6 +103,13 @@ def test_the_same_seed_makes_the_same_recording(road, tmp_path):
         assert (target / name).read_bytes() == (road / "recording" / name).read_bytes(), name
 
 
+def wait_for(log, word, count):
+    """Return when a log that another process writes holds a word so often, or after two minutes."""
+    deadline = time.monotonic() + 120
+    while time.monotonic() < deadline and (not log.exists() or log.read_text().count(word) < count):
+        time.sleep(0.02)
+
+
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
 def test_a_killed_recording_is_resumed_tracked_and_trained_on(road, tmp_path):
     words = ["record", "killed", "--commands", "60", "--seed", "7", "--calibration"]
@@ -113,12 +120,7 @@ def test_a_killed_recording_is_resumed_tracked_and_trained_on(road, tmp_path):
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    log = tmp_path / "killed" / "commands.csv"
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and (
-        not log.exists() or log.read_text().count("command") < 25
-    ):
-        time.sleep(0.02)
+    wait_for(tmp_path / "killed" / "commands.csv", "command", 25)
     child.send_signal(signal.SIGKILL)
     child.wait()
     assert Recording(tmp_path / "killed").meta["complete"] is False
@@ -145,12 +147,7 @@ def test_ctrl_c_leaves_everything_readable(road, tmp_path):
         stderr=subprocess.PIPE,
         text=True,
     )
-    log = tmp_path / "r" / "commands.csv"
-    deadline = time.monotonic() + 120
-    while time.monotonic() < deadline and (
-        not log.exists() or log.read_text().count("command") < 8
-    ):
-        time.sleep(0.02)
+    wait_for(tmp_path / "r" / "commands.csv", "command", 8)
     child.send_signal(signal.SIGINT)
     _, said = child.communicate(timeout=60)
     assert child.returncode == 130
