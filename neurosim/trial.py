@@ -129,6 +129,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
             "rest": plan.predicted["rest"],
             "fitness": plan.predicted["fitness"],
             "completes": plan.predicted["completes"],
+            "probability": plan.predicted.get("probability"),
         },
         "actual": {
             "poses": [*actual, *[None] * (len(predicted) - len(actual))],

@@ -116,6 +116,19 @@ def fan(
         return to_svg(figure, label, prefix)
 
 
+def calibration(lines: Mapping[str, tuple[ArrayLike, ArrayLike]], label: str, prefix: str) -> str:
+    """Draw shares that happened over probabilities that were said, with the line of equality."""
+    with drawing(3.1, 2.9) as (figure, axes):
+        axes.plot((0, 1), (0, 1), color=INK["muted"], lw=0.8)
+        for number, (name, (said, held)) in enumerate(lines.items()):
+            axes.plot(said, held, label=name, color=INK[_THREE[number]], ls=_DASHES[number])
+        axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
+        axes.set_xlabel("said")
+        axes.set_ylabel("held")
+        axes.legend(loc="lower right")
+        return to_svg(figure, label, prefix)
+
+
 def histogram(values: ArrayLike, axis: str, label: str, prefix: str) -> str:
     """Draw how often values occur."""
     with drawing(3.1, 2.3) as (figure, axes):

@@ -18,12 +18,20 @@ def section(artefacts: Artefacts) -> Section | None:
     """Write the section on the evolved plans; None without controllers."""
     if not artefacts.controllers:
         return None
-    head = ["controller", "commands given", "null commands", "fitness predicted", "completes"]
+    head = [
+        "controller",
+        "commands given",
+        "null commands",
+        "fitness predicted",
+        "completes",
+        "probability of completing",
+    ]
     rows = []
     for controller in artefacts.controllers:
         commands = controller.meta["commands"]
         given = [command for command in commands if command is not None]
         predicted = controller.meta["predicted"]
+        chance = predicted.get("probability")
         rows.append(
             [
                 controller.name,
@@ -31,6 +39,7 @@ def section(artefacts: Artefacts) -> Section | None:
                 str(len(commands) - len(given)),
                 _figure(predicted.get("fitness")),
                 "yes" if predicted.get("completes") else "no",
+                "not told" if chance is None else f"{chance:.1%}",
             ]
         )
     blocks: list[Block] = [Table("Plans, as the simulator predicts them", head, rows)]

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from neurosim.base.files import sha256
 from neurosim.reports.artefacts import Artefact
 from neurosim.simulators import read_simulator
+from neurosim.training.coverage import central_ranks
 from neurosim.training.evaluate import errors, predict
 from neurosim.training.unicycle import unicycle
 from tracking.dataset import Dataset
@@ -29,12 +30,15 @@ class HeldOut:
         baseline: what the ideal robot is, and its displacements (N, 3); None if the inputs are
             not those of one.
         how: which rows these are, in words.
+        central: (N, 3) probability of the smallest central interval that holds what happened,
+            :func:`neurosim.training.coverage.central`; None if the simulator has no noise.
     """
 
     predicted: NDArray
     actual: NDArray
     baseline: tuple[str, NDArray] | None
     how: str
+    central: NDArray | None = None
 
     def errors(self) -> dict[str, dict[str, Any]]:
         """Return the simulator's errors by output, in cm and degrees (equation 1)."""
@@ -78,4 +82,11 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
     baseline = None
     if ideal is not None:
         baseline = ideal.description, ideal.displacement(rows.input_array())
-    return HeldOut(predict(network, rows), rows.output_array(), baseline, how)
+    actual = rows.output_array()
+    return HeldOut(
+        predict(network, rows),
+        actual,
+        baseline,
+        how,
+        central_ranks(network, rows.input_array(), actual),
+    )

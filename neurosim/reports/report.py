@@ -12,7 +12,7 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import write_text
-from neurosim.reports import accuracy, data, plans, provenance, reality
+from neurosim.reports import accuracy, certainty, data, plans, provenance, reality
 from neurosim.reports.artefacts import Artefacts, gather
 from neurosim.reports.page import Page
 from neurosim.reports.predictions import UNITS, HeldOut
@@ -48,6 +48,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         reality.courses(artefacts),
         reality.growth(artefacts),
         accuracy.section(artefacts, tests),
+        certainty.section(artefacts, tests),
         accuracy.learning(artefacts),
         plans.section(artefacts),
         data.section(artefacts),

@@ -30,16 +30,32 @@ def coverage(
         For each output, level ("0.5", ...) -> share of rows within the central interval of that
         probability; None if the simulator has no noise model.
     """
-    if simulator.noise is None:
+    ranks = central_ranks(simulator, rows.input_array(), rows.output_array(), seed)
+    if ranks is None:
         return None
-    generator = torch.Generator().manual_seed(seed)
-    inputs = torch.tensor(rows.input_array())
-    drawn = draw_displacements(simulator, inputs, DRAWS, generator).numpy()
-    ranks = central(drawn, rows.output_array())
     return {
         name: {str(level): float((ranks[:, place] <= level).mean()) for level in LEVELS}
         for place, name in enumerate(OUTPUTS)
     }
+
+
+def central_ranks(
+    simulator: MotionNetwork, inputs: NDArray, actual: NDArray, seed: int = 0
+) -> NDArray | None:
+    """Return :func:`central` of what followed commands, by outcomes that a simulator draws.
+
+    Args:
+        inputs: [N, I], in the simulator's units and order.
+        actual: [N, 3] dx, dy (m), dtheta (rad).
+
+    Returns:
+        [N, 3] in 0..1; None if the simulator has no noise model.
+    """
+    if simulator.noise is None:
+        return None
+    generator = torch.Generator().manual_seed(seed)
+    drawn = draw_displacements(simulator, torch.tensor(inputs), DRAWS, generator).numpy()
+    return central(drawn, actual)
 
 
 def draw_displacements(

@@ -111,7 +111,9 @@ def predicted_poses():
     return np.array(poses)
 
 
-def make_trial(folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=True):
+def make_trial(
+    folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=True, probability=None
+):
     """Write a trial whose robot slips: the twist of every command is off by a drawn share."""
     rng = np.random.default_rng(seed)
     predicted = predicted_poses()
@@ -144,7 +146,7 @@ def make_trial(folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=Tru
             "start": {"planned": list(START), "actual": [START[0] + 0.01, START[1], START[2]]},
             "predicted": {
                 "poses": predicted.tolist(), "rest": [-0.75, 0.25, -1.5 * math.pi],
-                "fitness": 63.9, "completes": True,
+                "fitness": 63.9, "completes": True, "probability": probability,
             },
             "actual": {
                 "rest": [-0.72, 0.29, 0.5 * math.pi],

@@ -1,0 +1,104 @@
+"""Whether what is said of the uncertain holds: intervals of commands, probabilities of plans."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.reports import charts
+from neurosim.reports.artefacts import Artefacts, Trial
+from neurosim.reports.page import Block, Picture, Row, Section, Table
+from neurosim.reports.predictions import HeldOut
+from neurosim.training.coverage import LEVELS
+
+#: Probabilities of plans are compared with what happened in so many bins.
+BINS = 5
+
+
+def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section | None:
+    """Write the section on uncertainty; None where nothing says how sure it is."""
+    blocks: list[Block] = []
+    told = {
+        artefacts.simulators[place].name: (f"u{place}", test.central)
+        for place, test in tests.items()
+        if test.central is not None
+    }
+    if told:
+        blocks.append(_intervals({name: ranks for name, (_, ranks) in told.items()}))
+        blocks.append(Row([_calibration(name, ranks, p) for name, (p, ranks) in told.items()]))
+    trials = foretold(artefacts.trials)
+    if trials:
+        blocks.append(_plans(trials))
+    return Section("certainty", "How sure it is, and whether rightly", blocks) if blocks else None
+
+
+def foretold(trials: Sequence[Trial]) -> list[Trial]:
+    """Return the trials whose controllers carry a probability of success."""
+    return [trial for trial in trials if trial.meta["predicted"].get("probability") is not None]
+
+
+def brier(trials: Sequence[Trial]) -> tuple[float, float]:
+    """Return the Brier score of the probabilities, and that of always saying the base rate.
+
+    The score is the mean squared difference between the probability said and what happened, 0
+    or 1 (Brier 1950); the smaller the better.
+    """
+    said = np.array([trial.meta["predicted"]["probability"] for trial in trials])
+    happened = np.array([trial.completes for trial in trials], float)
+    base = happened.mean()
+    return float(np.mean((said - happened) ** 2)), float(base * (1.0 - base))
+
+
+def _intervals(told: Mapping[str, NDArray]) -> Table:
+    rows = [
+        [f"{level:.0%}", *(f"{share:.0%}" for r in told.values() for share in (r <= level).mean(0))]
+        for level in LEVELS
+    ]
+    return Table(
+        "Intervals of single commands: what they say they hold, and what they held",
+        ["said", *["dx", "dy", "dtheta"] * len(told)],
+        rows,
+        note="Shares of the held-out commands of Table 2 that lay within the central interval of "
+        "that probability: the simulator's own doubt (its ensemble) and its noise together.",
+        groups=[(name, 3) for name in told],
+    )
+
+
+def _calibration(name: str, ranks: NDArray, prefix: str) -> Picture:
+    said = np.linspace(0.0, 1.0, 101)
+    held = (ranks[:, :, None] <= said).mean(0)
+    off = float(np.abs(held - said).max())
+    words = f"{name}: share of held-out commands within an interval, over the probability it says"
+    lines = {
+        output: (said, line) for output, line in zip(("dx", "dy", "dtheta"), held, strict=True)
+    }
+    svg = charts.calibration(lines, words, prefix)
+    return Picture(svg, f"{words}; {100 * off:.0f} points off the diagonal at the most.")
+
+
+def _plans(trials: Sequence[Trial]) -> Table:
+    said = np.array([trial.meta["predicted"]["probability"] for trial in trials])
+    happened = np.array([trial.completes for trial in trials], float)
+    place = np.minimum((said * BINS).astype(int), BINS - 1)
+    rows = [
+        [
+            f"{low / BINS:.0%} to {(low + 1) / BINS:.0%}",
+            str((place == low).sum()),
+            f"{said[place == low].mean():.0%}",
+            f"{happened[place == low].mean():.0%}",
+        ]
+        for low in range(BINS)
+        if (place == low).any()
+    ]
+    note = "Each controller said before how probably it completes the course."
+    if len(trials) > 1:
+        score, base = brier(trials)
+        note += f" Brier score {score:.3f}; of always saying the base rate {base:.3f}."
+    return Table(
+        "Probabilities of plans: said, and what happened",
+        ["said to complete", "trials", "said, mean", "completed"],
+        rows,
+        note=note,
+    )
