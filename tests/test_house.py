@@ -22,6 +22,7 @@ FLOORS = {
     "neurosim.tasks": 3,
     "neurosim.training": 3,
     "neurosim.reports": 3,
+    "neurosim.watch": 3,
     "neurosim.trial": 3,
     "neurosim.cli": 4,
     "neurosim.__main__": 4,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import queue
 import threading
+import time as _time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Protocol
@@ -13,6 +14,7 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
+from tracking.video import Video
 
 OnFrame = Callable[[float, np.ndarray], None]
 
@@ -59,7 +61,7 @@ class OpenCVCamera:
         if not self._capture.isOpened():
             raise UserError(
                 f"camera {source!r} cannot be opened: is it plugged in and not in use elsewhere? "
-                "Name another with --camera, or --camera none to film with something else"
+                "Name another with --camera"
             )
         if size:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
@@ -106,6 +108,55 @@ class OpenCVCamera:
             "size": list(self.size),
             "fps": self.fps,
         }
+
+
+class VideoCamera:
+    """A video file as a camera: frames at their own pace, from the beginning again at the end.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileError: if it is no video that can be read.
+    """
+
+    def __init__(self, path: str | Path):
+        self._path = Path(path)
+        with Video(path) as video:
+            self.size, self.fps = video.size, video.fps
+        self.failed = False
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Deliver every frame from a thread, at the times of the file."""
+
+        def play() -> None:
+            begun = passed = 0.0
+            try:
+                while not self._stopped.is_set():
+                    begun, zero = begun + passed, _time.monotonic()
+                    with Video(self._path) as video:
+                        for _, time, frame in video:
+                            if self._stopped.wait(max(0.0, zero + time - _time.monotonic())):
+                                return
+                            on_frame(begun + time, frame)
+                            passed = time + 1.0 / self.fps
+            except UserError:
+                self.failed = True
+
+        self._thread = threading.Thread(target=play, name="video camera", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Deliver no more frames."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+
+    def describe(self) -> dict[str, Any]:
+        """Return file, size and frame rate."""
+        return {"kind": "video", "source": str(self._path), "size": [*self.size], "fps": self.fps}
 
 
 class VideoSink:

@@ -35,6 +35,7 @@ from neurosim.base.files import (
 )
 
 FORMAT, VERSION = "neurosim-recording", 1
+MARKERS_FORMAT = "neurosim-markers"
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -304,6 +305,22 @@ class Recording:
             self.path / "poses.csv",
             dict(zip(_POSE_COLUMNS, (*columns, np.round(poses.quality, 3)), strict=True)),
         )
+
+
+def read_markers(path: str | Path) -> dict[str, Any]:
+    """Read a markers file: what recording.json says under ``markers``, by itself.
+
+    Raises:
+        FileError: if it is missing or not what it should be.
+    """
+    document = read_json(path, MARKERS_FORMAT, VERSION, {"front": dict, "rear": dict})
+    _check_markers(Path(path), document)
+    return {name: value for name, value in document.items() if name in DEFAULT_MARKERS}
+
+
+def write_markers(path: str | Path, markers: Mapping[str, Any]) -> None:
+    """Write a markers file, whole or not at all."""
+    write_json(path, MARKERS_FORMAT, VERSION, dict(markers))
 
 
 def _wall_clock() -> str:

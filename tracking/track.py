@@ -333,8 +333,15 @@ def board_poses(seen: Track, markers: Mapping[str, Any], camera: CameraModel) ->
     The rigid fit of two points: heading from the line between them, position so that the
     squares of what is left over are least. NaN where the pair was not found.
     """
+    return marker_poses(seen.front, seen.rear, markers, camera)
+
+
+def marker_poses(
+    front: NDArray, rear: NDArray, markers: Mapping[str, Any], camera: CameraModel
+) -> NDArray:
+    """Return poses [N, 3] from the pixels [N, 2] of the two markers; see :func:`board_poses`."""
     height = float(markers.get("height", 0.0))
-    front, rear = (camera.to_board(p, height) for p in (seen.front, seen.rear))
+    front, rear = (camera.to_board(p, height) for p in (front, rear))
     own = np.array([[markers[m]["x"], markers[m]["y"]] for m in ("front", "rear")], float)
     axis, own_axis = front - rear, own[0] - own[1]
     theta = unwrap(np.arctan2(axis[:, 1], axis[:, 0]) - math.atan2(own_axis[1], own_axis[0]))

@@ -21,6 +21,7 @@ from neurosim.cli.report import report
 from neurosim.cli.run import run
 from neurosim.cli.track import track
 from neurosim.cli.train import evaluate, train
+from neurosim.cli.watch import watch
 
 
 class _InOrder(click.Group):
@@ -42,6 +43,7 @@ def cli() -> None:
 
 
 for verb in (
+    watch,
     record,
     calibrate,
     track,

@@ -41,7 +41,12 @@ from neurosim.cli._robots import open_rig, robot_options
 @click.option(
     "--calibration", type=PATH, help="The camera's calibration.json, kept with the recording."
 )
-@click.option("--markers", default="pink,blue", show_default=True, help="Colours: FRONT,REAR.")
+@click.option(
+    "--markers",
+    default="pink,blue",
+    show_default=True,
+    help="Colours FRONT,REAR, or a markers.json that watch has written.",
+)
 @click.option("--resume", is_flag=True, help="Go on with a recording that was interrupted.")
 @seed_option
 @json_option
@@ -121,11 +126,13 @@ def record(
 
 
 def marker_settings(colours: str, robot: str) -> dict[str, Any]:
-    """Return the default markers with these colours, FRONT,REAR, of a robot of this kind."""
+    """Return the markers of a robot of this kind: a file's, or the default with these colours."""
     from neurosim.base.errors import UserError
     from tracking.colours import parse_colour
-    from tracking.recordings import DEFAULT_MARKERS
+    from tracking.recordings import DEFAULT_MARKERS, read_markers
 
+    if colours.endswith(".json"):
+        return read_markers(colours)
     names = [name.strip() for name in colours.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")

@@ -28,7 +28,12 @@ from neurosim.cli.record import marker_settings
 )
 @click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
 @click.option("--battery-limit", default=6.5, show_default=True, help="Do not start below it, V.")
-@click.option("--markers", default="pink,blue", show_default=True, help="Colours: FRONT,REAR.")
+@click.option(
+    "--markers",
+    default="pink,blue",
+    show_default=True,
+    help="Colours FRONT,REAR, or a markers.json that watch has written.",
+)
 @seed_option
 @json_option
 def run(

@@ -1,0 +1,163 @@
+"""``neurosim watch``: what the camera sees, on a page; colours and board set by clicking."""
+
+from __future__ import annotations
+
+import time
+import webbrowser
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+
+from neurosim.base.errors import UserError
+from neurosim.cli._common import PATH, Size, emit, json_option
+from neurosim.cli.record import marker_settings
+
+
+@click.command()
+@click.option(
+    "--camera",
+    default="0",
+    show_default=True,
+    help="A camera's number, a video file, a URL that OpenCV opens, or lab for the virtual lab's.",
+)
+@click.option("--camera-size", type=Size(), help="Frame size.  [lab default: 640x480]")
+@click.option("--fps", type=click.FloatRange(1, 240), help="Frame rate.  [lab default: 30]")
+@click.option(
+    "--markers",
+    default="pink,blue",
+    show_default=True,
+    help="Colours FRONT,REAR, or a markers.json.",
+)
+@click.option("--calibration", type=PATH, help="Of the camera, or of its lens alone.")
+@click.option(
+    "-o",
+    "--out",
+    type=PATH,
+    default=Path("calibration.json"),
+    show_default=True,
+    help="Where the page saves the calibration; markers.json goes beside it.",
+)
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="0: any that is free.")
+@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
+@click.option("--seconds", type=float, help="End by itself after so long.  [default: Ctrl-C]")
+@json_option
+def watch(
+    camera: str,
+    camera_size: tuple[int, int] | None,
+    fps: float | None,
+    markers: str,
+    calibration: Path | None,
+    out: Path,
+    port: int,
+    open_browser: bool,
+    seconds: float | None,
+    as_json: bool,
+) -> None:
+    """Show on a page in the browser what the camera sees and where the robot is found.
+
+    On the page, one click sets a marker's colour and four set the board's corners: nothing needs
+    to be printed or typed. The page is for this computer alone.
+    """
+    from neurosim.watch import PageServer, Viewer
+    from tracking.camera_model import CameraModel
+    from tracking.colours import parse_colour
+    from tracking.live import LiveTracker
+    from tracking.recordings import DEFAULT_BOARD
+    from tracking.track import marker_geometry
+    from tracking.tracker import Geometry
+
+    known = marker_settings(markers, "camera")
+    colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))
+    model = None if calibration is None else CameraModel.read(calibration)
+
+    def geometry(model: CameraModel | None) -> Geometry:
+        if model is None or not model.has_board:
+            return Geometry()
+        return marker_geometry(known, model)
+
+    with _open_camera(camera, camera_size, fps) as source:
+        if model is not None and tuple(model.image_size) != tuple(source.size):
+            raise UserError(
+                f"{calibration} is of pictures of {model.image_size[0]}x{model.image_size[1]}, but "
+                f"the camera's are {source.size[0]}x{source.size[1]}; name its size with "
+                "--camera-size"
+            )
+        viewer = Viewer(
+            source.size,
+            known,
+            colours,
+            camera=model,
+            board=DEFAULT_BOARD,
+            look_for=lambda colours, model: tracker.look_for(colours, geometry(model)),
+            calibration_file=out,
+            markers_file=out.with_name("markers.json"),
+            label="virtual lab" if camera == "lab" else f"camera {camera}",
+        )
+        tracker = LiveTracker(
+            colours,
+            geometry(model),
+            time.monotonic,
+            lambda seen: viewer.show(seen, tracker.tracker.looks),
+        )
+        with PageServer(viewer, port) as server:
+            source.start(tracker.take)
+            try:
+                emit(
+                    {"url": server.url},
+                    as_json,
+                    f"Open {server.url}\nThe address is good on this computer until Ctrl-C.",
+                )
+                if open_browser:
+                    webbrowser.open(server.url)
+                _wait(source, tracker, seconds)
+            except KeyboardInterrupt:
+                pass
+            except UserError as error:
+                viewer.end(str(error))
+                time.sleep(1.0)  # for the page to fetch it
+                raise
+            finally:
+                source.stop()
+                tracker.close()
+
+
+def _wait(source: Any, tracker: Any, seconds: float | None) -> None:
+    end = time.monotonic() + seconds if seconds is not None else float("inf")
+    while time.monotonic() < end:
+        if getattr(source, "failed", False):
+            raise UserError("the camera stopped delivering pictures; is it still plugged in?")
+        if tracker.failed:
+            return
+        time.sleep(0.1)
+
+
+@contextmanager
+def _open_camera(name: str, size: Any, fps: float | None) -> Iterator[Any]:
+    if name == "lab":
+        with _lab_camera(size or (640, 480), fps or 30.0) as camera:
+            yield camera
+        return
+    from tracking.camera import OpenCVCamera, VideoCamera
+
+    if Path(name).is_file():
+        yield VideoCamera(name)
+    else:
+        source = int(name) if name.isdigit() else name
+        yield OpenCVCamera(source, time.monotonic, size, fps)
+
+
+@contextmanager
+def _lab_camera(size: tuple[int, int], fps: float) -> Iterator[Any]:
+    """The lab's camera in real time, over a robot that drives in a circle."""
+    from neurosim.lab import Pacer, VirtualRig
+
+    with (
+        VirtualRig(0, start=(0.0, -0.4, 0.0), camera_size=size, fps=fps, real_time=True) as rig,
+        rig.robot,
+        Pacer(rig.lab),
+    ):
+        rig.robot.drive(22, 31)
+        yield rig.camera

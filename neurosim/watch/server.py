@@ -1,0 +1,247 @@
+"""The page's server: for this computer's own browser, and for nobody else.
+
+It listens on the loopback address alone. Whatever else runs on this computer, or is open in its
+browser, is kept out: every address holds a secret that is drawn anew for each run; a request
+must name this server as its host, so that a foreign name that resolves to this computer gets
+nothing (DNS rebinding); and one that a page of another site makes is refused. The page may load
+nothing from anywhere else, and no other page may frame it.
+"""
+
+from __future__ import annotations
+
+import errno
+import hmac
+import json
+import os
+import secrets
+import threading
+from collections.abc import Callable
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from importlib.resources import files
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.watch.viewer import CORNERS, Viewer
+
+HOST = "127.0.0.1"
+#: A request's body is a click; nothing is as long as this.
+LONGEST_BODY = 4096
+#: How long a request for the next picture waits for one, s.
+PATIENCE = 1.0
+
+_PAGES = {
+    "": ("page.html", "text/html; charset=utf-8"),
+    "page.css": ("page.css", "text/css; charset=utf-8"),
+    "page.js": ("page.js", "text/javascript; charset=utf-8"),
+}
+_HEADERS = {
+    "Cache-Control": "no-store",
+    "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
+    "img-src 'self' data:; connect-src 'self'; base-uri 'none'; form-action 'none'; "
+    "frame-ancestors 'none'",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Referrer-Policy": "no-referrer",
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+}
+
+
+class PageServer:
+    """Serves a viewer's page on the loopback address while used as a context.
+
+    Attributes:
+        url: the page's address, with its secret.
+    """
+
+    def __init__(self, viewer: Viewer, port: int = 0):
+        """Open the port; 0 for any free one.
+
+        Raises:
+            UserError: if the port is taken.
+        """
+        token = secrets.token_urlsafe(24)
+
+        self._over = threading.Event()
+        parts = {"viewer": viewer, "token": token, "over": self._over}
+        handler = type("Handler", (_Handler,), parts)
+        try:
+            self._server = _Server((HOST, port), handler)
+        except PermissionError:
+            raise UserError(f"port {port} may not be used; name one above 1023") from None
+        except OSError as error:
+            if error.errno != errno.EADDRINUSE:
+                raise
+            raise UserError(
+                f"port {port} is taken by another program; name another with --port, or leave it "
+                "out for any that is free"
+            ) from None
+        self.address: tuple[str, int] = self._server.server_address[:2]
+        handler.port = self.address[1]
+        self.url = f"http://{HOST}:{self.address[1]}/{token}/"
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.1,), name="page server", daemon=True
+        )
+
+    def __enter__(self) -> PageServer:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._over.set()
+        self._server.shutdown()
+        self._server.server_close()
+        self._thread.join()
+
+
+class _Server(ThreadingHTTPServer):
+    daemon_threads = True
+    block_on_close = False
+    # On Windows it would let two servers share the port.
+    allow_reuse_address = os.name != "nt"
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing: a browser that goes away in the middle of a picture is no news."""
+
+
+class _Refused(Exception):
+    """A request that gets no answer but a status."""
+
+    def __init__(self, status: HTTPStatus, why: str):
+        super().__init__(why)
+        self.status = status
+
+
+class _Handler(BaseHTTPRequestHandler):
+    viewer: Viewer
+    token: str
+    port: int
+    over: threading.Event
+
+    protocol_version = "HTTP/1.1"
+    server_version, sys_version = "neurosim", ""
+    timeout = 30
+
+    def do_GET(self) -> None:
+        """Give the page, its parts, or the next picture."""
+        self._answer(self._get)
+
+    def do_POST(self) -> None:
+        """Take what was set on the page."""
+        self._answer(self._post)
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Say nothing: the terminal is for people."""
+
+    def _answer(self, how: Callable[[str], tuple[bytes, str, dict[str, str]]]) -> None:
+        try:
+            body, kind, headers = how(self._checked())
+            status = HTTPStatus.OK
+        except _Refused as refused:
+            status, headers = refused.status, {}
+            body, kind = f"{refused}\n".encode(), "text/plain; charset=utf-8"
+            # What follows in the line may be the body that was not read.
+            self.close_connection = True
+        except UserError as error:
+            # What a person did is answered to the person.
+            status, headers = HTTPStatus.OK, {}
+            body, kind = _json({"error": str(error)})
+        self.send_response(status)
+        for name, value in {**_HEADERS, **headers}.items():
+            self.send_header(name, value)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.send_header("Content-Type", kind)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body)
+
+    def _checked(self) -> str:
+        """Return what is asked for, below the secret, of a request that may ask."""
+        if self.over.is_set():
+            raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "neurosim has ended")
+        own = {f"{name}:{self.port}" for name in (HOST, "localhost")}
+        if self.headers.get("Host") not in own:
+            raise _Refused(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
+        origin = self.headers.get("Origin")
+        if origin is not None and origin not in {f"http://{name}" for name in own}:
+            raise _Refused(HTTPStatus.FORBIDDEN, "this server answers its own page only")
+        if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            raise _Refused(HTTPStatus.FORBIDDEN, "this server answers its own page only")
+        parts = self.path.partition("?")[0].split("/", 2)
+        given = parts[1] if len(parts) == 3 else ""
+        if not hmac.compare_digest(given.encode(), self.token.encode()):
+            raise _Refused(HTTPStatus.FORBIDDEN, "open the address that neurosim printed")
+        return parts[2]
+
+    def _get(self, what: str) -> tuple[bytes, str, dict[str, str]]:
+        if what in _PAGES:
+            name, kind = _PAGES[what]
+            return (files("neurosim.watch") / name).read_bytes(), kind, {}
+        if what == "picture":
+            query = self.path.partition("?")[2]
+            name, _, number = query.partition("=")
+            after = int(number) if name == "after" and number.isdecimal() else 0
+            picture, state = self.viewer.picture(after, PATIENCE)
+            told = json.dumps(state, separators=(",", ":"), ensure_ascii=True)
+            return picture, "image/jpeg", {"Neurosim-State": told}
+        raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+
+    def _post(self, what: str) -> tuple[bytes, str, dict[str, str]]:
+        asked = self._body()
+        if not self.viewer.settable:
+            raise UserError("nothing can be set while the robot is recorded")
+        viewer = self.viewer
+        if what == "colour":
+            says = viewer.set_colour(_one_of(asked, "which", ("front", "rear")), *_place(asked))
+        elif what == "corner":
+            says = viewer.set_corner(_one_of(asked, "corner", tuple(CORNERS)), *_place(asked))
+        elif what == "clear":
+            says = viewer.clear_corners()
+        elif what == "board":
+            height = None if asked.get("height") is None else _number(asked, "height")
+            says = viewer.set_board(_number(asked, "length"), _number(asked, "width"), height)
+        elif what == "save":
+            name = _one_of(asked, "what", ("calibration", "markers"))
+            says = viewer.save(name, replace=asked.get("replace") is True)
+        else:
+            raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
+        return *_json({"says": says, "corners": viewer.corners}), {}
+
+    def _body(self) -> dict[str, Any]:
+        if self.headers.get_content_type() != "application/json":
+            raise _Refused(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "expected JSON")
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal():
+            raise _Refused(HTTPStatus.LENGTH_REQUIRED, "expected a length")
+        if int(length) > LONGEST_BODY:
+            raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "that is too long")
+        try:
+            asked = json.loads(self.rfile.read(int(length)))
+        except ValueError:
+            asked = None
+        if not isinstance(asked, dict):
+            raise _Refused(HTTPStatus.BAD_REQUEST, "expected a JSON object")
+        return asked
+
+
+def _json(content: dict[str, Any]) -> tuple[bytes, str]:
+    return json.dumps(content).encode(), "application/json"
+
+
+def _one_of(asked: dict[str, Any], name: str, possible: tuple[str, ...]) -> str:
+    if asked.get(name) not in possible:
+        raise _Refused(HTTPStatus.BAD_REQUEST, f"{name}: expected one of {', '.join(possible)}")
+    return asked[name]
+
+
+def _number(asked: dict[str, Any], name: str) -> float:
+    value = asked.get(name)
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
+        raise _Refused(HTTPStatus.BAD_REQUEST, f"{name}: expected a number")
+    return float(value)
+
+
+def _place(asked: dict[str, Any]) -> tuple[float, float]:
+    return _number(asked, "u"), _number(asked, "v")

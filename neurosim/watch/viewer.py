@@ -1,0 +1,337 @@
+"""What the page shows, and what is set on it: two colours and four corners."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from tracking.camera_model import CameraModel
+from tracking.colours import Colour
+from tracking.live import Seen
+from tracking.markers import Look
+from tracking.pointing import Pointed, camera_over_board, colour_at, told_apart
+from tracking.recordings import write_markers
+from tracking.track import marker_poses
+
+#: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
+#: which x runs to the right: the order in which they are clicked.
+CORNERS = {
+    "top left": (-1, 1),
+    "top right": (1, 1),
+    "bottom right": (1, -1),
+    "bottom left": (-1, -1),
+}
+#: Lines of the grid that is drawn over the board are this far apart, m.
+GRID = 0.5
+#: The robot is lost if it was not seen for so long, s; and so is the camera without a picture.
+LOST_AFTER, STALE_AFTER = 0.5, 2.0
+JPEG_QUALITY = 85
+
+LookFor = Callable[[tuple[Colour, Colour], CameraModel | None], None]
+
+
+class Viewer:
+    """Keeps the newest picture and what was seen in it, for any number of readers.
+
+    Args:
+        size: of the camera's pictures.
+        markers: as in recording.json.
+        colours: of front and rear.
+        camera: the calibration, or None; with a place over the board, or of the lens alone.
+        board: ``length`` and ``width`` in metres.
+        look_for: called with new colours and calibration when they were set on the page; None
+            for a page on which nothing can be set.
+        calibration_file: where the calibration is saved.
+        markers_file: where the markers are saved.
+        label: the camera's name, for the page's heading.
+    """
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        markers: Mapping[str, Any],
+        colours: tuple[Colour, Colour],
+        *,
+        camera: CameraModel | None = None,
+        board: Mapping[str, float],
+        look_for: LookFor | None = None,
+        calibration_file: Path = Path("calibration.json"),
+        markers_file: Path = Path("markers.json"),
+        label: str = "camera",
+    ):
+        self.size = size
+        self._markers = dict(markers)
+        self._colours = colours
+        self._lens = camera
+        self._camera = camera if camera is not None and camera.has_board else None
+        self._board = {"length": float(board["length"]), "width": float(board["width"])}
+        self._height: float | None = None
+        self._corners: dict[str, tuple[float, float]] = {}
+        self._pointed: dict[str, Pointed] = {}
+        self._look_for = look_for
+        self._files = {"calibration": Path(calibration_file), "markers": Path(markers_file)}
+        self._saved: set[str] = set()
+        self._label = label
+        self._ended = ""
+        self._change = threading.Condition()
+        self._seen: Seen | None = None
+        self._looks: list[Look] | None = None
+        self._number = 0
+        self._jpeg: tuple[int, bytes] = (0, b"")
+        self._shown_at = time.monotonic()
+        self._found_at: float | None = None
+        self._times: deque[float] = deque(maxlen=30)
+
+    @property
+    def settable(self) -> bool:
+        """Whether anything can be set on the page."""
+        return self._look_for is not None
+
+    @property
+    def corners(self) -> dict[str, list[float]]:
+        """The pixels of the corners that were clicked, by name."""
+        with self._change:
+            return {name: list(pixel) for name, pixel in self._corners.items()}
+
+    # From the camera
+
+    def show(self, seen: Seen, looks: list[Look] | None = None) -> None:
+        """Show a frame from now on; ``looks`` are the markers' as learned."""
+        with self._change:
+            self._seen, self._looks = seen, looks
+            self._number += 1
+            self._shown_at = time.monotonic()
+            self._times.append(self._shown_at)
+            if seen.sighting.found:
+                self._found_at = self._shown_at
+            self._change.notify_all()
+
+    def end(self, why: str) -> None:
+        """Say on the page why no more pictures will come."""
+        with self._change:
+            self._ended = why
+            self._change.notify_all()
+
+    # To the page
+
+    def picture(self, after: int, timeout: float) -> tuple[bytes, dict[str, Any]]:
+        """Return the newest picture as JPEG, and the state that belongs to it.
+
+        Waits up to ``timeout`` seconds for a picture newer than number ``after``; the picture is
+        empty if there is none.
+        """
+        with self._change:
+            self._change.wait_for(lambda: self._number > after or self._ended, timeout)
+            seen, number, state = self._seen, self._number, self._state()
+        if seen is None or number <= after:
+            return b"", state
+        if self._jpeg[0] != number:
+            good, data = cv2.imencode(".jpg", seen.frame, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
+            self._jpeg = (number, data.tobytes() if good else b"")
+        return self._jpeg[1], state
+
+    def _state(self) -> dict[str, Any]:
+        now = time.monotonic()
+        lost = None if self._found_at is None else now - self._found_at
+        span = self._times[-1] - self._times[0] if len(self._times) > 1 else 0.0
+        seen = self._seen
+        found = seen is not None and seen.sighting.found
+        return {
+            "number": self._number,
+            "label": self._label,
+            "size": list(self.size),
+            "settable": self.settable,
+            "ended": self._ended,
+            "stale": now - self._shown_at > STALE_AFTER,
+            "fps": round((len(self._times) - 1) / span, 1) if span > 0 else 0.0,
+            "time": round(seen.time, 3) if seen is not None else 0.0,
+            "found": found,
+            "quality": round(seen.sighting.quality, 3) if found else 0.0,
+            "ever_found": self._found_at is not None,
+            "lost": lost is not None and lost > LOST_AFTER,
+            "lost_for": round(lost, 1) if lost is not None else 0.0,
+            "front": _pixel(seen.sighting.front) if found else None,
+            "rear": _pixel(seen.sighting.rear) if found else None,
+            "pose": self._pose(seen) if found else None,
+            "colours": {
+                which: self._describe(which, colour, place)
+                for place, (which, colour) in enumerate(
+                    zip(("front", "rear"), self._colours, strict=True)
+                )
+            },
+            "apart": told_apart(*self._colours),
+            "corners": self.corners,
+            "board": {**self._board, "height": self._height},
+            "calibrated": self._camera is not None,
+            "lens": self._lens is not None,
+            "grid": self._grid(),
+            "files": {what: str(path) for what, path in self._files.items()},
+            "saved": sorted(self._saved),
+        }
+
+    def _describe(self, which: str, colour: Colour, place: int) -> dict[str, Any]:
+        pointed = self._pointed.get(which)
+        swatch = colour.name if colour.name.startswith("#") else _hex(colour.bgr)
+        hue = None
+        if self._looks is not None:
+            direction = self._looks[place].direction
+            hue = round(math.degrees(math.atan2(direction[1], direction[0])) % 360)
+        return {
+            "name": colour.name,
+            "swatch": swatch,
+            "seen_hue": hue,
+            "sure": None if pointed is None else round(pointed.sure, 2),
+            "places": None if pointed is None else pointed.places,
+        }
+
+    def _pose(self, seen: Seen) -> dict[str, float] | None:
+        if self._camera is None:
+            return None
+        front, rear = (np.atleast_2d(p) for p in (seen.sighting.front, seen.sighting.rear))
+        x, y, theta = marker_poses(front, rear, self._markers, self._camera)[0]
+        return {"x": round(x, 4), "y": round(y, 4), "degrees": round(math.degrees(theta), 1)}
+
+    def _grid(self) -> list[list[list[float]]]:
+        """Return lines over the board as pixels: its edges and lines every half metre."""
+        if self._camera is None:
+            return []
+        x, y = self._board["length"] / 2, self._board["width"] / 2
+        lines = [
+            *(((-x, b), (x, b)) for b in (-y, y, *_between(y))),
+            *(((a, -y), (a, y)) for a in (-x, x, *_between(x))),
+        ]
+        share = np.linspace(0, 1, 13)[:, None]
+        points = [np.array(a) * (1 - share) + np.array(b) * share for a, b in lines]
+        flat = np.concatenate(points)
+        pixels = self._camera.to_pixels(np.column_stack([flat, np.zeros(len(flat))]))
+        return np.round(pixels, 1).reshape(len(lines), -1, 2).tolist()
+
+    # From the page
+
+    def set_colour(self, which: str, u: float, v: float) -> str:
+        """Take a marker's colour from a pixel of the newest picture; return what to say of it.
+
+        Raises:
+            UserError: if there is no colour there.
+        """
+        pointed = colour_at(self._newest(), (u, v))
+        with self._change:
+            front, rear = self._colours
+            self._colours = (pointed.colour, rear) if which == "front" else (front, pointed.colour)
+            apart = told_apart(*self._colours)
+            self._pointed[which] = pointed
+            self._saved.discard("markers")
+        self._start_afresh()
+        says = f"{which} marker: {pointed.colour.name}, {100 * pointed.sure:.0f} % sure"
+        if not apart:
+            return f"{says}; too much like the other marker's: set that as well"
+        others = pointed.places - 1
+        if others > 0:
+            says += f"; {others} more patch{'es' if others > 1 else ''} of this colour in view"
+        return says
+
+    def set_corner(self, name: str, u: float, v: float) -> str:
+        """Say where a corner of the board is; with the fourth the camera is found."""
+        with self._change:
+            self._corners[name] = (round(u, 2), round(v, 2))
+        return self._find_camera()
+
+    def clear_corners(self) -> str:
+        """Forget the corners, and the camera that came from them."""
+        with self._change:
+            self._corners = {}
+            given = self._lens
+            self._camera = given if given is not None and given.has_board else None
+        self._start_afresh()
+        return "click on the four corners of the board"
+
+    def set_board(self, length: float, width: float, height: float | None) -> str:
+        """Take the board's measures and, if it was measured, the camera's height above it, m."""
+        if not (0.05 <= width <= 100 and 0.05 <= length <= 100):
+            raise UserError("a board is 0.05 to 100 m long and wide")
+        if height is not None and not 0.1 <= height <= 100:
+            raise UserError("a camera hangs 0.1 to 100 m above the board")
+        with self._change:
+            self._board = {"length": length, "width": width}
+            self._height = height
+        return self._find_camera()
+
+    def save(self, what: str, *, replace: bool = False) -> str:
+        """Write calibration.json or markers.json; return what to say.
+
+        Raises:
+            UserError: if there is nothing to save, or a file that was there before.
+        """
+        path = self._files[what]
+        if what == "calibration" and self._camera is None:
+            raise UserError("click on the four corners of the board first")
+        if path.exists() and what not in self._saved and not replace:
+            raise UserError(f"{path} exists already; replace it?")
+        if what == "calibration":
+            self._camera.write(path)
+            then = f"--calibration {path}"
+        else:
+            if not told_apart(*self._colours):
+                raise UserError("the two markers' colours are too much alike; set them first")
+            named = {
+                which: {**self._markers[which], "colour": colour.name}
+                for which, colour in zip(("front", "rear"), self._colours, strict=True)
+            }
+            write_markers(path, {**self._markers, **named})
+            then = f"--markers {path}"
+        with self._change:
+            self._saved.add(what)
+        return f"{path} is written; record with {then}"
+
+    def _find_camera(self) -> str:
+        missing = [name for name in CORNERS if name not in self._corners]
+        if missing:
+            return f"next: the {missing[0]} corner"
+        x, y = self._board["length"] / 2, self._board["width"] / 2
+        points = [(*self._corners[name], a * x, b * y) for name, (a, b) in CORNERS.items()]
+        camera = camera_over_board(self.size, points, self._lens, self._height)
+        with self._change:
+            self._camera = camera
+            self._saved.discard("calibration")
+        self._start_afresh()
+        return (
+            f"the camera hangs {camera.position[2]:.2f} m above the board; the corners fit to "
+            f"{1000 * (camera.board_rms_m or 0.0):.1f} mm. Does the grid lie on the board?"
+        )
+
+    def _start_afresh(self) -> None:
+        with self._change:
+            self._found_at = None
+            colours, camera = self._colours, self._camera
+        if self._look_for is not None:
+            self._look_for(colours, camera)
+
+    def _newest(self) -> NDArray:
+        with self._change:
+            if self._seen is None:
+                raise UserError("there is no picture yet")
+            return self._seen.frame
+
+
+def _pixel(point: NDArray) -> list[float]:
+    return [round(float(value), 2) for value in point]
+
+
+def _between(half: float) -> list[float]:
+    most = math.ceil(half / GRID) - 1
+    return [GRID * place for place in range(-most, most + 1)]
+
+
+def _hex(bgr: tuple[int, int, int]) -> str:
+    blue, green, red = bgr
+    return f"#{red:02x}{green:02x}{blue:02x}"

@@ -1,0 +1,67 @@
+import threading
+
+import numpy as np
+import pytest
+import tracking_scene as scene
+
+from tracking.colours import parse_colour
+from tracking.live import WAITING, LiveTracker
+from tracking.tracker import Tracker
+
+COLOURS = parse_colour("pink"), parse_colour("blue")
+
+
+def frames(count):
+    rng = np.random.default_rng(5)
+    for number in range(count):
+        image = scene.background()
+        scene.robot(image, np.array([200.0 + 3 * number, 200.0]), 0.05 * number)
+        yield number / 30, scene.finish(image, rng)
+
+
+def test_a_camera_that_waits_is_tracked_frame_by_frame():
+    seen = []
+    live = LiveTracker(COLOURS, None, lambda: 7.5, seen.append, waits=True)
+    slow = Tracker(*COLOURS)
+    for number, (time, frame) in enumerate(frames(6)):
+        live.take(time, frame)
+        expected = slow.update(frame, time)
+        assert seen[-1].index == number
+        assert (seen[-1].time, seen[-1].arrived) == (time, 7.5)
+        assert seen[-1].frame is frame
+        assert np.array_equal(seen[-1].sighting.front, expected.front)
+        assert seen[-1].sighting.quality == expected.quality > 0
+    live.close()
+    assert live.passed_over == 0
+
+
+def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
+    seen, go, busy = [], threading.Event(), threading.Event()
+
+    def slow(what):
+        busy.set()
+        assert go.wait(20)
+        seen.append(what.index)
+
+    live = LiveTracker(COLOURS, None, lambda: 0.0, slow)
+    film = list(frames(10))
+    live.take(*film[0])
+    assert busy.wait(20)
+    for time, frame in film[1:]:
+        live.take(time, frame)  # returns although nothing is tracked
+    go.set()
+    live.close()
+    # The one that was begun, and the newest.
+    assert seen == [0, *range(10 - WAITING, 10)]
+    assert live.passed_over == 9 - WAITING
+
+
+def test_what_goes_wrong_while_tracking_is_raised_at_the_end():
+    def wrong(what):
+        raise ValueError("wrong")
+
+    live = LiveTracker(COLOURS, None, lambda: 0.0, wrong)
+    live.take(*next(frames(1)))
+    with pytest.raises(ValueError, match="wrong"):
+        live.close()
+    assert live.failed

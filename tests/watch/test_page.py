@@ -1,0 +1,211 @@
+"""The page in a real browser: seen, clicked on, saved."""
+
+import threading
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from devtools import browser_tab
+
+from neurosim.lab import CameraParams
+from neurosim.lab.camera import RoofCamera
+from neurosim.lab.params import BOARD
+from neurosim.watch import PageServer, Viewer
+from tracking.camera_model import CameraModel
+from tracking.colours import parse_colour
+from tracking.live import LiveTracker
+from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, read_markers
+from tracking.track import marker_geometry
+from tracking.tracker import Geometry
+
+POSE = np.array([0.62, -0.31, 0.8])
+
+
+class Scene:
+    """A robot that stands still under the lab's camera, at ten pictures a second."""
+
+    def __init__(self, folder: Path, colours=("pink", "blue"), *, lens=False):
+        self.camera = RoofCamera(CameraParams(size=(640, 480)), 3)
+        optics = self.camera.optics
+        known = CameraModel(self.camera.size, optics.matrix, optics.distortion) if lens else None
+        self.viewer = Viewer(
+            self.camera.size,
+            DEFAULT_MARKERS,
+            tuple(parse_colour(colour) for colour in colours),
+            camera=known,
+            board=DEFAULT_BOARD,
+            look_for=self.look_for,
+            calibration_file=folder / "calibration.json",
+            markers_file=folder / "markers.json",
+        )
+        self.tracker = LiveTracker(
+            tuple(parse_colour(colour) for colour in colours),
+            None,
+            time.monotonic,
+            lambda seen: self.viewer.show(seen, self.tracker.tracker.looks),
+        )
+        self.pose = POSE
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._film, daemon=True)
+
+    def look_for(self, colours, model):
+        geometry = Geometry() if model is None else marker_geometry(DEFAULT_MARKERS, model)
+        self.tracker.look_for(colours, geometry)
+
+    def _film(self):
+        number = 0
+        while not self._end.wait(0.1):
+            number += 1
+            self.tracker.take(number / 10, self.camera.render(self.pose))
+
+    def pixel(self, *point):
+        return self.camera.project(np.array([point], float))[0]
+
+    def marker(self, which):
+        cos, sin = np.cos(POSE[2]), np.sin(POSE[2])
+        x = DEFAULT_MARKERS[which]["x"]
+        return self.pixel(POSE[0] + cos * x, POSE[1] + sin * x, 0.10)
+
+    def __enter__(self):
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error):
+        self._end.set()
+        self._thread.join()
+        self.tracker.close()
+
+
+@pytest.fixture(scope="module")
+def tab(tmp_path_factory):
+    with browser_tab(tmp_path_factory.mktemp("browser")) as tab:
+        yield tab
+
+
+def click_picture(tab, pixel):
+    u, v = (float(place) for place in pixel)
+    tab.click(*tab.run(
+        "(() => { const c = document.getElementById('picture');"
+        "c.scrollIntoView({block: 'nearest'}); const b = c.getBoundingClientRect();"
+        f"return [b.x + ({u} + 0.5) * b.width / c.width, b.y + ({v} + 0.5) * b.height / c.height];"
+        "})()"
+    ))  # fmt: skip
+
+
+STATUS = "document.getElementById('status').textContent"
+SAYS = "document.getElementById('says').textContent"
+
+
+def chosen(mode):
+    return f"document.querySelector(`[data-mode='{mode}']`).ariaPressed === 'true'"
+
+
+def test_a_student_sets_colours_and_corners_and_saves_them(tab, tmp_path):
+    """Begun with the wrong colours; ended with files that the other verbs take."""
+    with (
+        Scene(tmp_path, ("green", "orange"), lens=True) as scene,
+        PageServer(scene.viewer) as server,
+    ):
+        tab.open(server.url)
+        tab.until(f"{STATUS}.includes('not found yet')")
+        tab.click_on("button[data-mode=front]")
+        for which in ("front", "rear"):  # the second is chosen when the first is set
+            click_picture(tab, scene.marker(which) + np.array([2.0, -1.5]))
+            tab.until(f"{SAYS}.startsWith('{which} marker: #')")
+        tab.until(f"{STATUS} === 'the robot is seen'")
+        assert tab.run("document.getElementById('place').textContent") == "–"
+        # A corner that is wrong is clicked once more.
+        tab.click_on("button[data-mode='top left']")
+        click_picture(tab, (320, 240))
+        tab.until(chosen("top right"))
+        assert tab.run(SAYS) == "next: the top right corner"
+        tab.click_on("button[data-mode='top left']")
+        for corner, x, y, then in (
+            ("top left", -1, 1, "top right"),
+            ("top right", 1, 1, "bottom right"),
+            ("bottom right", 1, -1, "bottom left"),
+            ("bottom left", -1, -1, None),
+        ):
+            tab.until(chosen(corner))
+            click_picture(tab, scene.pixel(x * BOARD.length / 2, y * BOARD.width / 2, 0.0))
+            tab.until(chosen(then) if then else f"{SAYS}.includes('above the board')")
+        place = tab.until("document.getElementById('place').textContent.replace('–', '')")
+        x, y = (float(word) for word in place.removesuffix(" m").split(", "))
+        assert np.hypot(x - POSE[0], y - POSE[1]) < 0.01
+        for what in ("markers", "calibration"):
+            tab.click_on(f"button[data-save={what}]")
+            tab.until(f"{SAYS}.includes('{what}.json is written')")
+        model = CameraModel.read(tmp_path / "calibration.json")
+        assert model.has_board
+        assert model.image_size == (640, 480)
+        assert read_markers(tmp_path / "markers.json")["front"]["colour"].startswith("#")
+        # A file that was there before is not replaced unasked.
+        (tmp_path / "markers.json").write_text("mine")
+        scene.viewer._saved.clear()
+        tab.click_on("button[data-save=markers]")
+        tab.until(f"{SAYS}.includes('exists already')")
+        assert (tmp_path / "markers.json").read_text() == "mine"
+        tab.click_on("#says button")
+        tab.until(f"{SAYS}.includes('is written')")
+        assert read_markers(tmp_path / "markers.json")
+        # A hand takes the robot away.
+        scene.pose = None
+        tab.until(f"{STATUS}.startsWith('the robot is lost, for')")
+        tab.until("document.title.startsWith('LOST')")
+        scene.pose = POSE
+        tab.until(f"{STATUS} === 'the robot is seen'")
+        scene.viewer.end("the camera stopped")
+        tab.until(f"{STATUS} === 'the camera stopped'")
+    assert tab.complaints == []
+
+
+def test_all_of_it_by_keyboard(tab, tmp_path):
+    with Scene(tmp_path) as scene, PageServer(scene.viewer) as server:
+        tab.open(server.url)
+        tab.until(f"{STATUS} === 'the robot is seen'")
+        tab.run("document.querySelector('[data-mode=front]').focus()")
+        tab.press("Enter", "\r")
+        tab.until(chosen("front"))
+        tab.run("picture_ = document.getElementById('picture'); picture_.focus()")
+        du, dv = np.round(scene.marker("front") - (320, 240)).astype(int)
+        for steps, key in ((du, "Right" if du > 0 else "Left"), (dv, "Down" if dv > 0 else "Up")):
+            tens, ones = divmod(abs(int(steps)), 10)
+            for _ in range(tens):
+                tab.press(f"Arrow{key}", modifiers=8)
+            for _ in range(ones):
+                tab.press(f"Arrow{key}")
+        tab.press("Enter", "\r")
+        tab.until(f"{SAYS}.startsWith('front marker: #')")
+    assert tab.complaints == []
+
+
+def test_a_page_that_outlives_its_server_says_so(tab, tmp_path):
+    with Scene(tmp_path) as scene:
+        with PageServer(scene.viewer) as server:
+            tab.open(server.url)
+            tab.until(f"{STATUS} === 'the robot is seen'")
+        tab.until(f"{STATUS}.includes('neurosim has ended')")
+    tab.complaints.clear()  # the browser's word on the server that went away
+
+
+def test_another_sites_page_gets_nothing(tab, tmp_path):
+    """The other page even knows the secret."""
+    with (
+        Scene(tmp_path) as scene,
+        PageServer(scene.viewer) as server,
+        PageServer(scene.viewer) as other,
+    ):
+        tab.open(other.url.replace("127.0.0.1", "localhost"))
+        tab.until(f"{STATUS} === 'the robot is seen'")
+        # Without its own policy in the way, which would refuse first.
+        tab.call("Page.setBypassCSP", enabled=True)
+        tab.open(other.url.replace("127.0.0.1", "localhost"))
+        for how in ("{}", "{mode: 'no-cors'}", "{method: 'POST', mode: 'no-cors', body: '{}'}"):
+            reply = tab.run(f"fetch('{server.url}picture', {how}).then(r => r.status, () => -1)")
+            assert reply in (-1, 0)
+        image = "new Promise(done => { const i = new Image(); i.onload = () => done('seen');"
+        image += f" i.onerror = () => done('refused'); i.src = '{server.url}picture'; }})"
+        assert tab.run(image) == "refused"
+        tab.call("Page.setBypassCSP", enabled=False)
+    tab.complaints.clear()

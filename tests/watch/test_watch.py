@@ -1,0 +1,141 @@
+"""The verb from outside: how it begins and how it ends."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from urllib.request import urlopen
+
+import cv2
+import numpy as np
+import pytest
+import tracking_scene as scene
+
+from neurosim.base.errors import UserError
+from neurosim.cli.main import main
+from tracking.camera import OpenCVCamera, VideoCamera
+
+
+@pytest.fixture
+def video(tmp_path):
+    path = tmp_path / "robot.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30.0, scene.SIZE)
+    for turn in np.linspace(0, 1, 12):
+        image = scene.background()
+        scene.robot(image, np.array([300.0, 200.0]), turn)
+        writer.write(scene.finish(image))
+    writer.release()
+    return path
+
+
+@contextmanager
+def watching(*words, cwd):
+    child = subprocess.Popen(
+        [sys.executable, "-m", "neurosim", "watch", "--json", *map(str, words)],
+        cwd=cwd,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        said = ""
+        while not said.rstrip().endswith("}"):
+            line = child.stdout.readline()
+            assert line, child.stderr.read()
+            said += line
+        yield child, json.loads(said)["url"]
+    finally:
+        child.kill()
+        child.communicate()
+
+
+def state_of(url, after=0):
+    with urlopen(f"{url}picture?after={after}", timeout=20) as reply:
+        return json.loads(reply.headers["Neurosim-State"])
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
+def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
+    with watching("--camera", video.name, cwd=tmp_path) as (child, url):
+        number = 0
+        while number < 30:  # it has 12 frames
+            state = state_of(url, number)
+            number = state["number"]
+        assert state["found"] is True
+        child.send_signal(signal.SIGINT)
+        assert child.wait(timeout=20) == 0
+        assert child.stderr.read() == ""
+    assert [path.name for path in tmp_path.iterdir()] == [video.name]
+
+
+def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
+    # OpenCV opens a video as it opens a camera; at its end the camera is gone.
+    monkeypatch.setattr("tracking.camera.VideoCamera", lambda path: OpenCVCamera(path, time.time))
+    ended = []
+    monkeypatch.setattr("neurosim.watch.Viewer.end", lambda self, why: ended.append(why))
+    monkeypatch.setattr(sys, "argv", ["neurosim", "watch", "--camera", str(video)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 1
+    said = capsys.readouterr().err
+    assert said == f"neurosim: {ended[0]}\n"
+    assert "stopped delivering" in said
+
+
+def refused(monkeypatch, capsys, *words):
+    monkeypatch.setattr(sys, "argv", ["neurosim", "watch", *map(str, words)])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    out, said = capsys.readouterr()
+    assert stop.value.code == 1
+    assert out == ""
+    assert said.startswith("neurosim: ")
+    assert said.count("\n") == 1
+    return said
+
+
+def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert "'97'" in refused(monkeypatch, capsys, "--camera", 97).replace("97", "'97'", 1)
+    assert "nowhere.mp4" in refused(monkeypatch, capsys, "--camera", "nowhere.mp4")
+    (tmp_path / "words.mp4").write_text("no video")
+    assert "words.mp4" in refused(monkeypatch, capsys, "--camera", "words.mp4")
+    assert "mauve" in refused(monkeypatch, capsys, "--camera", video, "--markers", "mauve,blue")
+    (tmp_path / "c.json").write_text("{}")
+    assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--calibration", "c.json")
+    (tmp_path / "m.json").write_text('{"format": "neurosim-markers", "version": 1, "front": {}}')
+    assert "m.json" in refused(monkeypatch, capsys, "--camera", video, "--markers", "m.json")
+
+
+def test_a_port_that_is_taken(video, tmp_path, monkeypatch, capsys):
+    import socket
+
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        assert str(port) in refused(monkeypatch, capsys, "--camera", video, "--port", port)
+
+
+def test_a_video_that_goes_away_is_a_camera_that_failed(video):
+    camera = VideoCamera(video)
+    seen = []
+
+    def take(time_, frame):
+        seen.append(time_)
+        if video.exists():
+            video.unlink()
+
+    camera.start(take)
+    end = time.monotonic() + 20
+    while not camera.failed and time.monotonic() < end:
+        time.sleep(0.02)
+    camera.stop()
+    assert camera.failed
+    assert len(seen) == 12
+    assert np.all(np.diff(seen) > 0)
+    with pytest.raises(UserError, match="no such video"):
+        VideoCamera(video)

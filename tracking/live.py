@@ -1,0 +1,138 @@
+"""Tracking frames as a camera delivers them, without ever making the camera wait."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from numpy.typing import NDArray
+
+from tracking.colours import Colour
+from tracking.tracker import Geometry, Sighting, Tracker
+
+#: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
+#: of the robot is never older than these.
+WAITING = 2
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """One frame and what was seen in it.
+
+    Attributes:
+        index: of the frame within its video.
+        time: camera time in seconds.
+        arrived: when the frame was delivered, in seconds on the clock handed to the tracker.
+        frame: the picture, BGR [H, W, 3] uint8; nobody may write to it.
+        sighting: what the tracker found.
+    """
+
+    index: int
+    time: float
+    arrived: float
+    frame: NDArray
+    sighting: Sighting
+
+
+class LiveTracker:
+    """A :class:`tracking.tracker.Tracker` at a camera.
+
+    Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
+    thread: the same frames give the same sightings at the same moments. Others are tracked in a
+    thread of their own; frames it cannot keep up with are passed over, and counted.
+
+    Args:
+        colours: of front and rear.
+        geometry: what is known of the pair.
+        now: the clock for arrival times, in seconds.
+        on_seen: called with every frame that was tracked, in the order of the frames.
+        waits: whether the camera waits for who takes its frames.
+    """
+
+    def __init__(
+        self,
+        colours: tuple[Colour, Colour],
+        geometry: Geometry | None,
+        now: Callable[[], float],
+        on_seen: Callable[[Seen], None],
+        *,
+        waits: bool = False,
+    ):
+        self._colours, self._geometry = colours, geometry
+        self._now = now
+        self._on_seen = on_seen
+        self._waits = waits
+        self._tracker = Tracker(*colours, geometry)
+        self._taken = 0
+        self.passed_over = 0
+        self._error: BaseException | None = None
+        self._ended = False
+        self._change = threading.Condition()
+        self._queue: deque[tuple[int, float, float, NDArray]] = deque()
+        self._thread: threading.Thread | None = None
+        if not waits:
+            self._thread = threading.Thread(target=self._run, name="live tracker", daemon=True)
+            self._thread.start()
+
+    @property
+    def failed(self) -> bool:
+        """Whether something went wrong while tracking; :meth:`close` raises it."""
+        return self._error is not None
+
+    @property
+    def tracker(self) -> Tracker:
+        """The tracker as it is now."""
+        return self._tracker
+
+    def look_for(
+        self, colours: tuple[Colour, Colour] | None = None, geometry: Geometry | None = None
+    ) -> None:
+        """Start afresh with other colours, another geometry, or both."""
+        with self._change:
+            self._colours = colours or self._colours
+            self._geometry = geometry or self._geometry
+            self._tracker = Tracker(*self._colours, self._geometry)
+
+    def take(self, time: float, frame: NDArray) -> None:
+        """Take the camera's next frame; returns at once unless the camera waits."""
+        item = (self._taken, time, self._now(), frame)
+        self._taken += 1
+        if self._waits:
+            self._look(*item)
+            return
+        with self._change:
+            self._queue.append(item)
+            if len(self._queue) > WAITING:
+                self._queue.popleft()
+                self.passed_over += 1
+            self._change.notify()
+
+    def close(self) -> None:
+        """Track what still waits and end; raise what went wrong while tracking, if anything did."""
+        with self._change:
+            self._ended = True
+            self._change.notify()
+        if self._thread is not None:
+            self._thread.join()
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        while True:
+            with self._change:
+                while not self._queue and not self._ended:
+                    self._change.wait()
+                if not self._queue:
+                    return
+                item = self._queue.popleft()
+            try:
+                self._look(*item)
+            except Exception as error:
+                self._error = error
+                return
+
+    def _look(self, index: int, time: float, arrived: float, frame: NDArray) -> None:
+        sighting = self._tracker.update(frame, time)
+        self._on_seen(Seen(index, time, arrived, frame, sighting))
