@@ -81,11 +81,6 @@ class LiveTracker:
         """Whether something went wrong while tracking; :meth:`close` raises it."""
         return self._error is not None
 
-    @property
-    def tracker(self) -> Tracker:
-        """The tracker as it is now."""
-        return self._tracker
-
     def look_for(
         self, colours: tuple[Colour, Colour] | None = None, geometry: Geometry | None = None
     ) -> None:

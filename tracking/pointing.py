@@ -61,6 +61,16 @@ def colour_at(frame: NDArray, pixel: ArrayLike) -> Pointed:
     Raises:
         UserError: if there is nothing but grey.
     """
+    colour, chroma, share = colour_around(frame, pixel)
+    return Pointed(colour, chroma, share, len(Picture(frame).blobs(colour)))
+
+
+def colour_around(frame: NDArray, pixel: ArrayLike) -> tuple[Colour, float, float]:
+    """Return the commonest colour around a pixel, its chroma, and its share of the pixels there.
+
+    Raises:
+        UserError: as :func:`colour_at` does.
+    """
     u, v = (round(float(place)) for place in np.asarray(pixel, float))
     reach = max(4, round(REACH * frame.shape[1]))
     window = frame[max(0, v - reach) : v + reach + 1, max(0, u - reach) : u + reach + 1]
@@ -79,12 +89,7 @@ def colour_at(frame: NDArray, pixel: ArrayLike) -> Pointed:
     strongest = own & (chroma >= np.median(chroma[own]))
     blue, green, red = (round(float(c)) for c in np.median(pixels[strongest], axis=0))
     colour = parse_colour(f"#{red:02x}{green:02x}{blue:02x}")
-    return Pointed(
-        colour,
-        float(np.median(chroma[strongest])),
-        float(own.mean()),
-        len(Picture(frame).blobs(colour)),
-    )
+    return colour, float(np.median(chroma[strongest])), float(own.mean())
 
 
 def told_apart(a: Colour, b: Colour) -> bool:

@@ -100,7 +100,7 @@ def watch(
             colours,
             geometry(model),
             time.monotonic,
-            lambda seen: viewer.show(seen, tracker.tracker.looks),
+            viewer.show,
         )
         with PageServer(viewer, port) as server:
             source.start(tracker.take)

@@ -55,7 +55,7 @@ function draw() {
     canvas.width = picture.width;
     canvas.height = picture.height;
     // As large as the window is wide, or high.
-    canvas.parentElement.style.maxWidth = `${(78 * canvas.width) / canvas.height}vh`;
+    canvas.parentElement.style.maxWidth = `${(66 * canvas.width) / canvas.height}vh`;
   }
   pen.drawImage(picture, 0, 0);
   const unit = canvas.width / 640;
@@ -169,7 +169,7 @@ function tell() {
     const colour = state.colours[which];
     element(`${which}-swatch`).style.background = colour.swatch;
     text(`${which}-name`, colour.name);
-    const found = colour.seen_hue === null ? "not found yet" : `found, hue ${colour.seen_hue}°`;
+    const found = colour.found ? `found as ${colour.found}` : "not found";
     const sure = colour.sure === null ? "" : `, ${Math.round(100 * colour.sure)} % sure`;
     text(`${which}-sure`, found + sure);
   }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import threading
 import time
@@ -18,8 +19,13 @@ from neurosim.base.errors import UserError
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour
 from tracking.live import Seen
-from tracking.markers import Look
-from tracking.pointing import Pointed, camera_over_board, colour_at, told_apart
+from tracking.pointing import (
+    Pointed,
+    camera_over_board,
+    colour_around,
+    colour_at,
+    told_apart,
+)
 from tracking.recordings import write_markers
 from tracking.track import marker_poses
 
@@ -85,7 +91,6 @@ class Viewer:
         self._ended = ""
         self._change = threading.Condition()
         self._seen: Seen | None = None
-        self._looks: list[Look] | None = None
         self._number = 0
         self._jpeg: tuple[int, bytes] = (0, b"")
         self._shown_at = time.monotonic()
@@ -105,10 +110,10 @@ class Viewer:
 
     # From the camera
 
-    def show(self, seen: Seen, looks: list[Look] | None = None) -> None:
-        """Show a frame from now on; ``looks`` are the markers' as learned."""
+    def show(self, seen: Seen) -> None:
+        """Show a frame from now on."""
         with self._change:
-            self._seen, self._looks = seen, looks
+            self._seen = seen
             self._number += 1
             self._shown_at = time.monotonic()
             self._times.append(self._shown_at)
@@ -164,10 +169,8 @@ class Viewer:
             "rear": _pixel(seen.sighting.rear) if found else None,
             "pose": self._pose(seen) if found else None,
             "colours": {
-                which: self._describe(which, colour, place)
-                for place, (which, colour) in enumerate(
-                    zip(("front", "rear"), self._colours, strict=True)
-                )
+                which: self._describe(which, colour)
+                for which, colour in zip(("front", "rear"), self._colours, strict=True)
             },
             "apart": told_apart(*self._colours),
             "corners": self.corners,
@@ -179,19 +182,19 @@ class Viewer:
             "saved": sorted(self._saved),
         }
 
-    def _describe(self, which: str, colour: Colour, place: int) -> dict[str, Any]:
+    def _describe(self, which: str, colour: Colour) -> dict[str, Any]:
+        """Say what a marker's colour is, and what it looks like in this picture."""
         pointed = self._pointed.get(which)
-        swatch = colour.name if colour.name.startswith("#") else _hex(colour.bgr)
-        hue = None
-        if self._looks is not None:
-            direction = self._looks[place].direction
-            hue = round(math.degrees(math.atan2(direction[1], direction[0])) % 360)
+        seen, found = self._seen, None
+        if seen is not None and seen.sighting.found:
+            with contextlib.suppress(UserError):
+                found, _, _ = colour_around(seen.frame, getattr(seen.sighting, which))
+        named = colour.name if colour.name.startswith("#") else _hex(colour.bgr)
         return {
             "name": colour.name,
-            "swatch": swatch,
-            "seen_hue": hue,
+            "swatch": named if found is None else found.name,
+            "found": None if found is None else found.name,
             "sure": None if pointed is None else round(pointed.sure, 2),
-            "places": None if pointed is None else pointed.places,
         }
 
     def _pose(self, seen: Seen) -> dict[str, float] | None:

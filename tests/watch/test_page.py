@@ -43,7 +43,7 @@ class Scene:
             tuple(parse_colour(colour) for colour in colours),
             None,
             time.monotonic,
-            lambda seen: self.viewer.show(seen, self.tracker.tracker.looks),
+            self.viewer.show,
         )
         self.pose = POSE
         self._end = threading.Event()
