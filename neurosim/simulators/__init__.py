@@ -2,5 +2,6 @@
 
 from neurosim.simulators.base import Simulator, read_simulator
 from neurosim.simulators.motion import MotionNetwork
+from neurosim.simulators.tables import TableSimulator
 
-__all__ = ["MotionNetwork", "Simulator", "read_simulator"]
+__all__ = ["MotionNetwork", "Simulator", "TableSimulator", "read_simulator"]

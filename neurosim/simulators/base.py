@@ -51,11 +51,12 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
             missing, cut short or wrong.
     """
     from neurosim.simulators.motion import MotionNetwork
+    from neurosim.simulators.tables import TableSimulator
 
     path = Path(folder) / "simulator.json"
     if not Path(folder).is_dir():
         raise FileError(folder, "no such simulator; expected a folder with simulator.json")
-    kinds = {MotionNetwork.kind: MotionNetwork}
+    kinds = {cls.kind: cls for cls in (MotionNetwork, TableSimulator)}
     kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
     if kind not in kinds:
         raise FileError(path, f"expected one of {', '.join(kinds)}, found {kind!r}", field="kind")

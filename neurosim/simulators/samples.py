@@ -1,0 +1,145 @@
+"""The ``.sample`` format: what a robot's sensors said while it turned in front of an object.
+
+A header ``sensors angles distances first-distance-mm distance-step-mm``; for each distance a line
+``TURN k`` and, for each angle, a line of as many activations (0 to 1) as there are sensors; a
+last line ``END``. Lines end in CR LF, and the header and every line of activations in a space
+before that. It is the format of the evorobot family of simulators.
+
+Distances are from the robot's rim to the object's surface. In row 0 the object is straight ahead;
+from row to row the robot has turned further to its left (counter-clockwise), by a full turn over
+the number of angles, so that the object is seen further to its right. In the published samples of
+a Khepera this is what its manual's order of sensors asks for: 0 to 5 from left to right in front,
+6 behind to the right, 7 behind to the left.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import FileError
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """One object's samples.
+
+    Attributes:
+        activations: (D, A, S) in 0..1, distance x angle x sensor.
+        first_distance: from rim to surface, m.
+        distance_step: between distances, m.
+    """
+
+    activations: NDArray[np.float64]
+    first_distance: float
+    distance_step: float
+
+    @classmethod
+    def read(cls, path: str | Path) -> Samples:
+        """Read and check a file.
+
+        Raises:
+            FileError: naming the line, if the file is missing or cut short, or has a wrong
+                header, a wrong count of lines or numbers, or something that is no activation.
+        """
+        lines = _lines(Path(path))
+        sensors, angles, distances, first, step = _header(Path(path), lines[0])
+        expected = 2 + distances * (angles + 1)
+        rows = np.empty((distances * angles, sensors))
+        for index in range(distances * (angles + 1)):
+            number = index + 2
+            if number > len(lines):
+                raise FileError(
+                    path, f"is cut short: expected {expected} lines", line=len(lines) + 1
+                )
+            distance, row = divmod(index, angles + 1)
+            if row == 0:
+                _expect(path, lines[number - 1], f"TURN {distance}", number)
+            else:
+                rows[distance * angles + row - 1] = _row(path, lines[number - 1], sensors, number)
+        if len(lines) < expected:
+            raise FileError(path, f"is cut short: expected {expected} lines", line=len(lines) + 1)
+        _expect(path, lines[expected - 1], "END", expected)
+        if any(line.strip() for line in lines[expected:]):
+            raise FileError(path, "goes on after END", line=expected + 1)
+        return cls(rows.reshape(distances, angles, sensors), first / 1000, step / 1000)
+
+    def write(self, path: str | Path) -> None:
+        """Write a file, whole or not at all; activations to six decimals, or as many as needed."""
+        distances, angles, sensors = self.activations.shape
+        first, step = (_plain(1000 * value) for value in (self.first_distance, self.distance_step))
+        lines = [f"{sensors} {angles} {distances} {first} {step} "]
+        for distance, turn in enumerate(self.activations):
+            lines.append(f"TURN {distance}")
+            lines += ["".join(f"{_activation(value)} " for value in row) for row in turn]
+        with files.atomic_path(path) as partial:
+            partial.write_bytes("".join(f"{line}\r\n" for line in [*lines, "END"]).encode())
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        text = path.read_bytes().decode("ascii")
+    except FileNotFoundError:
+        raise FileError(path, "no such file; expected samples") from None
+    except IsADirectoryError:
+        raise FileError(path, "is a folder; expected a .sample file") from None
+    except UnicodeDecodeError:
+        raise FileError(path, "is not text; expected samples") from None
+    return text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+
+
+def _header(path: Path, line: str) -> tuple[int, int, int, float, float]:
+    words = line.split()
+    try:
+        sensors, angles, distances = (int(word) for word in words[:3])
+        first, step = (files.number(word) for word in words[3:])
+    except ValueError:
+        sensors = angles = distances = 0
+        first = step = math.nan
+    if not (0 < sensors <= 1000 and 3 < angles <= 100_000 and 1 < distances <= 100_000):
+        step = math.nan
+    if not (step > 0 and first >= 0):
+        raise FileError(
+            path,
+            "expected a header 'sensors angles distances first-distance-mm distance-step-mm' "
+            f"such as '8 180 20 5 2', found {line!r:.60}",
+            line=1,
+        )
+    return sensors, angles, distances, first, step
+
+
+def _expect(path: str | Path, line: str, word: str, number: int) -> None:
+    if line.strip() != word:
+        raise FileError(path, f"expected {word!r}, found {line!r:.60}", line=number)
+
+
+def _row(path: str | Path, line: str, sensors: int, number: int) -> list[float]:
+    words = line.split()
+    if len(words) != sensors:
+        raise FileError(
+            path, f"expected {sensors} activations, found {line.strip()!r:.60}", line=number
+        )
+    try:
+        values = [files.number(word) for word in words]
+    except ValueError:
+        values = [math.nan]
+    if not all(0 <= value <= 1 for value in values):
+        raise FileError(
+            path, f"expected activations in 0 to 1, found {line.strip()!r:.60}", line=number
+        )
+    return values
+
+
+def _activation(value: float) -> str:
+    short = f"{value:.6f}"
+    return short if float(short) == value else repr(float(value))
+
+
+def _plain(millimetres: float) -> str:
+    """Return a length without the dust that dividing by 1000 leaves."""
+    return f"{millimetres:.9g}"
