@@ -17,6 +17,8 @@ from neurosim.evolution.operators import gaussian_mutation, sbx, tournament
 #: Makes children of pairs: (population [..., P, G], first parents' indices [..., N], second
 #: parents' indices [..., N], generator) -> two tensors [..., N, G].
 Crossover = Callable[[Tensor, Tensor, Tensor, torch.Generator], tuple[Tensor, Tensor]]
+#: Chooses parents: (fitness [..., P], how many, generator) -> indices [..., N].
+Selection = Callable[[Tensor, int, torch.Generator], Tensor]
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,7 @@ class GeneticAlgorithm:
         settings: GeneticSettings,
         generator: torch.Generator,
         *,
+        selection: Selection | None = None,
         crossover: Crossover | None = None,
         mutation: Callable[[Tensor, torch.Generator], Tensor] | None = None,
         bounds: tuple[Tensor | float, Tensor | float] | None = None,
@@ -84,6 +87,8 @@ class GeneticAlgorithm:
             initial: [..., P, G]; leading dimensions are independent runs.
             settings: sizes and probabilities.
             generator: source of all random numbers, on the device of ``initial``.
+            selection: in place of :func:`~neurosim.evolution.operators.tournament`; the first
+                half of what it returns is paired with the second.
             crossover: in place of :func:`~neurosim.evolution.operators.sbx`; it is given
                 indices, so that it may look at what else is known of a parent.
             mutation: in place of :func:`~neurosim.evolution.operators.gaussian_mutation`.
@@ -99,6 +104,7 @@ class GeneticAlgorithm:
         )
         self._population = initial.clone()
         self._generator = generator
+        self._selection = selection or self._tournament
         self._crossover = crossover or self._sbx
         self._mutation = mutation or self._gaussian
         self._bounds = bounds
@@ -158,7 +164,7 @@ class GeneticAlgorithm:
     def _next_population(self, fitness: Tensor) -> Tensor:
         settings = self.settings
         pairs = (settings.population - settings.elites + 1) // 2
-        parents = tournament(fitness, settings.tournament, 2 * pairs, self._generator)
+        parents = self._selection(fitness, 2 * pairs, self._generator)
         first, second = parents[..., :pairs], parents[..., pairs:]
         crossed_a, crossed_b = self._crossover(self._population, first, second, self._generator)
         cross = (
@@ -176,6 +182,9 @@ class GeneticAlgorithm:
         elites = fitness.topk(settings.elites, dim=-1).indices
         children = children[..., : settings.population - settings.elites, :]
         return torch.cat([_pick(self._population, elites), children], dim=-2)
+
+    def _tournament(self, fitness: Tensor, count: int, generator: torch.Generator) -> Tensor:
+        return tournament(fitness, self.settings.tournament, count, generator)
 
     def _sbx(
         self, population: Tensor, first: Tensor, second: Tensor, generator: torch.Generator

@@ -34,6 +34,26 @@ def tournament(fitness: Tensor, size: int, count: int, generator: torch.Generato
     return torch.take_along_dim(drawn, best, -1).squeeze(-1)
 
 
+def truncation(fitness: Tensor, best: int, count: int, generator: torch.Generator) -> Tensor:
+    """Return parents drawn from the best alone, each as often as the others, in random order.
+
+    Args:
+        fitness: [..., P]; the higher is the better.
+        best: how many become parents.
+        count: parents to return; where ``best`` does not divide it, the better have one more.
+        generator: source of the order, on the device of ``fitness``.
+
+    Returns:
+        Indices of parents, [..., count].
+
+    Source: Lund and Miglino 1996, where the best 20 of 100 have 5 children each.
+    """
+    chosen = fitness.topk(best, dim=-1).indices
+    parents = chosen[..., torch.arange(count, device=fitness.device) % best]
+    keys = torch.rand(parents.shape, generator=generator, device=fitness.device)
+    return torch.take_along_dim(parents, keys.argsort(-1), -1)
+
+
 def sbx(
     a: Tensor,
     b: Tensor,

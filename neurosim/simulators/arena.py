@@ -49,9 +49,7 @@ class Arena:
         self._check_obstacles()
 
     @classmethod
-    def rectangle(
-        cls, width: float, height: float, obstacles: Sequence[Obstacle] = ()
-    ) -> Arena:
+    def rectangle(cls, width: float, height: float, obstacles: Sequence[Obstacle] = ()) -> Arena:
         """Return a rectangle about the origin, m."""
         x, y = width / 2, height / 2
         corners = [(-x, -y), (x, -y), (x, y), (-x, y)]
@@ -81,9 +79,7 @@ class Arena:
         }
         start = content.get("start")
         try:
-            return cls(
-                **rows, start=None if start is None else _numbers(path, "start", start, 3)
-            )
+            return cls(**rows, start=None if start is None else _numbers(path, "start", start, 3))
         except FileError:
             raise
         except UserError as error:

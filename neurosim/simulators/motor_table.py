@@ -66,7 +66,9 @@ class MotorTable:
             units: whole speeds that the robot can be set to, forward; full speed is the largest.
         """
         levels = np.linspace(-100.0, 100.0, 2 * units + 1)
-        left, right = np.meshgrid(levels / 100 * full_speed, levels / 100 * full_speed, indexing="ij")
+        left, right = np.meshgrid(
+            levels / 100 * full_speed, levels / 100 * full_speed, indexing="ij"
+        )
         twist = np.stack([(left + right) / 2, 0 * left, (right - left) / wheel_base], axis=-1)
         return cls(levels, twist, None, 100.0 / units)
 

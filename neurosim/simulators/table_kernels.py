@@ -18,6 +18,10 @@ _FAST = {"contract", "reassoc", "nsz", "arcp"}
 #: Places in :data:`neurosim.simulators.tables.NOISES`.
 UNIFORM_NOISE, SAMPLES_NOISE = 1, 2
 SENSORS = 8
+#: A robot in a corner is moved out of one wall and then the other, at most so often.
+PASSES = 8
+#: What is left of an overlap then, m; with more it is jammed and stays where it was.
+SLACK = 1e-4
 
 
 class TableArrays(NamedTuple):
@@ -126,8 +130,9 @@ def _sense(t, x, y, theta, out, variance):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _push_out(t, x, y):
-    """Return where a robot at (x, y) is once it no longer overlaps what it ran into."""
-    for _ in range(2):
+    """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
+    for _ in range(PASSES):
+        free = True
         for w in range(len(t.walls)):
             dx, dy = _nearest(t.walls[w], x, y)
             square = dx * dx + dy * dy
@@ -136,6 +141,7 @@ def _push_out(t, x, y):
                 back = (t.radius - distance) / distance
                 x -= back * dx
                 y -= back * dy
+                free = free and t.radius - distance < SLACK
         for o in range(len(t.obstacles)):
             dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
             square, limit = dx * dx + dy * dy, t.radius + t.obstacles[o, 2]
@@ -144,7 +150,10 @@ def _push_out(t, x, y):
                 back = (limit - distance) / distance
                 x -= back * dx
                 y -= back * dy
-    return x, y
+                free = free and limit - distance < SLACK
+        if free:
+            return x, y, True
+    return x, y, False
 
 
 @njit(cache=True, error_model="numpy", inline="always")
@@ -274,9 +283,11 @@ def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
             chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
             for _ in range(substeps):
                 cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
-                x += cos * twist[0] - sin * twist[1]
-                y += sin * twist[0] + cos * twist[1]
+                to_x = x + cos * twist[0] - sin * twist[1]
+                to_y = y + sin * twist[0] + cos * twist[1]
                 theta += twist[2]
-                x, y = _push_out(t, x, y)
+                to_x, to_y, fits = _push_out(t, to_x, to_y)
+                if fits:
+                    x, y = to_x, to_y
         poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta
     return poses, readings, commands

@@ -11,7 +11,8 @@ counts; beyond the last a reading fades to ambient over half of the sampled reac
 hides is not seen.
 
 Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
-straight out of it, so that it slides along; its heading turns as the motors say.
+straight out of it, so that it slides along; where it does not fit, as in a gap that is too
+narrow, it stays. Its heading turns as the motors say.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ from neurosim.simulators.base import FORMAT, VERSION
 from neurosim.simulators.motion import compose, exp
 from neurosim.simulators.motor_table import MotorTable
 from neurosim.simulators.sensor_table import OBJECTS, SensorTable
-from neurosim.simulators.table_kernels import TableArrays
+from neurosim.simulators.table_kernels import PASSES, SLACK, TableArrays
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
@@ -113,7 +114,7 @@ class TableSimulator:
         count = torch.as_tensor(parts, device=twist.device).unsqueeze(-1)
         moved = exp(twist / count)
         for part in range(int(parts.max(initial=1))):
-            state = torch.where(part < count, self._push_out(compose(state, moved)), state)
+            state = torch.where(part < count, self._collided(state, compose(state, moved)), state)
         return state
 
     def sense(self, state: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -246,16 +247,21 @@ class TableSimulator:
             hidden |= stands
         return hidden
 
-    def _push_out(self, pose: Tensor) -> Tensor:
-        """Return poses [B, 3] moved straight out of whatever they overlap, one by one, twice."""
-        for _ in range(2):
+    def _collided(self, before: Tensor, after: Tensor) -> Tensor:
+        """Return the poses [B, 3] of robots that would go from one pose to the other."""
+        xy, fits = after[:, :2], torch.zeros(len(after), 1, dtype=torch.bool, device=after.device)
+        for _ in range(PASSES):
+            if fits.all():
+                break
+            moved, free = xy, torch.ones_like(fits)
             for place in range(len(self.arrays.walls) + len(self.arrays.obstacles)):
-                to, distance, _ = self._objects(pose)
+                to, distance, _ = self._objects(moved)
                 to, deep = to[:, place], -distance[:, place : place + 1]
                 norm = to.norm(dim=-1, keepdim=True)
-                back = torch.where((deep > 0) & (norm > 0), deep / norm, 0.0) * to
-                pose = torch.cat([pose[:, :2] - back, pose[:, 2:]], dim=1)
-        return pose
+                moved = moved - torch.where((deep > 0) & (norm > 0), deep / norm, 0.0) * to
+                free &= deep < SLACK
+            xy, fits = torch.where(fits, xy, moved), fits | free
+        return torch.cat([torch.where(fits, xy, before[:, :2]), after[:, 2:]], dim=1)
 
     def _motion(self, table: Tensor, command: Tensor) -> Tensor:
         """Return a motor table's values [B, 3] at commands, interpolated."""

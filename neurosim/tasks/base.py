@@ -77,15 +77,16 @@ class Task(Protocol):
         ...
 
 
-def make_task(name: str, **settings: Any) -> Task:
-    """Return the task of that name.
+def make_task(name: str, **settings: Any) -> Any:
+    """Return the task of that name: a :class:`Task` of plans, or an ObstacleAvoidance.
 
     Raises:
         UserError: if there is none, or it has no such setting.
     """
     from neurosim.tasks.nine_rectangles import NineRectangles
+    from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 
-    tasks = {NineRectangles.name: NineRectangles}
+    tasks = {task.name: task for task in (NineRectangles, ObstacleAvoidance)}
     if name not in tasks:
         raise UserError(f"there is no task {name!r}; there is {', '.join(tasks)}")
     try:

@@ -47,6 +47,8 @@ def evolve(
     for folder in folders if keep_all else [out]:
         check_new_folder(folder)
     task = make_task(task) if isinstance(task, str) else task
+    if not isinstance(task, Task):
+        raise UserError(f"the task {task.name} takes a network, not a plan of commands")
     results = evolve_plan(read_simulator(simulator), task, settings, seed=seed, progress=progress)
     source = {"path": str(simulator), "sha256": sha256(Path(simulator) / "simulator.json")}
     plans = [_plan(result, task, settings, seed, source) for result in results]

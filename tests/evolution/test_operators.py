@@ -3,7 +3,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neurosim.evolution import gaussian_mutation, sbx, tournament
+from neurosim.evolution import gaussian_mutation, sbx, tournament, truncation
 
 
 def seeded(seed=0):
@@ -93,3 +93,17 @@ def test_mutation_changes_the_given_share_by_the_given_scale():
     for gene in (0, 1):
         spread = change[changed[:, gene], gene].std().item()
         assert spread == pytest.approx(scale[gene].item(), rel=0.05)
+
+
+def test_truncation_gives_each_of_the_best_as_many_children():
+    fitness = torch.randn(3, 100, generator=seeded(5))
+    parents = truncation(fitness, 20, 100, seeded())
+    for run in range(3):
+        best = set(fitness[run].topk(20).indices.tolist())
+        chosen, times = parents[run].unique(return_counts=True)
+        assert set(chosen.tolist()) == best
+        assert (times == 5).all()
+    uneven = truncation(fitness[0], 3, 7, seeded())
+    order = fitness[0].topk(3).indices
+    assert [(uneven == i).sum().item() for i in order] == [3, 2, 2]
+    assert not torch.equal(parents[0], parents[0].sort().values)

@@ -1,6 +1,6 @@
-"""Controllers on disk: so far a plan, a set of commands that is driven blindly.
+"""A plan: a set of commands that is driven blindly.
 
-A controller is a folder with ``controller.json``. What was predicted of it stands beside it, so
+It is a folder with ``controller.json``. What was predicted of it stands beside it, so
 that a trial can be held against it: the pose after each given command, at the instant when the
 next one takes over, and the pose at rest, once the motors have run down after the last.
 """
@@ -84,12 +84,14 @@ class Plan:
         path = Path(folder) / "controller.json"
         if not Path(folder).is_dir():
             raise FileError(folder, "no such controller; expected a folder with controller.json")
+        kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
+        if kind != KIND:
+            raise FileError(path, f"expected {KIND!r}, found {kind!r}", field="kind")
         content = files.read_json(
             path,
             FORMAT,
             VERSION,
             {
-                "kind": str,
                 "inputs": list,
                 "commands": list,
                 "task": dict,
@@ -99,8 +101,6 @@ class Plan:
                 "evolution": dict,
             },
         )
-        if content["kind"] != KIND:
-            raise FileError(path, f"expected {KIND!r}, found {content['kind']!r}", field="kind")
         names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
         if tuple(names) != INPUTS:
             raise FileError(path, f"expected the names {', '.join(INPUTS)}", field="inputs")

@@ -1,0 +1,237 @@
+"""The table simulator against hand-worked numbers, and its kernel against its plain tensors."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from khepera_data import made_up
+
+from neurosim.base import se2
+from neurosim.base.errors import FileError, UserError
+from neurosim.simulators import Simulator, TableSimulator, read_simulator
+from neurosim.simulators.arena import Arena
+from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.table_kernels import drive_networks
+
+
+def tensor(*rows):
+    return torch.tensor(rows, dtype=torch.float64)
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return TableSimulator(made_up(3, 0.01), noise="none")
+
+
+def bay() -> Arena:
+    """A room with a slanted wall, a corner that points inwards, a thin wall and obstacles."""
+    corners = [(0, 0), (0.6, 0), (0.7, 0.4), (0.35, 0.25), (0, 0.4)]
+    walls = tuple((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+    return Arena(walls, ((0.15, 0.12, 0.0275), (0.45, 0.1, 0.02)), ((0.3, 0.05, 0.3, 0.2),))
+
+
+def test_protocol(simulator):
+    assert isinstance(simulator, Simulator)
+    assert simulator.command_names == ("left", "right", "duration")
+
+
+def test_readings_at_samples_and_between_them(simulator):
+    # The robot 20 mm from the right wall of a wide arena, turned left by 30 degrees of it.
+    sim, table = simulator.changed(arena=Arena.rectangle(2, 2)), simulator.sensors
+    at = 1 - 0.0275 - 0.020
+    found = sim.sense(tensor([at, 0, 0], [at, 0, math.radians(30)], [at, 0, 2 * math.pi]))
+    assert found[0].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
+    assert found[1].numpy() == pytest.approx(table.mean[0, 3, 3], abs=1e-6)
+    assert found[2].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
+    # A quarter between two distances, and half way between the last angle and the first.
+    between = sim.sense(tensor([at - 0.00125, 0, math.radians(-5)]))[0].numpy()
+    corners = table.mean[0, 3:5][:, [35, 0]]
+    assert between == pytest.approx(corners.mean(1).T @ [0.75, 0.25], abs=1e-6)
+    # To its left the object is seen by sensors on the left: the wall at +90 degrees.
+    left = sim.sense(tensor([at, 0, -math.pi / 2]))[0]
+    assert left[:2].min() > 0.05 > left[3:6].max()
+
+
+def test_near_far_and_beyond(simulator):
+    sim, table = simulator.changed(arena=Arena.rectangle(2, 2)), simulator.sensors
+    touching, last, half, gone = (
+        sim.sense(tensor([1 - 0.0275 - d, 0, 0]))[0].numpy() for d in (0.0, 0.05, 0.0625, 0.08)
+    )
+    assert touching == pytest.approx(table.mean[0, 0, 0], abs=1e-6)
+    assert last == pytest.approx(table.mean[0, -1, 0], abs=1e-6)
+    assert half == pytest.approx((table.mean[0, -1, 0] + table.ambient) / 2, abs=1e-6)
+    assert gone == pytest.approx(table.ambient, abs=1e-6)
+
+
+def test_several_objects_add_up_and_saturate(simulator):
+    arena = Arena.rectangle(2, 2, [(0.9, 0.0, 0.0275)])
+    sim, ambient = simulator.changed(arena=arena), simulator.sensors.ambient
+    pose = tensor([0.96, 0, 0])  # the wall 12.5 mm ahead, the obstacle 5 mm behind
+    wall = simulator.changed(arena=Arena.rectangle(2, 2)).sense(pose)
+    mean = simulator.sensors.mean
+    expected = wall[0].numpy() + mean[1, 0, 18] - ambient
+    assert sim.sense(pose)[0].numpy() == pytest.approx(np.clip(expected, 0, 1), abs=1e-6)
+    corner = sim.sense(tensor([0.97, 0.97, math.pi / 4]))[0]
+    assert corner.max() <= 1
+    assert corner[2] > wall[0, 2]
+
+
+def test_a_wall_hides_what_is_behind_it(simulator):
+    # A thin wall ahead, the obstacle right behind it: nothing of the obstacle is seen.
+    thin = Arena(Arena.rectangle(2, 2).outline, (), ((0.02, -0.5, 0.02, 0.5),))
+    with_obstacle = Arena(thin.outline, ((0.04, 0.0, 0.01),), thin.inner)
+    pose = tensor([-0.02, 0, 0], [-0.02, 0.01, 0.3])
+    without, behind = (simulator.changed(arena=a).sense(pose) for a in (thin, with_obstacle))
+    assert torch.equal(without, behind)
+    beside = simulator.changed(arena=with_obstacle).sense(tensor([0.09, 0, math.pi]))
+    assert beside[0, 2] > 0.05
+
+
+def test_motion(simulator):
+    sim = simulator.changed(arena=Arena.rectangle(4, 4))
+    found = sim.step(
+        tensor([0, 0, 0], [0, 0, math.pi / 2], [0, 0, 0], [0, 0, 0]),
+        tensor([100, 100, 1], [50, 50, 2], [-30, 30, 0.5], [44, 44, 1]),
+    )
+    assert found[0].tolist() == pytest.approx([0.1, 0, 0])
+    assert found[1].tolist() == pytest.approx([0, 0.1, math.pi / 2])
+    assert found[2].tolist() == pytest.approx([0, 0, 0.06 / 0.053 * 0.5])
+    assert found[3, 0] == pytest.approx(0.04)  # 44 % is 4 of the robot's 10 units
+
+
+def test_collisions(simulator):
+    sim = simulator.changed(arena=Arena.rectangle(1, 1, [(0, 0, 0.05)]))
+    found = sim.step(
+        tensor([0.4, 0.2, 0], [0.4, 0.2, math.pi / 4], [-0.1, 0, 0], [0.4, 0.2, 0]),
+        tensor([100, 100, 3], [100, 100, 2], [100, 100, 1], [100, -100, 1]),
+    )
+    assert found[0, 0] == pytest.approx(0.5 - 0.0275)
+    assert found[1, :2].tolist() == pytest.approx([0.4725, 0.2 + 0.2 * math.sqrt(0.5)], abs=1e-9)
+    assert found[2, 0] == pytest.approx(-0.0775)
+    assert found[3].tolist() == pytest.approx([0.4, 0.2, -0.2 / 0.053])
+
+
+def test_a_gap_that_is_too_narrow_holds_the_robot(simulator):
+    gap = Arena(Arena.rectangle(1, 1).outline, (), ((0, 0.027, 0, 0.5), (0, -0.5, 0, -0.027)))
+    found = simulator.changed(arena=gap).step(tensor([-0.1, 0, 0]), tensor([100, 100, 3]))
+    assert -0.03 < found[0, 0] < 0
+    wider = Arena(gap.outline, (), ((0, 0.028, 0, 0.5), (0, -0.5, 0, -0.028)))
+    found = simulator.changed(arena=wider).step(tensor([-0.1, 0, 0]), tensor([100, 100, 3]))
+    assert found[0, 0] == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("arena", [Arena.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
+def test_kernel_is_the_tensors(simulator, arena):
+    rng = np.random.default_rng(3)
+    sim = simulator.changed(arena=arena)
+    genes = rng.normal(0, 1.5, (12, 18)) + np.tile([0] * 8 + [1], 2)
+    starts = arena.free_poses(4, sim.radius, rng)
+    poses, readings, commands = drive_networks(
+        sim.arrays, genes, starts, np.zeros(4, np.uint64), 60, 0.35, int(sim.substeps(0.35))
+    )
+    before = torch.from_numpy(poses[:, :, :-1].reshape(-1, 3))
+    assert np.abs(sim.sense(before).numpy() - readings.reshape(-1, 8)).max() < 1e-5
+    sums = readings @ genes.reshape(12, 2, 9)[:, None, :, :8].swapaxes(-1, -2)
+    speeds = 100 * np.tanh(sums + genes.reshape(12, 2, 9)[:, None, None, :, 8])
+    assert np.abs(speeds - commands).max() < 1e-3
+    command = np.column_stack([commands.reshape(-1, 2), np.full(len(before), 0.35)])
+    after = sim.step(before, torch.from_numpy(command)).numpy()
+    assert np.abs(after - poses[:, :, 1:].reshape(-1, 3)).max() < 1e-9
+    assert readings.max() > 0.8  # they met something
+    assert arena.clearance(poses[..., :2]).min() > 0.0275 - 2e-4
+
+
+@pytest.mark.parametrize("noise", ["uniform", "samples"])
+def test_noise_is_as_wide_as_it_says(simulator, noise):
+    motors = MotorTable.ideal()
+    spread = np.full_like(motors.twist, 0.002)
+    motors = MotorTable(motors.levels, motors.twist, spread, motors.resolution)
+    sim = simulator.changed(noise=noise, motors=motors, arena=Arena.rectangle(2, 2))
+    pose = tensor([0.955, 0.1, 0.2]).expand(20_000, 3)
+    generator = torch.Generator().manual_seed(0)
+    mean, drawn = sim.sense(pose), sim.sense(pose, generator)
+    command = tensor([50, 30, 0.1]).expand(20_000, 3)
+    moved = sim.step(pose, command, generator)
+    genes = np.zeros((1, 18))
+    genes[0, [8, 17]] = np.arctanh([0.5, 0.3])
+    starts, seeds = pose.numpy(), np.arange(20_000).astype(np.uint64) * 7919
+    poses, readings, _ = drive_networks(sim.arrays, genes, starts, seeds, 1, 0.1, 1)
+    for values in (drawn.numpy(), readings[0, :, 0]):
+        off = (values - mean.numpy())[:, 2:4]
+        assert np.abs(off.mean(0)).max() < 0.002
+        if noise == "uniform":
+            assert off.std(0) == pytest.approx(0.05 / math.sqrt(3), rel=0.03)
+            assert np.abs(off).max() <= 0.05 + 1e-6
+        else:
+            assert off.std(0) == pytest.approx(0.01, rel=0.7)  # of three repeats
+    straight = moved.numpy()[:, 2] - 0.2
+    compiled = poses[0, :, 1, 2] - 0.2
+    turn = 0.05 * (0.2 / 0.053) * 0.1 / math.sqrt(3) if noise == "uniform" else 0.002 * 0.1**0.5
+    for values in (straight, compiled):
+        assert values.std() == pytest.approx(turn, rel=0.03)
+        assert values.mean() == pytest.approx(-0.02 / 0.053 * 0.1, rel=0.02)
+    assert drawn.std(0)[2:4].numpy() == pytest.approx(readings[0, :, 0].std(0)[2:4], rel=0.05)
+
+
+def test_same_seed_same_numbers(simulator):
+    sim = simulator.changed(noise="uniform")
+    pose, command = tensor([0.2, 0.1, 0.0]), tensor([50, 60, 0.1])
+    one, two = (sim.step(pose, command, torch.Generator().manual_seed(4)) for _ in range(2))
+    assert torch.equal(one, two)
+    assert torch.equal(sim.step(pose, command), sim.step(pose, command))
+
+
+def test_noise_of_samples_needs_repeats():
+    with pytest.raises(UserError, match="needs repeated samples"):
+        TableSimulator(made_up(), noise="samples")
+    with pytest.raises(UserError, match="noise is one of none, uniform, samples"):
+        TableSimulator(made_up(), noise="loud")
+
+
+def test_folder(simulator, tmp_path):
+    simulator.changed(arena=bay(), noise="samples").write(tmp_path)
+    read = read_simulator(tmp_path)
+    pose = torch.from_numpy(bay().free_poses(20, 0.0275, np.random.default_rng(0)))
+    assert torch.equal(read.sense(pose), simulator.changed(arena=bay()).sense(pose))
+    assert (read.arena, read.noise, read.motors.resolution) == (bay(), "samples", 10.0)
+    document = json.loads((tmp_path / "simulator.json").read_text())
+    for change, message in (
+        ({"radius": -1}, "field 'radius'"),
+        ({"noise": {"kind": "loud", "level": 0.05}}, "noise is one of"),
+        ({"arena": {"outline": []}}, "do not close"),
+        ({"sensors": {}}, "sensors.objects"),
+    ):
+        (tmp_path / "simulator.json").write_text(json.dumps(document | change))
+        with pytest.raises(FileError, match=message):
+            read_simulator(tmp_path)
+
+
+def test_motor_table_of_samples(tmp_path):
+    rng = np.random.default_rng(0)
+    rows = [
+        (left, right, 0.5, *se2.exp(0.5 * np.array([left + 2 * right, 0, right - left]) / 1000))
+        for left in (-100, 0, 100)
+        for right in (-100, 0, 100)
+        for _ in range(2)
+    ]
+    table = np.array(rows)
+    motors = MotorTable.from_samples(*table[:, :3].T, table[:, 3:])
+    assert motors.twist[2, 1] == pytest.approx([0.1, 0, -0.1])
+    assert motors.spread == pytest.approx(np.zeros((3, 3, 3)), abs=1e-9)
+    noisy = np.repeat(table, 500, axis=0)
+    noisy[:, 5] += 0.01 * rng.standard_normal(len(noisy))
+    spread = MotorTable.from_samples(*noisy[:, :3].T, noisy[:, 3:]).spread
+    assert spread[..., 2] == pytest.approx(0.01 / math.sqrt(0.5), rel=0.1)
+    with pytest.raises(UserError, match=r"1 holes, the first at left -100 %, right 0 %"):
+        holed = np.delete(table, [2, 3], 0)
+        MotorTable.from_samples(*holed[:, :3].T, holed[:, 3:])
+    text = "left,right,duration,dx,dy,dtheta\n"
+    (tmp_path / "motors.csv").write_text(
+        text + "".join(",".join(map(str, row)) + "\n" for row in rows)
+    )
+    assert MotorTable.read_csv(tmp_path / "motors.csv").twist == pytest.approx(motors.twist)
+    (tmp_path / "motors.csv").write_text(text + "0,0,1,0,0,0\n50,50,1,0,0,0\n80,80,1,0,0,0\n")
+    with pytest.raises(FileError, match="evenly spaced speeds, not at 0, 50, 80 %"):
+        MotorTable.read_csv(tmp_path / "motors.csv")

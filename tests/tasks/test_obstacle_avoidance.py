@@ -1,0 +1,136 @@
+"""Fitness of trajectories by hand, and networks that learn to avoid obstacles."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.controllers import NetworkController, Plan, read_controller
+from neurosim.simulators import TableSimulator
+from neurosim.simulators.arena import Arena
+from neurosim.tasks.base import make_task
+from neurosim.tasks.evolve import evolve
+from neurosim.tasks.network_evolution import (
+    NetworkEvolution,
+    NetworkSettings,
+    TableTrials,
+    choose,
+    evolve_networks,
+)
+from neurosim.tasks.obstacle_avoidance import (
+    ObstacleAvoidance,
+    Trajectory,
+    avoidance,
+    cells_visited,
+)
+from neurosim.tasks.rollouts import rollouts
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
+from khepera_data import made_up
+
+
+def test_equation_1_by_hand():
+    readings = np.zeros((3, 8))
+    readings[1, 4] = 0.25
+    readings[2, [0, 7]] = 0.5, 1.0
+    commands = np.array([[100, 100], [50, -100], [100, 100]])
+    # 1 * 1 * 1, then V 0.75, DV 0.75, I 0.25, then against something.
+    expected = 1 + 0.75 * (1 - 0.75**2) * 0.75
+    assert avoidance(Trajectory(readings, commands)) == pytest.approx(expected)
+    both = Trajectory(readings[None, None].repeat(2, 1), commands[None, None].repeat(2, 1))
+    assert avoidance(both) == pytest.approx(np.full((1, 2), expected))
+    backwards = Trajectory(readings[:1], -commands[:1])
+    assert avoidance(backwards) == pytest.approx(1)  # absolute speeds: backwards counts alike
+
+
+def test_cells_visited_by_hand():
+    poses = np.array([[0.01, 0.01, 0], [0.04, 0.02, 0], [0.06, 0.02, 0], [-0.01, 0.01, 0]])
+    still = np.zeros((4, 3))
+    trajectory = Trajectory(np.zeros((2, 3, 8)), np.zeros((2, 3, 2)), np.stack([poses, still]))
+    assert cells_visited(trajectory).tolist() == [3, 1]
+    assert cells_visited(trajectory, size=0.02).tolist() == [4, 1]
+    with pytest.raises(UserError, match="without the robot's poses"):
+        cells_visited(Trajectory(np.zeros((3, 8)), np.zeros((3, 2))))
+
+
+def test_task_settings():
+    task = make_task("obstacle-avoidance", steps=300, starts=3)
+    assert task.steps_a_start == 100
+    assert make_task(**{"name": task.name, **task.describe()["settings"]}) == task
+    for settings in ({"steps": 100, "starts": 3}, {"fitness": "beauty"}, {"duration": 0.0}):
+        with pytest.raises(UserError):
+            make_task("obstacle-avoidance", **settings)
+
+
+def test_a_network_that_only_drives_ahead_against_one_that_turns_away():
+    sim = TableSimulator(made_up(), noise="none", arena=Arena.rectangle(0.6, 0.35))
+    ahead = np.array([[0] * 8 + [2.0], [0] * 8 + [2.0]])
+    away = ahead.copy()
+    away[1, :4], away[0, 2:6] = -6.0, -1.0  # sees something in front: turn to the right
+    trials = TableTrials(sim, ObstacleAvoidance())
+    start = np.array([[-0.2, -0.05, 0.3], [0.1, 0.05, 1.0]])
+    driven = trials.drive(np.stack([ahead.ravel(), away.ravel()]), start, steps=200)
+    fitness = avoidance(driven).mean(axis=1)
+    assert fitness[1] > 1.5 * fitness[0]
+    for genes, index in ((ahead, 0), (away, 1)):
+        commands = NetworkController(genes, {"name": "x"}).commands(driven.readings[index])
+        assert commands == pytest.approx(driven.commands[index], abs=1e-3)
+
+
+def test_evolution_learns_and_is_repeatable(tmp_path):
+    sim = TableSimulator(made_up())
+    task = ObstacleAvoidance(steps=250)
+    settings = NetworkSettings(generations=40)
+    found = evolve_networks(sim, tmp_path / "net", task, settings, seed=3, progress=False)
+    history = found.evolution["history"]
+    assert len(history["best"]) == len(history["mean"]) == 40
+    first, last = np.mean(history["mean"][:3]), np.mean(history["mean"][-5:])
+    assert last > 1.5 * first
+    assert found.predicted["fitness"] > 0.55 * task.steps
+    again = evolve_networks(sim, tmp_path / "again", task, settings, seed=3, progress=False)
+    assert (again.weights == found.weights).all()
+    read = read_controller(tmp_path / "net")
+    assert isinstance(read, NetworkController)
+    assert (read.weights == found.weights).all()
+    assert read.task == task.describe()
+    with pytest.raises(UserError, match="not empty"):
+        found.write(tmp_path / "net")
+    with pytest.raises(FileError, match="expected 'plan', found 'network'"):
+        Plan.read(tmp_path / "net")
+
+
+def test_every_parent_has_as_many_children():
+    # Without crossover and mutation the next population is copies of the best.
+    settings = NetworkSettings(population=20, parents=4, crossover=0, mutation=0)
+    evolution = NetworkEvolution(settings, seed=0)
+    first = evolution.population.copy()
+    evolution.generation(lambda genes, rng: np.arange(20.0))
+    copies = (evolution.population[:, None] == first[None]).all(-1).sum(0)
+    assert copies.tolist() == [0] * 16 + [5] * 4
+
+
+def test_the_choice_is_not_the_lucky_one():
+    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance())
+    away = np.array([[0, 0, -1, -1, -1, -1, 0, 0, 2], [-6, -6, -6, -6, 0, 0, 0, 0, 2.0]]).ravel()
+    still = np.zeros(18)
+    genes, fitness, spread = choose(trials, np.stack([still, away]), 0)
+    assert (genes == away).all()
+    assert fitness > 200
+    assert 0 < spread < fitness
+
+
+def test_a_plan_runs_in_tables_as_in_any_simulator():
+    sim = TableSimulator(made_up(), noise="none", arena=Arena.rectangle(2, 2))
+    commands = np.array([[[100.0, 100.0, 2.0], [50.0, -50.0, 0.5]]])
+    path = rollouts(sim, (0, 0, 0)).expected(commands, np.ones((1, 2), bool))
+    assert path[0, 1] == pytest.approx([0.2, 0, 0])
+    assert path[0, 2] == pytest.approx([0.2, 0, -0.1 / 0.053 * 0.5])
+
+
+def test_plans_are_not_evolved_for_it(tmp_path):
+    (tmp_path / "sim").mkdir()
+    TableSimulator(made_up()).write(tmp_path / "sim")
+    with pytest.raises(UserError, match="takes a network"):
+        evolve(tmp_path / "sim", tmp_path / "out", "obstacle-avoidance")
