@@ -11,6 +11,7 @@ import math
 from collections import deque
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base import se2
 
@@ -52,14 +53,26 @@ class Homing:
         backwards (-1), whichever takes less turning.
         """
         places = np.array([place[1:] for place in self._trail])
-        x, y = (places.mean(axis=0) if len(places) else np.zeros(2)) - self._pose[:2]
-        if math.hypot(x, y) < 1e-6:
-            return 0.0, -1.0
-        bearing = math.remainder(math.atan2(y, x) - self._pose[2], 2 * math.pi)
-        if abs(bearing) <= math.pi / 2:
-            return bearing, 1.0
-        return math.remainder(bearing + math.pi, 2 * math.pi), -1.0
+        return bearing(self._pose, places.mean(axis=0) if len(places) else np.zeros(2))
 
     def turning_time(self, angle: float, speed: float) -> float:
         """Return the seconds that a turn on the spot takes at ``speed`` percent."""
         return abs(angle) * self._track / 2 / (self._full_speed * speed / 100)
+
+
+def bearing(pose: NDArray, goal: NDArray) -> tuple[float, float]:
+    """Return how far to turn (rad, at most a quarter turn) and the sign of the drive to a goal.
+
+    The goal is reached forwards (+1) or backwards (-1), whichever takes less turning.
+
+    Args:
+        pose: [3] in metres and radians.
+        goal: [2] in metres.
+    """
+    x, y = goal - pose[:2]
+    if math.hypot(x, y) < 1e-6:
+        return 0.0, -1.0
+    ahead = math.remainder(math.atan2(y, x) - pose[2], 2 * math.pi)
+    if abs(ahead) <= math.pi / 2:
+        return ahead, 1.0
+    return math.remainder(ahead + math.pi, 2 * math.pi), -1.0

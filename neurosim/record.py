@@ -17,34 +17,46 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from neurosim.base.progress import Progress
 from neurosim.commands import Command, CommandSource
-from neurosim.homing import Homing
+from neurosim.homing import Homing, bearing
+from neurosim.perimeter import Perimeter
 from neurosim.robots.base import Robot
+from neurosim.spotter import Spotter
 from tracking.camera import Camera, VideoSink
 from tracking.camera_model import CameraModel
+from tracking.live import Seen
 from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, Recording
+from tracking.sightings import seen_live
+from tracking.track import track
 
 #: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
 #: and no whole number of frames long, so that each edge meets another phase of the shutter.
 FLASHES = ((0.608, True), (0.408, False), (0.308, True))
 #: Seconds of stillness before and after the flashes.
 STILL = 0.5
+#: Without light sensors the robot's place is looked at so often, s.
+LOOK_EVERY = 1 / 30
+#: A robot that is lost has so long to be put into view again, s.
+PATIENCE = 60.0
+#: Going back inside by position ends this near to its goal, m.
+NEAR = 0.25
 
 
 @dataclass(frozen=True)
 class Guard:
-    """How the perimeter line is guarded with the light sensors.
+    """How the robot is kept on the board, by light sensors and by its tracked position.
 
     Attributes:
-        at_line: what happens at a line: ``return`` inside and go on, ``end`` the session, or
-            ``ignore`` it.
+        at_line: what happens at the perimeter: ``return`` inside and go on, ``end`` the session,
+            or ``ignore`` it.
         contrast: by how much of 0..1 a sensor's reading must differ from that of the bare board
             to be a line (or the floor).
         retreat: metres to drive back over, away from the line: more than the longest straight
@@ -53,6 +65,9 @@ class Guard:
         attempts: how often a command is sent again if it was cut.
         lead_in: seconds to drive the previous command's speeds again before a command that was
             cut is repeated: it then starts from what it would have started from.
+        margin: by position, the middle of the axle stays so far inside the board's edge, m.
+        unseen: without light sensors, a robot that was not seen for so many seconds is stopped
+            until it is.
     """
 
     at_line: Literal["return", "end", "ignore"] = "return"
@@ -61,6 +76,8 @@ class Guard:
     speed: float = 50.0
     attempts: int = 4
     lead_in: float = 0.6
+    margin: float = 0.12
+    unseen: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -101,6 +118,8 @@ def record(
     settings: RecordSettings,
     *,
     calibration: str | Path | None = None,
+    live: bool = True,
+    on_seen: Callable[[Seen], None] | None = None,
     resume: bool = False,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
@@ -115,6 +134,9 @@ def record(
         source: where commands come from.
         settings: the rest.
         calibration: calibration.json of the camera, copied into the recording.
+        live: with a camera and its place over the board, track while recording: the robot is
+            kept on the board by its position, and poses.csv is there when the recording ends.
+        on_seen: is shown every frame that was tracked.
         resume: go on where the recording stopped, in a new session.
         finish: called with (folder, session) when the session's files are closed, whatever
             happened; the virtual lab writes its truth there.
@@ -147,13 +169,29 @@ def record(
         video = f"video-{number:03d}.avi" if camera is not None else None
         session = recording.begin_session(video=video)
         try:
-            with recording.command_log() as log, recording.frame_log() as frames:
-                sink = None
+            with contextlib.ExitStack() as stack:
+                log = stack.enter_context(recording.command_log())
+                sink = spotter = None
                 if camera is not None:
+                    frames = stack.enter_context(recording.frame_log())
                     sink = VideoSink(out / str(video), frames, session, camera.size, camera.fps)
-                    camera.start(sink.write)
+                    model = _model(out) if live else None
+                    if model is not None:
+                        spotter = Spotter(
+                            recording.meta["markers"],
+                            model,
+                            robot.clock.now,
+                            stack.enter_context(recording.sighting_log()),
+                            session,
+                            say,
+                            waits=getattr(camera, "waits", False),
+                            on_seen=on_seen,
+                        )
+                    camera.start(_to_both(sink, spotter))
                 try:
-                    done = _Session(recording, session, robot, source, settings, log, say).run()
+                    done = _Session(
+                        recording, session, robot, source, settings, log, say, camera, spotter
+                    ).run()
                 finally:
                     # Before the camera stops: it should still see the robot stand still, and
                     # nothing that goes wrong with the video may leave the motors on.
@@ -162,6 +200,8 @@ def record(
                         camera.stop()
                     if sink is not None:
                         sink.close()
+                    if spotter is not None:
+                        spotter.close()
         finally:
             if finish is not None:
                 finish(out, session)
@@ -172,7 +212,41 @@ def record(
             )
         recording.meta["complete"] = done
         recording.save_meta()
+    if done and spotter is not None:
+        _write_poses(recording, say)
     return recording
+
+
+def _model(out: Path) -> CameraModel | None:
+    """Return the recording's calibration, if it can make poses."""
+    path = out / "calibration.json"
+    model = CameraModel.read(path) if path.exists() else None
+    return model if model is not None and model.has_board else None
+
+
+def _to_both(sink: VideoSink, spotter: Spotter | None) -> Callable[[float, np.ndarray], None]:
+    if spotter is None:
+        return sink.write
+
+    def deliver(time: float, frame: np.ndarray) -> None:
+        sink.write(time, frame)
+        spotter.take(time, frame)
+
+    return deliver
+
+
+def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
+    """Make poses.csv of what was seen live; a session that was not is tracked from its video."""
+    model = _model(recording.path)
+    sessions = range(1, recording.sessions + 1)
+    try:
+        live = {number: seen_live(recording, number, model) for number in sessions}
+        track(recording.path, live={number: seen for number, seen in live.items() if seen})
+    except UserError as error:
+        say(
+            f"the recording is whole, but its poses are not: {error}; "
+            f"neurosim track {recording.path} looks at the video again"
+        )
 
 
 def _stop_quietly(robot: Robot) -> None:
@@ -276,7 +350,14 @@ class _Session:
         settings: RecordSettings,
         log: LineLog,
         say: Callable[[str], None],
+        camera: Camera | None,
+        spotter: Spotter | None,
     ):
+        self._camera = camera
+        self._spotter = spotter
+        self._perimeter = Perimeter(
+            settings.board, settings.guard.margin, settings.full_speed, settings.track
+        )
         self._session = session
         self._robot = robot
         self._clock = robot.clock
@@ -299,11 +380,13 @@ class _Session:
         """Send what waits; return whether all of it was sent."""
         self._flash()
         self._learn_board()
+        if self._is_blind():
+            self._wait_for_sight()
         total = self._settings.commands
         with Progress("recording", total, "commands") as progress:
             progress.advance(total - len(self._waiting))
             since_battery = 0
-            while self._waiting:
+            while self._waiting and not getattr(self._camera, "failed", False):
                 if since_battery % 20 == 0:
                     self._check_battery()
                 since_battery += 1
@@ -327,7 +410,7 @@ class _Session:
         self._write("stop", 0, 0)
         self._flash()
         self._write("end")
-        return True
+        return not self._waiting
 
     # What is sent, and written down just before it is sent
 
@@ -343,6 +426,7 @@ class _Session:
         self._log.append(self._session, number, kind, now, left, right, duration)
         if left is not None and right is not None:
             self._homing.moved(*self._speeds, now - self._since)
+            self._perimeter.sent(now, left, right)
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
@@ -365,15 +449,18 @@ class _Session:
         self._clock.sleep_until(self._clock.now() + seconds)
 
     def _hold(self, command: Command) -> bool:
-        """Let a command run its duration; return False as soon as a line is under a sensor."""
+        """Let a command run its duration; return False as soon as the robot must stop."""
         end = self._sent + command.duration
         moving = command.left != 0 or command.right != 0
-        if moving and self._guard.at_line != "ignore" and self._board:
+        watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
+        if moving and watched:
             took = 0.0
             # The last look must not make the next command late.
             while (now := self._clock.now()) + 1.5 * took < end:
-                if self._on_line():
+                if (self._board and self._on_line()) or self._leaves() or self._is_blind():
                     return False
+                if not self._board:
+                    self._clock.sleep_until(min(now + LOOK_EVERY, end))
                 took = max(took, self._clock.now() - now)
         self._clock.sleep_until(end)
         return True
@@ -392,7 +479,7 @@ class _Session:
             name: float(np.median([look[name] for look in looks if name in look]))
             for name in looks[0]
         }
-        if not self._board:
+        if not self._board and self._spotter is None:
             self._say("no light sensors: the perimeter is not guarded, stay with the robot")
 
     def _on_line(self) -> bool:
@@ -402,7 +489,73 @@ class _Session:
             if name in self._board
         )
 
+    def _leaves(self) -> bool:
+        """Return whether the robot, by its position, must stop now to stay on the board."""
+        last = None if self._spotter is None else self._spotter.last
+        return last is not None and self._perimeter.leaves(last[1], last[0], self._clock.now())
+
+    def _is_blind(self) -> bool:
+        """Return whether nothing tells where the robot is: no light sensors, and not seen."""
+        if self._spotter is None or self._board or self._guard.at_line == "ignore":
+            return False
+        return self._spotter.unseen(self._clock.now()) > self._guard.unseen
+
+    def _pose(self) -> NDArray | None:
+        """Return the robot's pose by now, None if it is not in sight."""
+        last = None if self._spotter is None else self._spotter.last
+        now = self._clock.now()
+        if last is None or now - last[0] > self._guard.unseen:
+            return None
+        return self._perimeter.predict(last[1], last[0], now)[0]
+
+    def _wait_for_sight(self) -> None:
+        """Wait until a robot that has no light sensors is seen."""
+        self._say(
+            "the robot is not seen, and without light sensors it cannot drive unseen: put it on "
+            "the board, in view"
+        )
+        end = self._clock.now() + PATIENCE
+        while self._is_blind():
+            if self._clock.now() > end:
+                self._write("stop", 0, 0)
+                raise UserError(
+                    f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
+                    "robot in the middle of the board and go on with --resume"
+                )
+            self._wait(LOOK_EVERY)
+
     def _return_inside(self) -> None:
+        """Go back inside: by position where the robot is seen, else by dead reckoning."""
+        if self._is_blind():
+            self._wait_for_sight()
+        if self._pose() is None:
+            self._return_from_line()
+        else:
+            self._return_to_middle()
+
+    def _return_to_middle(self) -> None:
+        """Drive by position to where there is room for a long straight run, and turn some way."""
+        goal = self._perimeter.middle(self._guard.retreat, self._rng)
+        for _ in range(12):
+            pose = self._pose()
+            if pose is None:
+                self._return_inside()
+                return
+            way = goal - pose[:2]
+            distance = float(np.hypot(*way))
+            if distance < NEAR:
+                self._turn(float(self._rng.uniform(-math.pi, math.pi)))
+                return
+            angle, direction = bearing(pose, goal)
+            self._turn(angle)
+            speed = direction * self._guard.speed
+            seconds = distance / (self._guard.speed / 100 * self._settings.full_speed)
+            # In pieces, so that it is seen when it goes astray.
+            self._manoeuvre(speed, speed, min(seconds, 1.0), look=False)
+            self._manoeuvre(0, 0, 0.3, look=False)
+        self._give_up()
+
+    def _return_from_line(self) -> None:
         """Drive away from the line, to where the robot has been and beyond, then turn some way.
 
         Most of a board's width of it leaves room for a long straight run not to be cut again.
@@ -424,6 +577,9 @@ class _Session:
             if arrived:
                 self._turn(float(self._rng.uniform(-math.pi, math.pi)))
                 return
+        self._give_up()
+
+    def _give_up(self) -> NoReturn:
         self._write("stop", 0, 0)
         raise UserError(
             "the robot does not find its way back inside the lines; "
@@ -432,7 +588,7 @@ class _Session:
 
     def _turn(self, angle: float) -> None:
         speed = math.copysign(self._guard.speed / 2, angle)
-        seconds = self._homing.turning_time(angle, speed)
+        seconds = self._homing.turning_time(angle, abs(speed))
         if seconds > 0.05:
             self._manoeuvre(-speed, speed, seconds, look=False)
 

@@ -41,7 +41,7 @@ def run_trial(
     *,
     track: Callable[[Path], Any],
     calibration: str | Path | None = None,
-    guard: Guard = Guard(at_line="end"),  # noqa: B008 - frozen
+    guard: Guard = Guard(at_line="end", margin=0.05),  # noqa: B008 - frozen
     settings: dict[str, Any] | None = None,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
@@ -56,7 +56,7 @@ def run_trial(
         out: folder of the trial; new.
         robot: standing at the plan's start pose.
         camera: what films it.
-        track: tracks the recording in a folder.
+        track: tracks the recording in a folder, where it was not tracked as it was made.
         calibration: the camera's.
         guard: of the perimeter line.
         settings: of :class:`neurosim.record.RecordSettings`, beside the commands and guard.
@@ -85,7 +85,8 @@ def run_trial(
         finish=finish,
         lab=lab,
     )
-    track(Path(out))
+    if not Recording(out).is_tracked:
+        track(Path(out))
     return compare(controller, out)
 
 

@@ -2,7 +2,8 @@
 
 A recording is a folder. ``recording.json`` says with what it was made; ``commands.csv`` has one
 line for everything that was sent to the robot, written as it was sent; ``frames.csv`` has the
-camera time of every frame of the video parts; ``poses.csv`` and ``tracking.json`` come with
+camera time of every frame of the video parts; ``sightings.csv`` has the pixels of the markers, if
+they were tracked while the recording was made; ``poses.csv`` and ``tracking.json`` come with
 tracking. Whatever interrupts a recording, what stands in its files can be read.
 
 A recording consists of sessions: the first start, and one more for every time it was resumed.
@@ -53,6 +54,9 @@ MOTOR_KINDS = frozenset({"command", "cut", "manoeuvre", "stop"})
 
 _COMMAND_COLUMNS = ("session", "command", "kind", "time", "left", "right", "duration")
 _FRAME_COLUMNS = ("session", "frame", "time")
+SIGHTING_COLUMNS = (
+    "session", "frame", "front_u", "front_v", "rear_u", "rear_v", "quality", "lamp",
+)  # fmt: skip
 _POSE_COLUMNS = ("session", "frame", "time", "x", "y", "theta", "quality")
 
 #: The paper's markers on this project's robot: pink in front, blue behind, in metres in the
@@ -200,6 +204,10 @@ class Recording:
     def frame_log(self) -> LineLog:
         """Open frames.csv for appending; a torn last line is removed."""
         return LineLog(self.path / "frames.csv", _FRAME_COLUMNS)
+
+    def sighting_log(self) -> LineLog:
+        """Open sightings.csv for appending; a torn last line is removed."""
+        return LineLog(self.path / "sightings.csv", SIGHTING_COLUMNS)
 
     # Reading
 

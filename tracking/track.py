@@ -138,6 +138,7 @@ def track(
     videos: Sequence[str | Path] = (),
     *,
     partial: bool = False,
+    live: Mapping[int, Track] | None = None,
 ) -> dict[str, Any]:
     """Track a recording: poses.csv and tracking.json into its folder.
 
@@ -155,6 +156,8 @@ def track(
             order.
         partial: use a video that was cut short although its session ended as it should. (That
             of a session that was killed is always used as far as it goes.)
+        live: what was seen while it was recorded, by session; the videos of these sessions are
+            not looked at again.
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
@@ -177,7 +180,7 @@ def track(
             sessions.append({"session": session, "left_out": "no command was sent"})
             continue
         times = source.frame_times(session)
-        seen = follow(
+        seen = (live or {}).get(session) or follow(
             path,
             *names,
             geometry=geometry,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -39,8 +41,15 @@ from neurosim.cli._robots import open_rig, robot_options
 )
 @click.option("--battery-limit", default=6.5, show_default=True, help="Pause below it, in V.")
 @click.option(
-    "--calibration", type=PATH, help="The camera's calibration.json, kept with the recording."
+    "--calibration",
+    type=PATH,
+    help="The camera's calibration.json, kept with the recording: with it the robot is tracked "
+    "while it is recorded.",
 )
+@click.option(
+    "--live/--no-live", default=True, show_default=True, help="Track while recording, or later."
+)
+@click.option("--watch", "page", is_flag=True, help="Serve a page with what is seen meanwhile.")
 @click.option(
     "--markers",
     default="pink,blue",
@@ -63,6 +72,8 @@ def record(
     wheel_track: float,
     battery_limit: float,
     calibration: Path | None,
+    live: bool,
+    page: bool,
     markers: str,
     resume: bool,
     seed: int,
@@ -89,7 +100,10 @@ def record(
     )
     # Each session of a resumed recording meets other chances, as it would on a real robot.
     session = _sessions(out) if resume else 0
-    with open_rig(robot, seed=seed + 1000 * session) as rig:
+    with (
+        open_rig(robot, seed=seed + 1000 * session) as rig,
+        _page(page, rig.camera, settings, calibration if live else None) as on_seen,
+    ):
         made = record_(
             out,
             rig.robot,
@@ -97,6 +111,8 @@ def record(
             source,
             settings,
             calibration=calibration,
+            live=live,
+            on_seen=on_seen,
             resume=resume,
             finish=rig.finish,
             lab=rig.lab,
@@ -110,6 +126,7 @@ def record(
         "sent": sent,
         "cut": cut,
         "sessions": made.sessions,
+        "tracked": made.is_tracked,
         "robot_seconds": sum(
             max(line.time for line in lines if line.session == s)
             for s in range(1, made.sessions + 1)
@@ -121,8 +138,47 @@ def record(
         as_json,
         f"{out}: {commands} commands ({sent} sent, {cut} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
-        + next_step("track", out, *(() if calibration else ("--calibration", "calibration.json"))),
+        + _next(out, made.is_tracked, calibration),
     )
+
+
+def _next(out: Path, tracked: bool, calibration: Path | None) -> str:
+    if tracked:
+        return next_step("dataset", out, "-o", "DATASET")
+    return next_step("track", out, *(() if calibration else ("--calibration", "calibration.json")))
+
+
+@contextmanager
+def _page(
+    wanted: bool, camera: Any, settings: Any, calibration: Path | None
+) -> Iterator[Callable[[Any], None] | None]:
+    """Serve a page with what is seen while a recording is made; give what to show it with."""
+    if not wanted:
+        yield None
+        return
+    from neurosim.base.errors import UserError
+    from neurosim.watch import PageServer, Viewer
+    from tracking.camera_model import CameraModel
+    from tracking.colours import parse_colour
+
+    model = None if calibration is None else CameraModel.read(calibration)
+    if camera is None or model is None or not model.has_board:
+        raise UserError(
+            "--watch shows what is tracked live: it needs a camera, and a --calibration with "
+            "points on the board"
+        )
+    viewer = Viewer(
+        camera.size,
+        settings.markers,
+        tuple(parse_colour(settings.markers[which]["colour"]) for which in ("front", "rear")),
+        camera=model,
+        board=settings.board,
+        label="recording",
+    )
+    with PageServer(viewer) as server:
+        click.echo(f"Watch at {server.url}", err=True)
+        yield viewer.show
+        viewer.end("the recording has ended")
 
 
 def marker_settings(colours: str, robot: str) -> dict[str, Any]:

@@ -70,7 +70,8 @@ def run(
             rig.camera,
             track=track,
             calibration=calibration,
-            guard=Guard(at_line, line_contrast),
+            # A plan may lead near the edge; it must not lead over it.
+            guard=Guard(at_line, line_contrast, margin=0.05),
             settings={
                 "markers": marked,
                 "battery_limit": battery_limit,

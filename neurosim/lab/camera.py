@@ -38,6 +38,9 @@ class RoofCamera:
         now: returns the lab's time in seconds.
     """
 
+    #: The lab's time stands still while a frame is taken.
+    waits = True
+
     def __init__(
         self, params: CameraParams, seed: int, now: Callable[[], float] = lambda: 0.0
     ) -> None:

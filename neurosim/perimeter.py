@@ -1,0 +1,88 @@
+"""Whether a robot that is tracked stays on the board: where it is, and where it would stop."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+
+#: A picture is this old when it arrives, at most, s.
+LATENCY = 0.1
+#: From seeing that the robot leaves until it stands: a look, the line to it, its motors, s.
+STOPPING = 0.25
+#: What is not known of a way that was only commanded, as a share of it.
+DOUBT = 0.15
+#: Commands are remembered for so long, s.
+MEMORY = 5.0
+
+
+class Perimeter:
+    """The part of the board that the middle of the robot's axle may be in.
+
+    Args:
+        board: ``length`` and ``width`` in metres, the frame at its centre.
+        margin: how far inside the board's edge the middle of the axle must stay, m.
+        full_speed: wheel speed at 100 %, m/s.
+        track: distance between the wheels, m.
+    """
+
+    def __init__(self, board: Mapping[str, float], margin: float, full_speed: float, track: float):
+        self._half = np.array([board["length"], board["width"]], float) / 2
+        self._margin = margin
+        self._full_speed = full_speed
+        self._track = track
+        self._sent: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)])
+
+    def sent(self, time: float, left: float, right: float) -> None:
+        """Remember that the motors were set to these percents at a time (s)."""
+        self._sent.append((time, left, right))
+        while len(self._sent) > 1 and self._sent[1][0] < time - MEMORY:
+            self._sent.popleft()
+
+    def predict(self, pose: NDArray, since: float, until: float) -> tuple[NDArray, float]:
+        """Return the pose [3] at ``until`` (s), and the length of the way there (m).
+
+        Args:
+            pose: where the robot was at ``since``.
+            since: s; not longer ago than :data:`MEMORY`.
+            until: s; after the last command, that goes on.
+        """
+        pose, way = np.asarray(pose, float), 0.0
+        ends = [*[time for time, _, _ in self._sent][1:], math.inf]
+        for (begin, left, right), end in zip(self._sent, ends, strict=True):
+            seconds = min(end, until) - max(begin, since)
+            if seconds <= 0:
+                continue
+            forward = self._full_speed * (left + right) / 200
+            turn = self._full_speed * (right - left) / 100 / self._track
+            pose = se2.compose(pose, se2.exp(np.array([forward, 0.0, turn]) * seconds))
+            way += abs(forward) * seconds
+        return pose, way
+
+    def leaves(self, pose: NDArray, seen_at: float, now: float) -> bool:
+        """Return whether the robot must stop now, or it will not stand inside.
+
+        A robot on its way back inside is let go.
+
+        Args:
+            pose: as last seen, [3].
+            seen_at: when that picture arrived, s.
+            now: s.
+        """
+        since = seen_at - LATENCY
+        here, _ = self.predict(pose, since, now)
+        there, way = self.predict(pose, since, now + STOPPING)
+        beyond = self._beyond(there)
+        return beyond + DOUBT * way > 0 and beyond > self._beyond(here) + 1e-4
+
+    def middle(self, clearance: float, rng: np.random.Generator) -> NDArray:
+        """Return a random place [2] with ``clearance`` (m) to every edge, if there is one."""
+        return rng.uniform(-1, 1, 2) * np.maximum(self._half - clearance, 0.0)
+
+    def _beyond(self, pose: NDArray) -> float:
+        return float((np.abs(pose[:2]) - (self._half - self._margin)).max())
