@@ -188,7 +188,10 @@ def marker_settings(colours: str, robot: str) -> dict[str, Any]:
     from tracking.recordings import DEFAULT_MARKERS, read_markers
 
     if colours.endswith(".json"):
-        return read_markers(colours)
+        markers = read_markers(colours)
+        for which in ("front", "rear"):
+            parse_colour(str(markers[which]["colour"]))
+        return markers
     names = [name.strip() for name in colours.split(",")]
     if len(names) != 2 or not all(names) or names[0] == names[1]:
         raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")
