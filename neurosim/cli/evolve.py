@@ -18,6 +18,8 @@ from neurosim.cli._common import (
     placing_option,
     seed_option,
 )
+from neurosim.cli._networks import evolve_network
+from neurosim.cli.tables import arena_option, noise_option
 
 
 @click.command()
@@ -25,7 +27,7 @@ from neurosim.cli._common import (
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
 @click.option("--task", "task_name", default="nine-rectangles", show_default=True)
 @click.option("--commands", type=click.IntRange(min=1), default=10, show_default=True)
-@click.option("--generations", type=click.IntRange(min=1), default=1000, show_default=True)
+@click.option("--generations", type=click.IntRange(min=1), help="[1000; obstacle avoidance: 200]")
 @click.option(
     "--runs",
     type=click.IntRange(min=1),
@@ -41,7 +43,7 @@ from neurosim.cli._common import (
     show_default=True,
     help="Both are Table 1; with paper null commands come back where they are: stuck more often.",
 )
-@click.option("--population", type=click.IntRange(min=2), help="[250]")
+@click.option("--population", type=click.IntRange(min=2), help="[250; obstacle avoidance: 100]")
 @click.option("--tournament", type=click.IntRange(min=1), help="[50]")
 @click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [0.8]")
 @click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [0.05]")
@@ -61,6 +63,21 @@ from neurosim.cli._common import (
 @placing_option
 @click.option("--max-speed", default=50.0, show_default=True, help="In percent.")
 @click.option("--durations", type=Range(), default="0.5..3", show_default=True, help="In s.")
+@click.option(
+    "--fitness",
+    type=click.Choice(["avoidance", "cells"]),
+    help="Obstacle avoidance: equation (1) of Lund and Miglino, or cells visited.  [avoidance]",
+)
+@click.option(
+    "--steps", type=click.IntRange(min=1), help="Obstacle avoidance: of 100 ms in a trial.  [500]"
+)
+@click.option(
+    "--starts",
+    type=click.IntRange(min=1),
+    help="Obstacle avoidance: random starts that share a trial's steps.  [5]",
+)
+@arena_option
+@noise_option
 @click.option("--all", "keep_all", is_flag=True, help="Keep every run's plan: OUT-01, OUT-02, ...")
 @seed_option
 @json_option
@@ -69,7 +86,7 @@ def evolve(
     out: Path,
     task_name: str,
     commands: int,
-    generations: int,
+    generations: int | None,
     runs: int,
     preset: str,
     robust: str | None,
@@ -78,25 +95,45 @@ def evolve(
     placing: tuple[float, float],
     max_speed: float,
     durations: tuple[float, float],
+    fitness: str | None,
+    steps: int | None,
+    starts: int | None,
+    arena_path: Path | None,
+    noise: str | None,
     keep_all: bool,
     seed: int,
     as_json: bool,
     **genetic: Any,
 ) -> None:
-    """Evolve a plan of motor commands in SIMULATOR (section 6.2 of Pretorius et al. 2009)."""
+    """Evolve a controller in SIMULATOR.
+
+    For the nine rectangles a plan of motor commands (section 6.2 of Pretorius et al. 2009); for
+    obstacle avoidance, in a simulator of tables, a network (Lund and Miglino 1996).
+    """
+    given = {name: value for name, value in genetic.items() if value is not None}
+    if task_name == "obstacle-avoidance":
+        task = {"fitness": fitness, "steps": steps, "starts": starts}
+        evolve_network(
+            simulator,
+            out,
+            arena=arena_path,
+            noise=noise,
+            task={name: value for name, value in task.items() if value is not None},
+            genetic=given if generations is None else {**given, "generations": generations},
+            seed=seed,
+            as_json=as_json,
+        )
+        return
     from neurosim.tasks.evolve import evolve as evolve_
     from neurosim.tasks.planning import DEFAULT_GENETIC, PlanSettings, RobustSettings
 
     settings = PlanSettings(
         commands=commands,
-        generations=generations,
+        generations=1000 if generations is None else generations,
         runs=runs,
         max_speed=max_speed,
         durations=durations,
-        genetic=replace(
-            DEFAULT_GENETIC,
-            **{name: value for name, value in genetic.items() if value is not None},
-        ),
+        genetic=replace(DEFAULT_GENETIC, **given),
         insertion=preset != "paper",
         robust=robust and RobustSettings(robust, robust_generations, draws),
         placing=(placing[0] / 1000.0, math.radians(placing[1])),

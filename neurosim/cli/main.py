@@ -19,8 +19,10 @@ from neurosim.cli.plan_check import plan_check
 from neurosim.cli.record import record
 from neurosim.cli.report import report
 from neurosim.cli.run import run
+from neurosim.cli.tables import tables
 from neurosim.cli.track import track
 from neurosim.cli.train import evaluate, train
+from neurosim.cli.view import view
 from neurosim.cli.watch import watch
 
 
@@ -50,7 +52,9 @@ for verb in (
     dataset,
     train,
     evaluate,
+    tables,
     evolve,
+    view,
     plan_check,
     run,
     report,

@@ -302,10 +302,11 @@ class MotionNetwork:
                 version, of the wrong shape, or not a number.
         """
         path = Path(folder) / "simulator.json"
+        kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
+        if kind != cls.kind:
+            raise FileError(path, f"expected {cls.kind!r}, found {kind!r}", field="kind")
         fields = {"kind": str, "inputs": list, "network": dict, "coordinates": str}
         content = files.read_json(path, FORMAT, VERSION, fields)
-        if content["kind"] != cls.kind:
-            raise FileError(path, f"expected {cls.kind!r}, found {content['kind']!r}", field="kind")
         inputs = content["inputs"]
         if not all(isinstance(i, dict) and isinstance(i.get("name"), str) for i in inputs):
             raise FileError(path, "expected a list of {name, unit}", field="inputs")

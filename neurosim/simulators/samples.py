@@ -51,19 +51,20 @@ class Samples:
         sensors, angles, distances, first, step = _header(Path(path), lines[0])
         expected = 2 + distances * (angles + 1)
         rows = np.empty((distances * angles, sensors))
+        if len(lines) < expected:
+            last = _is_whole(lines[-1], sensors)
+            raise FileError(
+                path,
+                f"is cut short: expected {expected} lines",
+                line=len(lines) + 1 if last else len(lines),
+            )
         for index in range(distances * (angles + 1)):
             number = index + 2
-            if number > len(lines):
-                raise FileError(
-                    path, f"is cut short: expected {expected} lines", line=len(lines) + 1
-                )
             distance, row = divmod(index, angles + 1)
             if row == 0:
                 _expect(path, lines[number - 1], f"TURN {distance}", number)
             else:
                 rows[distance * angles + row - 1] = _row(path, lines[number - 1], sensors, number)
-        if len(lines) < expected:
-            raise FileError(path, f"is cut short: expected {expected} lines", line=len(lines) + 1)
         _expect(path, lines[expected - 1], "END", expected)
         if any(line.strip() for line in lines[expected:]):
             raise FileError(path, "goes on after END", line=expected + 1)
@@ -91,6 +92,10 @@ def _lines(path: Path) -> list[str]:
     except UnicodeDecodeError:
         raise FileError(path, "is not text; expected samples") from None
     return text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+
+
+def _is_whole(line: str, sensors: int) -> bool:
+    return line.startswith("TURN") or len(line.split()) == sensors
 
 
 def _header(path: Path, line: str) -> tuple[int, int, int, float, float]:

@@ -51,6 +51,8 @@ def evaluate(
         UserError: if the dataset's inputs are not the simulator's.
     """
     network = read_simulator(simulator)
+    if not isinstance(network, MotionNetwork):
+        raise UserError(f"{simulator} is no motion network: it was not learned from a dataset")
     rows = Dataset.read(dataset)
     if rows.inputs != network.input_names:
         raise UserError(

@@ -1,0 +1,184 @@
+"""How fast robots are driven in tables, beside Kheperax and a plain PyTorch step.
+
+Robot steps per second in batches of 100 and of 1,000 networks of 500 steps each, of
+
+  - ours, compiled, with uniform noise and without: 8 sensors interpolated from 4 walls and 3
+    obstacles, a network, motion, collisions, and the fitness of equation (1);
+  - PyTorch: the same simulator's own sense() and step() for the whole batch at once;
+  - Kheperax: its robot and network of its kind (three laser beams and two bumpers), in JAX, 4
+    walls and 3 segments for obstacles, with the same fitness of what it senses.
+
+And seconds of the whole evolution: 200 generations of 100 networks of 500 steps.
+
+    python benchmarks/table_rollout.py                  about a minute
+    python benchmarks/table_rollout.py --quick
+
+With --samples the tables are of .sample files; by default they are made up, of the same size.
+Kheperax is optional: pip install kheperax.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numba
+import numpy as np
+import torch
+
+from neurosim.simulators import TableSimulator
+from neurosim.simulators.samples import Samples
+from neurosim.simulators.sensor_table import SensorTable
+from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory, avoidance
+
+STEPS = 500
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--samples", type=Path, nargs="+", help=".sample files")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    table = SensorTable.from_files(options.samples) if options.samples else made_up()
+    repeats = 3 if options.quick else 15
+    rows = []
+    for batch in (100, 1000):
+        for noise in ("uniform", "none"):
+            simulator = TableSimulator(table, noise=noise)
+            rate = ours(simulator, batch, repeats)
+            rows.append({"name": f"ours, noise {noise}", "batch": batch, "steps_per_second": rate})
+        found = pytorch(simulator, batch, 5 if options.quick else 25)
+        rows.append({"name": "PyTorch", "batch": batch, "steps_per_second": found})
+        found = kheperax(batch, 1 if options.quick else 3)
+        if found is not None:
+            rows.append({"name": "Kheperax (JAX)", "batch": batch, "steps_per_second": found})
+    seconds = evolution(TableSimulator(table), 20 if options.quick else 200)
+    if options.json:
+        machine = {"cores": os.cpu_count(), "numba_threads": numba.get_num_threads()}
+        document = {"machine": machine, "rows": rows, "seconds_of_200_generations": seconds}
+        print(json.dumps(document))
+        return
+    print(f"{'':22}  batch    robot steps/s   ours is faster by")
+    for row in rows:
+        base = next(r for r in rows if r["batch"] == row["batch"])["steps_per_second"]
+        rate = row["steps_per_second"]
+        print(f"{row['name']:22}  {row['batch']:5}  {rate:15,.0f}  {base / rate:18.1f}")
+    print(f"200 generations of 100 networks of {STEPS} steps: {seconds:.2f} s")
+
+
+def made_up() -> SensorTable:
+    """Return tables of 180 angles and 20 distances, of sensors that are all alike."""
+    looks = np.radians([90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0])
+    seen = np.maximum(np.cos(-2 * np.pi * np.arange(180)[:, None] / 180 - looks), 0) ** 4
+    distance = 0.005 + 0.002 * np.arange(20)
+    near = np.minimum(4 * np.exp(-distance / 0.008), 1)
+    samples = Samples(near[:, None, None] * seen, 0.005, 0.002)
+    return SensorTable.from_samples({"wall": [samples], "cylinder": [samples]})
+
+
+def networks(count: int) -> np.ndarray:
+    """Return networks that have been bred for a while: they drive, and meet walls now and then."""
+    rng = np.random.default_rng(0)
+    genes = rng.normal(0, 1, (count, 18))
+    genes[:, [8, 17]] = rng.normal(1, 0.3, (count, 2))
+    return genes
+
+
+def ours(simulator: TableSimulator, batch: int, repeats: int) -> float:
+    trials, genes = TableTrials(simulator, ObstacleAvoidance(steps=STEPS)), networks(batch)
+    rng = np.random.default_rng(0)
+    trials(genes, rng)
+    return batch * STEPS / median(lambda: trials(genes, rng), repeats)
+
+
+def pytorch(simulator: TableSimulator, batch: int, steps: int) -> float:
+    task, rng = ObstacleAvoidance(steps=STEPS), np.random.default_rng(0)
+    robots = batch * task.starts
+    weights = torch.from_numpy(networks(batch)).repeat_interleave(task.starts, 0).view(robots, 2, 9)
+    poses = simulator.arena.free_poses(robots, simulator.radius, rng)
+
+    def drive() -> None:
+        state = simulator.start(torch.from_numpy(poses))
+        duration, all_readings, all_commands = torch.full((robots, 1), 0.1).double(), [], []
+        for _ in range(steps):
+            readings = simulator.sense(state)
+            sums = (weights[..., :8] @ readings.unsqueeze(-1)).squeeze(-1) + weights[..., 8]
+            commands = 100 * torch.tanh(sums)
+            state = simulator.step(state, torch.cat([commands, duration], dim=1))
+            all_readings.append(readings)
+            all_commands.append(commands)
+        readings, commands = (torch.stack(v, 1).numpy() for v in (all_readings, all_commands))
+        avoidance(Trajectory(readings, commands))
+
+    drive()
+    return robots * steps / median(drive, 3)
+
+
+def kheperax(batch: int, repeats: int) -> float | None:
+    try:
+        import jax
+        import jax.numpy as jnp
+        from kheperax.simu.geoms import Pos, Segment
+        from kheperax.simu.maze import Maze
+        from kheperax.tasks.config import KheperaxConfig
+        from kheperax.tasks.main import KheperaxTask
+    except ImportError:
+        return None
+    config = KheperaxConfig.get_default()
+    config.maze = Maze.create(
+        segments_list=[Segment(Pos(x, 0.4), Pos(x, 0.5)) for x in (0.3, 0.5, 0.7)]
+    )
+    config.mlp_policy_hidden_layer_sizes = ()
+    key = jax.random.PRNGKey(0)
+    env, policy, _ = KheperaxTask.create_default_task(config, key)
+    keys = jax.random.split(key, batch)
+    first = jnp.zeros((batch, env.observation_size))
+    parameters = jax.vmap(policy.init)(keys, first)
+
+    def episode(weights, key):
+        def step(carry, _):
+            state, total = carry
+            action = policy.apply(weights, state.obs)
+            near = jnp.max(1.0 - jnp.clip(state.obs[:3], 0.0, 1.0))
+            speed, difference = jnp.abs(action).mean(), (action[0] - action[1]) / 2
+            total = total + speed * (1 - difference**2) * (1 - near)
+            return (env.step(state, action), total), None
+
+        (_, total), _ = jax.lax.scan(step, (env.reset(key), 0.0), None, length=STEPS)
+        return total
+
+    drive = jax.jit(jax.vmap(episode))
+    drive(parameters, keys).block_until_ready()
+    return batch * STEPS / median(lambda: drive(parameters, keys).block_until_ready(), repeats)
+
+
+def evolution(simulator: TableSimulator, generations: int) -> float:
+    """Return the seconds of 200 generations."""
+    trials = TableTrials(simulator, ObstacleAvoidance(steps=STEPS))
+    population = NetworkEvolution(NetworkSettings(), seed=0)
+    population.generation(trials)
+    began = time.perf_counter()
+    for _ in range(generations):
+        population.generation(trials)
+    return 200 / generations * (time.perf_counter() - began)
+
+
+def median(call: Callable[[], object], repeats: int) -> float:
+    """Return the median seconds of a call."""
+    seconds = []
+    for _ in range(repeats):
+        began = time.perf_counter()
+        call()
+        seconds.append(time.perf_counter() - began)
+    return statistics.median(seconds)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,111 @@
+"""``neurosim tables``: samples -> simulator."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from neurosim.cli._common import PATH, emit, json_option, next_step
+
+noise_option = click.option(
+    "--noise",
+    type=click.Choice(["none", "uniform", "samples"]),
+    help="On every sensor and displacement: none; uniform, 5 % of the range; the samples' own.",
+)
+arena_option = click.option(
+    "--arena", "arena_path", type=PATH, help="JSON of the arena.  [60 x 35 cm, three obstacles]"
+)
+
+
+@click.command()
+@click.argument("samples", type=PATH, nargs=-1, required=True)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
+@click.option(
+    "--motors",
+    type=PATH,
+    help="CSV or dataset of motor samples: left, right, duration, dx, dy, dtheta.  "
+    "[an ideal robot]",
+)
+@click.option(
+    "--wheel-base", default=53.0, show_default=True, help="Of the ideal robot, between wheels, mm."
+)
+@click.option(
+    "--full-speed", default=100.0, show_default=True, help="Of the ideal robot's wheels, mm/s."
+)
+@click.option(
+    "--units",
+    type=click.IntRange(1, 1000),
+    default=10,
+    show_default=True,
+    help="Whole speeds that the robot can be set to, up to full speed.",
+)
+@arena_option
+@noise_option
+@json_option
+def tables(
+    samples: tuple[Path, ...],
+    out: Path,
+    motors: Path | None,
+    wheel_base: float,
+    full_speed: float,
+    units: int,
+    arena_path: Path | None,
+    noise: str | None,
+    as_json: bool,
+) -> None:
+    """Make a simulator of SAMPLES: .sample files of a wall and of a round obstacle.
+
+    A file's name says which: it contains wall or cylinder. Several files of one object are
+    repeats, from which the spread of readings is taken.
+    """
+    from neurosim.base.errors import UserError
+    from neurosim.base.files import new_folder, sha256
+    from neurosim.simulators.arena import Arena, paper_arena
+    from neurosim.simulators.motor_table import MotorTable
+    from neurosim.simulators.sensor_table import SensorTable
+    from neurosim.simulators.tables import TableSimulator
+
+    if min(wheel_base, full_speed) <= 0:
+        raise UserError("wheel base and full speed must be above 0")
+    table = SensorTable.from_files(samples)
+    motor_table = (
+        MotorTable.ideal(wheel_base / 1000, full_speed / 1000, units=units)
+        if motors is None
+        else MotorTable.read_csv(motors, resolution=100.0 / units)
+    )
+    used = [*samples, *([] if motors is None else [motors])]
+    simulator = TableSimulator(
+        table,
+        motor_table,
+        paper_arena() if arena_path is None else Arena.read(arena_path),
+        noise=noise or "uniform",
+        meta={
+            "source": [
+                {
+                    "path": str(path),
+                    "sha256": sha256(path / "dataset.csv" if path.is_dir() else path),
+                }
+                for path in used
+            ]
+        },
+    )
+    with new_folder(out) as partial:
+        simulator.write(partial)
+    _, distances, angles, sensors = table.mean.shape
+    result = {
+        "simulator": str(out),
+        "sensors": sensors,
+        "angles": angles,
+        "distances": distances,
+        "repeated": table.spread is not None,
+        "motors": "ideal" if motors is None else str(motors),
+        "ambient": table.ambient,
+    }
+    emit(
+        result,
+        as_json,
+        f"{out}: {sensors} sensors at {angles} angles and {distances} distances, "
+        f"{'an ideal robot' if motors is None else f'motors of {motors}'}.\n"
+        + next_step("evolve", out, "--task", "obstacle-avoidance", "-o", "CONTROLLER"),
+    )
