@@ -5,12 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed_option
 from neurosim.cli._robots import open_rig, robot_options
+
+if TYPE_CHECKING:
+    from tracking.recordings import Recording
 
 
 @click.command()
@@ -56,6 +59,14 @@ from neurosim.cli._robots import open_rig, robot_options
     show_default=True,
     help="Colours FRONT,REAR, or a markers.json that watch has written.",
 )
+@click.option(
+    "--guided",
+    is_flag=True,
+    help="Choose the commands in rounds, where what was learned so far is least sure.",
+)
+@click.option(
+    "--round", "size", default=50, show_default=True, help="Commands of a round of --guided."
+)
 @click.option("--resume", is_flag=True, help="Go on with a recording that was interrupted.")
 @seed_option
 @json_option
@@ -75,6 +86,8 @@ def record(
     live: bool,
     page: bool,
     markers: str,
+    guided: bool,
+    size: int,
     resume: bool,
     seed: int,
     as_json: bool,
@@ -84,7 +97,12 @@ def record(
 
     Put the robot in the middle of the board first. Lamp flashes at the beginning and at the end
     join the video's clock and the robot's.
+
+    With --guided OUT holds a recording for each round. Every round is tracked, and the next one's
+    commands are those that an ensemble, learned from all rounds so far, disagrees about most. That
+    needs a camera and its --calibration.
     """
+    from neurosim.base.errors import UserError
     from neurosim.commands import RandomCommands
     from neurosim.record import Guard, RecordSettings
     from neurosim.record import record as record_
@@ -98,12 +116,36 @@ def record(
         wheel_track,
         markers=marker_settings(markers, robot["robot"]),
     )
+
+    @contextmanager
+    def opened(seed: int, start: tuple[float, float, float]) -> Iterator[Any]:
+        with (
+            open_rig(dict(robot), seed=seed, start=start) as rig,
+            _page(page, rig.camera, settings, calibration if live else None) as on_seen,
+        ):
+            yield rig, on_seen
+
+    if guided:
+        from neurosim.cli._guided import record_rounds
+
+        if robot["camera"] == "none" or calibration is None:
+            raise UserError(
+                "--guided looks at what every round did: it needs a camera, and its --calibration "
+                "calibration.json (neurosim calibrate makes one)"
+            )
+        made = record_rounds(
+            out, opened, source, settings, size, calibration, live=live, resume=resume
+        )
+        result = {"rounds": [str(part.path) for part in made], **_summary(out, commands, made)}
+        emit(
+            result,
+            as_json,
+            _words(result) + next_step("dataset", *result["rounds"], "-o", "DATASET"),
+        )
+        return
     # Each session of a resumed recording meets other chances, as it would on a real robot.
     session = _sessions(out) if resume else 0
-    with (
-        open_rig(robot, seed=seed + 1000 * session) as rig,
-        _page(page, rig.camera, settings, calibration if live else None) as on_seen,
-    ):
+    with opened(seed + 1000 * session, (0.0, 0.0, 0.0)) as (rig, on_seen):
         made = record_(
             out,
             rig.robot,
@@ -117,28 +159,33 @@ def record(
             finish=rig.finish,
             lab=rig.lab,
         )
-    lines = made.commands()
-    cut = sum(line.kind == "cut" for line in lines)
-    sent = sum(line.kind == "command" for line in lines)
-    result = {
-        "recording": str(out),
-        "commands": commands,
-        "sent": sent,
-        "cut": cut,
-        "sessions": made.sessions,
-        "tracked": made.is_tracked,
-        "robot_seconds": sum(
-            max(line.time for line in lines if line.session == s)
-            for s in range(1, made.sessions + 1)
-            if any(line.session == s for line in lines)
-        ),
-    }
+    result = _summary(out, commands, [made])
     emit(
         result,
         as_json,
-        f"{out}: {commands} commands ({sent} sent, {cut} cut at the line), "
+        _words(result) + _next(out, made.is_tracked, calibration),
+    )
+
+
+def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
+    lines = [part.commands() for part in made]
+    ends = [{line.session: line.time for line in part} for part in lines]  # of each session
+    return {
+        "recording": str(out),
+        "commands": commands,
+        "sent": sum(line.kind == "command" for part in lines for line in part),
+        "cut": sum(line.kind == "cut" for part in lines for line in part),
+        "sessions": sum(part.sessions for part in made),
+        "tracked": all(part.is_tracked for part in made),
+        "robot_seconds": sum(sum(part.values()) for part in ends),
+    }
+
+
+def _words(result: dict[str, Any]) -> str:
+    return (
+        f"{result['recording']}: {result['commands']} commands ({result['sent']} sent, "
+        f"{result['cut']} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
-        + _next(out, made.is_tracked, calibration),
     )
 
 

@@ -1,0 +1,229 @@
+"""Choosing the commands to record next: those that an ensemble disagrees about most.
+
+Query by committee (Seung, Opper and Sompolinsky, Query by committee, COLT 1992): simulators learned
+from different parts of the rows so far disagree about commands that these rows say little about.
+What a command's outcome would tell is how much of that disagreement it takes away, which is less
+where the outcome is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models,
+JAIR 4, 1996). The best of a few random commands is taken, not the best of all: so what is chosen
+stays spread out, and what the committee agrees on by mistake is met now and then.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base import se2
+from neurosim.commands import Command, CommandSource
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.training.base import TrainingData
+from neurosim.training.ensemble import Share
+from neurosim.training.exponents import ExponentsTrainer
+from tracking.dataset import MOTOR_INPUTS
+
+#: The least size of an expected error, as a quantile of those expected of the rows.
+_QUIETEST = 0.02
+
+#: Parts of a command after which its predicted path is looked at.
+_PARTS = (0.25, 0.5, 0.75, 1.0)
+
+
+@dataclass(frozen=True)
+class GuidedSettings:
+    """How commands are chosen.
+
+    Attributes:
+        members: simulators that vote.
+        share: of the rows that each learns from.
+        generations: of each search; shorter than for a simulator that is to be used.
+        candidates: random commands of which the best is taken.
+    """
+
+    members: int = 8
+    share: float = 0.8
+    generations: int = 16
+    candidates: int = 8
+
+
+class Committee:
+    """Simulators that learned from different parts of the same rows.
+
+    Args:
+        data: the rows so far, inputs as :data:`tracking.dataset.MOTOR_INPUTS`.
+        seed: of which rows each sees, and of the searches.
+        settings: of the choice.
+    """
+
+    def __init__(self, data: TrainingData, seed: int, settings: GuidedSettings | None = None):
+        self._settings = settings = settings or GuidedSettings()
+        rows = len(data.x)
+        generator = torch.Generator().manual_seed(seed)
+        self._members = []
+        for number in range(settings.members):
+            seen = torch.randperm(rows, generator=generator)[: round(settings.share * rows)]
+            seen = seen.sort().values
+            part = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
+            self._members.append(_learned(part, settings.generations, seed + number))
+        mean = self.displacements(data.x).mean(0)
+        self._noise = _ErrorSize(self._members[0], data.x, mean - data.y)
+        self._usual = self._noise(data.x).square().mean(0)
+
+    def displacements(self, x: Tensor) -> Tensor:
+        """Return what every member says, [M, N, 3] (m, m, rad), of inputs [N, I]."""
+        return torch.stack([member.displacement(x) for member in self._members])
+
+    def worth(self, x: Tensor) -> Tensor:
+        """Return how much of the disagreement the outcomes of inputs [N, I] would take away, [N].
+
+        The three outputs count in units of their usual noise.
+        """
+        variance = self.displacements(x).var(0)
+        return (taken_away(variance, self._noise(x).square()) / self._usual).sum(1)
+
+
+def taken_away(variance: Tensor, noise: Tensor) -> Tensor:
+    """Return by how much an outcome with some noise lessens the variance of what is believed.
+
+    Args:
+        variance: of what is believed of the outcome's mean.
+        noise: variance of the outcome about its mean.
+    """
+    return variance.square() / (variance + noise)
+
+
+def _learned(data: TrainingData, generations: int, seed: int) -> MotionNetwork:
+    network = ProductSummationNetwork(data.x.shape[1], *ExponentsTrainer.default_hidden)
+    trainer = ExponentsTrainer(data, network, ExponentsTrainer.settings_type(), seed)
+    for _ in range(generations):
+        trainer.advance()
+    return trainer.result()
+
+
+class _ErrorSize:
+    """How large an error is to be expected of a command: a product of powers of its inputs.
+
+    The logarithm of the errors is regressed on those of the inputs' magnitudes (Harvey 1976).
+    """
+
+    def __init__(self, simulator: MotionNetwork, x: Tensor, errors: Tensor):
+        self._simulator = simulator
+        features = self._features(x)
+        square = features.T @ features
+        square.diagonal().add_(1e-2 * square.diagonal().mean())
+        size = errors.abs()
+        log = (size + 0.1 * size.mean(0)).clamp(min=1e-12).log()
+        self._weights = torch.linalg.solve(square, features.T @ log)
+        fitted = features @ self._weights
+        self._least, self._most = fitted.quantile(_QUIETEST, 0), fitted.amax(0)
+        fitted = fitted.clamp(min=self._least)
+        self._factor = (errors.square().mean(0) / (2.0 * fitted).exp().mean(0)).sqrt()
+
+    def _features(self, x: Tensor) -> Tensor:
+        size = self._simulator.scaled(x).abs()
+        return torch.cat([size.clamp(min=0.05).log(), size, torch.ones_like(size[:, :1])], dim=1)
+
+    def __call__(self, x: Tensor) -> Tensor:
+        """Return standard deviations [N, 3] of inputs [N, I]."""
+        log = (self._features(x) @ self._weights).clamp(self._least, self._most)
+        return log.exp() * self._factor
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where the robot is, and where it may go.
+
+    Attributes:
+        pose: x, y (m), heading (rad), on the board.
+        length, width: of the rectangle about the board's middle that it is to stay in, m.
+    """
+
+    pose: tuple[float, float, float]
+    length: float
+    width: float
+
+
+def choose(
+    committee: Committee,
+    source: CommandSource,
+    numbers: Sequence[int],
+    place: Place | None = None,
+    settings: GuidedSettings | None = None,
+) -> list[Command]:
+    """Choose commands to be given in a row, to a robot that stands.
+
+    Each is the one of the source's next few that is worth most after the command before it.
+    Where the robot's place is known, those that are predicted to lead out of the rectangle are
+    taken only if all do; then the one that ends nearest to the middle.
+
+    Args:
+        committee: what votes.
+        source: of candidates: command ``n`` is one of the source's ``candidates`` from number
+            ``candidates * n``.
+        numbers: of the commands to be chosen.
+        place: where the robot is.
+        settings: of the choice.
+    """
+    settings = settings or GuidedSettings()
+    chosen: list[Command] = []
+    speeds, pose = (0.0, 0.0), None if place is None else np.array(place.pose, float)
+    for number in numbers:
+        first = settings.candidates * number
+        drawn = [source.command(first + k) for k in range(settings.candidates)]
+        x = torch.tensor(
+            [[*speeds, c.left, c.right, c.duration] for c in drawn], dtype=torch.float64
+        )
+        worth = committee.worth(x).numpy()
+        if place is None or pose is None:
+            best = int(worth.argmax())
+        else:
+            moved = committee.displacements(x).mean(0)
+            path = se2.compose(pose, [se2.arc(moved.numpy(), part) for part in _PARTS])
+            inside = _inside(path, place)
+            if inside.any():
+                best = int(np.where(inside, worth, -np.inf).argmax())
+            else:
+                best = int(np.hypot(path[-1, :, 0], path[-1, :, 1]).argmin())
+            pose = path[-1, best]
+        chosen.append(drawn[best])
+        speeds = (drawn[best].left, drawn[best].right)
+    return chosen
+
+
+def _inside(path: NDArray, place: Place) -> NDArray:
+    # Where the arc of a whole turn is not known, nobody says that it is inside.
+    half = np.array([place.length, place.width]) / 2
+    return (np.abs(path[..., :2]) <= half).all((0, 2))
+
+
+def motor_data(x: NDArray, y: NDArray) -> TrainingData:
+    """Return rows (N, 5) and (N, 3) of a robot with two motors as a trainer takes them."""
+    inputs = [{"name": name, "unit": unit} for name, unit in MOTOR_INPUTS.items()]
+    return TrainingData(inputs, torch.tensor(x), torch.tensor(y))
+
+
+class GuidedCommands:
+    """Chosen commands, as a source for the recorder.
+
+    Args:
+        commands: in the order in which they are given.
+        how: what chose them, for recording.json.
+    """
+
+    def __init__(self, commands: Sequence[Command], how: dict[str, Any]):
+        self._commands, self._how = list(commands), how
+
+    def command(self, index: int) -> Command:
+        """Return command ``index``."""
+        return self._commands[index]
+
+    def describe(self) -> dict[str, Any]:
+        """Return what chose the commands, and the commands themselves."""
+        commands = [list(asdict(command).values()) for command in self._commands]
+        return {"kind": "guided", **self._how, "commands": commands}
