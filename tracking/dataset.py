@@ -180,7 +180,11 @@ def make(
 
 
 def build(
-    recordings: Iterable[str | Path], out: str | Path, *, settings: Settings | None = None
+    recordings: Iterable[str | Path],
+    out: str | Path,
+    *,
+    settings: Settings | None = None,
+    correct_delay: bool = True,
 ) -> Dataset:
     """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
 
@@ -188,6 +192,8 @@ def build(
         recordings: folders with commands.csv and poses.csv, in the order of their recording.
         out: the folder to write.
         settings: how displacements are taken from the track, and what is left out.
+        correct_delay: whether displacements count from when the motors were seen to answer
+            rather than from when the commands were sent.
 
     Raises:
         FileError: if a recording's files are missing or wrong, or its clock goes backwards.
@@ -200,13 +206,23 @@ def build(
     rows: list[dict[str, Any]] = []
     sent: list[dict[str, Any]] = []
     left_out = Counter(dict.fromkeys(REASONS, 0))
+    delays: list[dict[str, Any]] = []
     sources, robots, virtual = [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
-        found = displacements(recording, settings)
+        found = displacements(recording, settings, correct_delay=correct_delay)
         rows += [{"recording": name, **row} for row in found.rows]
         sent += found.sent
         left_out.update(found.left_out)
+        delays += [
+            {
+                "recording": name,
+                "session": session,
+                **asdict(delay),
+                "corrected": session in found.corrected,
+            }
+            for session, delay in found.delays.items()
+        ]
         sources += [
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
             for file in ("commands.csv", "poses.csv")
@@ -222,6 +238,7 @@ def build(
         settings=asdict(settings),
         reasons=REASONS,
         cutting=cutting(sent),
+        motor_delays=delays,
         robots=robots,
         virtual=virtual,
     )

@@ -14,7 +14,7 @@ as much as those before, the bias is 0.1 to 0.4 mm.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from tracking.motion import Delay, motion_delay
 from tracking.recordings import CommandLine, Poses, Recording
 
 #: Why a command is left out of a dataset.
@@ -32,6 +33,11 @@ REASONS = {
     "lost track": "the robot was not seen near the start or the end, or for too long in between",
     "jump": "the track moves faster than the robot can",
 }
+
+
+#: A motor delay is corrected if it rests on so many answers and is so many of its standard
+#: deviations from none: a wrong correction would be worse than none.
+FEWEST_ANSWERS, SIGNIFICANT = 20, 2.0
 
 
 @dataclass(frozen=True)
@@ -76,11 +82,16 @@ class Displacements:
         left_out: reason -> count of the commands that gave no row.
         sent: every command as often as it was sent, dicts with left, right, duration, attempt
             (from 1) and ``fate``: ``cut``, ``completed`` or ``other``.
+        delays: of every session in which it could be found, how late the motors answered
+            (:class:`tracking.motion.Delay`).
+        corrected: the sessions whose displacements count from that later instant.
     """
 
     rows: list[dict[str, Any]] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
     sent: list[dict[str, Any]] = field(default_factory=list)
+    delays: dict[int, Delay] = field(default_factory=dict)
+    corrected: set[int] = field(default_factory=set)
 
 
 class Track:
@@ -159,11 +170,19 @@ def _line(x: NDArray, y: NDArray) -> tuple[Any, Any]:
     return slope, mean_y - slope * mean_x
 
 
-def displacements(recording: Recording, settings: Settings | None = None) -> Displacements:
+def displacements(
+    recording: Recording, settings: Settings | None = None, *, correct_delay: bool = True
+) -> Displacements:
     """Take the displacement of every complete command of a tracked recording.
 
     The motors go from one command straight into the next, so a command's displacement runs
-    from its own time to the time of the next line that was sent to the motors.
+    from its own time to the time of the next line that was sent to the motors. Both times are
+    later by the motors' delay of that session where one was found with enough certainty.
+
+    Args:
+        recording: a tracked recording.
+        settings: how displacements are taken.
+        correct_delay: whether the motors' delay counts.
 
     Raises:
         FileError: if commands.csv or poses.csv is missing, wrong somewhere, or its clock goes
@@ -177,6 +196,16 @@ def displacements(recording: Recording, settings: Settings | None = None) -> Dis
         for session in np.unique(poses.session)
     }
     found = Displacements()
+    for session in tracks:
+        own, driven = poses.of_session(session), [x for x in lines if x.session == session]
+        delay = motion_delay(own.time, own.pose, driven)
+        if delay is None:
+            continue
+        found.delays[session] = delay
+        certain = abs(delay.delay) > SIGNIFICANT * delay.sd and delay.answers >= FEWEST_ANSWERS
+        if correct_delay and certain:
+            found.corrected.add(session)
+    late = {session: found.delays[session].delay for session in found.corrected}
     attempts: Counter[int | None] = Counter()
     for place, line in enumerate(lines):
         if line.kind != "command":
@@ -188,7 +217,11 @@ def displacements(recording: Recording, settings: Settings | None = None) -> Dis
         attempts[line.command] += 1
         found.sent.append({**planned, "fate": fate, "attempt": attempts[line.command]})
         if reason is None:
-            taken = _displacement(tracks.get(line.session), before, line, after, settings)
+            shown = (
+                None if x is None else replace(x, time=x.time + late.get(line.session, 0.0))
+                for x in (before, line, after)
+            )
+            taken = _displacement(tracks.get(line.session), *shown, settings)
             if isinstance(taken, str):
                 reason = taken
             else:

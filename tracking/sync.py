@@ -9,6 +9,7 @@ a second one at the end the drift.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Protocol
@@ -53,12 +54,17 @@ class ClockFit:
         drift: of the robot's clock against the camera's; 0 unless two flashes were far apart.
         residual: of the lamp's single edges, root of the mean square in seconds.
         flashes: camera times in seconds at which the flashes begin.
+        sd: standard deviation, in seconds, of the robot time of a flash (or, without flashes,
+            of the middle of the motion).
+        drift_sd: standard deviation of the drift; 0 where no drift was fitted.
     """
 
     offset: float
     drift: float
     residual: float
     flashes: tuple[float, ...]
+    sd: float = 0.0
+    drift_sd: float = 0.0
 
     def to_robot(self, camera_time: ArrayLike) -> NDArray:
         """Return robot times of camera times, in seconds."""
@@ -96,7 +102,7 @@ def fit_clock(
     if not lamp:
         raise UserError(
             "the lamp was never switched on, so the video cannot be matched with the commands; "
-            "record with the lamp, or give the offset yourself"
+            "record with the lamp, or find the clock from the motion with --sync motion"
         )
     if np.isfinite(brightness).sum() < 3:
         raise UserError("no flash found: the robot is hardly ever seen in the video")
@@ -108,20 +114,22 @@ def fit_clock(
         slack = SLACK + MOST_DRIFT * abs(group[0][0] - groups[0][0][0])
         near = _near(times, brightness, group, shift, slack)
         if near is not None:
-            fitted.append((group, _fine(times, brightness, group, near)))
+            fitted.append((group, *_fine(times, brightness, group, near)))
     if not fitted:
         raise UserError(_NO_FLASH)
     first, last = fitted[0], fitted[-1]
-    drift = 0.0
+    drift = drift_sd = 0.0
     begin, end = first[0][0][0] - first[1], last[0][0][0] - last[1]
     if end - begin >= DRIFT_SPAN:
         drift = (last[1] - first[1]) / (end - begin)
+        drift_sd = math.hypot(first[2], last[2]) / (end - begin)
     offset = first[1] - drift * begin
     fit = ClockFit(offset, drift, 0.0, ())
-    edges = [edge for group, _ in fitted for edge in _edge_misfits(times, brightness, group, fit)]
+    edges = [edge for group, *_ in fitted for edge in _edge_misfits(times, brightness, group, fit)]
     residual = float(np.sqrt(np.mean(np.square(edges)))) if edges else 0.0
-    starts = tuple((group[0][0] - offset) / (1.0 + drift) for group, _ in fitted)
-    return ClockFit(offset, drift, residual, starts)
+    starts = tuple((group[0][0] - offset) / (1.0 + drift) for group, *_ in fitted)
+    sd = max(each[2] for each in fitted)
+    return ClockFit(offset, drift, residual, starts, sd, drift_sd)
 
 
 _NO_FLASH = (
@@ -250,8 +258,8 @@ def _near(
 
 def _fine(
     times: NDArray, brightness: NDArray, group: list[tuple[float, float]], shift: float
-) -> float:
-    """Return the mean shift under the likelihood of the frames' shares of light.
+) -> tuple[float, float]:
+    """Return mean and standard deviation of the shift under the likelihood of the shares of light.
 
     Where an edge falls between two exposures, a range of shifts explains the frames equally
     well; the mean stands in its middle.
@@ -270,7 +278,9 @@ def _fine(
         rest = (dark - gain[:, None] * centred) / np.maximum(gain, 1e-9)[:, None]
         misfit[i] = np.where(gain > 0, (rest**2).sum(axis=1), np.inf)
     likelihood = np.exp(-(misfit - misfit.min()) / (2 * _SHARE_NOISE**2))
-    return float((likelihood * shifts).sum() / likelihood.sum())
+    likelihood /= likelihood.sum()
+    mean = float((likelihood * shifts).sum())
+    return mean, float(np.sqrt((likelihood * (shifts - mean) ** 2).sum()))
 
 
 def _share_on(times: NDArray, exposure: float, group: Iterable[tuple[float, float]]) -> NDArray:

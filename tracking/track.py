@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
 from neurosim.base.progress import Progress
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour, parse_colour
+from tracking.motion import Delay, fit_clock_to_motion, motion_delay
 from tracking.overlay import Overlay
 from tracking.recordings import Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
@@ -139,6 +140,7 @@ def track(
     *,
     partial: bool = False,
     live: Mapping[int, Track] | None = None,
+    sync: str = "flash",
 ) -> dict[str, Any]:
     """Track a recording: poses.csv and tracking.json into its folder.
 
@@ -158,6 +160,8 @@ def track(
             of a session that was killed is always used as far as it goes.)
         live: what was seen while it was recorded, by session; the videos of these sessions are
             not looked at again.
+        sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
+            the robot's answers to its commands.
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
@@ -195,12 +199,17 @@ def track(
                 f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
                 "after it was recorded; restore it, or use what there is of it with --partial"
             )
-        lamp = pulses(line for line in lines if line.session == session)
+        poses = board_poses(seen, markers, camera)
+        own = [line for line in lines if line.session == session]
+        driven = [line for line in own if line.is_motor]
         try:
-            clock = fit_clock(seen.time, seen.lamp, lamp)
+            if sync == "motion":
+                clock = fit_clock_to_motion(seen.time, poses, driven)
+            else:
+                clock = fit_clock(seen.time, seen.lamp, pulses(own))
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
-        poses = board_poses(seen, markers, camera)
+        delay = motion_delay(clock.to_robot(seen.time), poses, driven)
         count = len(seen.frame)
         parts.append(
             Poses(
@@ -208,7 +217,10 @@ def track(
             )
         )
         sessions.append(
-            {**_session_summary(session, path, seen, clock), "frames_missing": max(missing, 0)}
+            {
+                **_session_summary(session, path, seen, clock, delay),
+                "frames_missing": max(missing, 0),
+            }
         )
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
@@ -411,7 +423,9 @@ def _overlay_of(overlay: str | Path | None, session: int, sessions: int) -> Path
     return path if sessions == 1 else path.with_name(f"{path.stem}-{session:03d}{path.suffix}")
 
 
-def _session_summary(session: int, path: Path, seen: Track, clock: ClockFit) -> dict[str, Any]:
+def _session_summary(
+    session: int, path: Path, seen: Track, clock: ClockFit, delay: Delay | None
+) -> dict[str, Any]:
     return {
         "session": session,
         "video": path.name,
@@ -423,7 +437,10 @@ def _session_summary(session: int, path: Path, seen: Track, clock: ClockFit) -> 
             "drift": clock.drift,
             "residual": clock.residual,
             "flashes": list(clock.flashes),
+            "sd": clock.sd,
+            "drift_sd": clock.drift_sd,
         },
+        "motor_delay": None if delay is None else asdict(delay),
     }
 
 

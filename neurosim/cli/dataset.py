@@ -20,8 +20,16 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
     show_default=True,
     help="mrclam: the UTIAS files *_Odometry.dat and *_Groundtruth.dat.",
 )
+@click.option(
+    "--as-sent",
+    is_flag=True,
+    help="Count displacements from when commands were sent, not from when the motors were seen to "
+    "answer.",
+)
 @json_option
-def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool) -> None:
+def dataset(
+    recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, as_json: bool
+) -> None:
     """Turn RECORDINGS that were tracked into rows of (command -> displacement)."""
     from tracking.dataset import build
     from tracking.mrclam import import_mrclam
@@ -29,13 +37,26 @@ def dataset(recordings: tuple[Path, ...], out: Path, source: str, as_json: bool)
     if source == "mrclam":
         made = import_mrclam(list(recordings), out)
     else:
-        made = build(list(recordings), out)
+        made = build(list(recordings), out, correct_delay=not as_sent)
     left_out = made.meta.get("left_out", {})
-    result = {"dataset": str(out), "rows": len(made.table), "left_out": left_out}
+    delays = made.meta.get("motor_delays", [])
+    result = {
+        "dataset": str(out),
+        "rows": len(made.table),
+        "left_out": left_out,
+        "motor_delays": delays,
+    }
+    late = "".join(
+        f"{each['recording']}, session {each['session']}: the motors answered "
+        f"{1000 * each['delay']:.0f} ms after their commands (standard deviation "
+        f"{1000 * each['sd']:.0f} ms), {'corrected' if each['corrected'] else 'not corrected'}.\n"
+        for each in delays
+    )
     reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
     emit(
         result,
         as_json,
         f"{out}: {len(made.table)} rows; left out: {reasons or 'none'}.\n"
+        + late
         + next_step("train", out, "-o", "SIMULATOR"),
     )

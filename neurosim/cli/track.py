@@ -23,6 +23,14 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
     help="Of a session that was filmed with something else; once for each.",
 )
 @click.option("--partial", is_flag=True, help="Use a video that was cut short as far as it goes.")
+@click.option(
+    "--sync",
+    type=click.Choice(["flash", "motion"]),
+    default="flash",
+    show_default=True,
+    help="What ties the camera's clock to the robot's: the lamp, or the robot's answers to its "
+    "commands.",
+)
 @click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
 @click.option(
     "--height", default=0.0, show_default=True, help="Of a video file's markers over the board, m."
@@ -35,6 +43,7 @@ def track(
     overlay: Path | None,
     videos: tuple[Path, ...],
     partial: bool,
+    sync: str,
     out: Path | None,
     height: float,
     as_json: bool,
@@ -60,7 +69,7 @@ def track(
     else:
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
-        result = track_(recording, pair, calibration, overlay, videos, partial=partial)
+        result = track_(recording, pair, calibration, overlay, videos, partial=partial, sync=sync)
         where, then = recording, "\n" + next_step("dataset", recording, "-o", "DATASET")
     emit(
         result,
