@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,6 +21,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import number, read_csv
 from neurosim.base.progress import Progress
 from tracking.camera_model import CameraModel
+from tracking.targets import Charuco, Chessboard, Target, View
 from tracking.video import Video
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
@@ -29,7 +31,13 @@ FEWEST_PHOTOGRAPHS = 3
 #: From a video at most this many frames are taken, spread over the places the board was held.
 MOST_FRAMES = 40
 
-_REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
+_GREY = cv2.COLOR_BGR2GRAY
+
+#: The height over the board at which a calibration says how sure a position is, m: that of the
+#: paper's markers.
+MARKER_HEIGHT = 0.10
+#: A marked point is off by at least this (standard deviation, px), however well four points fit.
+LEAST_CLICK = 0.3
 
 
 def calibrate(
@@ -37,8 +45,15 @@ def calibrate(
     pattern: tuple[int, int] = (9, 6),
     square: float = 0.025,
     points: str | Path | ArrayLike | None = None,
+    *,
+    marker: float | None = None,
+    dictionary: str = "4X4_50",
 ) -> CameraModel:
     """Calibrate a camera.
+
+    How uncertain it is comes from leaving out one photograph after the other (the jackknife,
+    Tukey 1958): corners of one photograph err together, so that the residuals' covariance states
+    half of the scatter that other photographs bring.
 
     Args:
         source: photographs of a chessboard: a folder, a list of files, or one video.
@@ -47,38 +62,101 @@ def calibrate(
         points: at least 4 marked points, as a CSV file with the columns u, v (pixels) and x, y
             (metres on the board), or as an array [N, 4] of the same; without them the model
             has no pose over the board.
+        marker: side of the markers of a ChArUco board in metres; without, a plain chessboard.
+        dictionary: of the ChArUco board's markers.
 
     Raises:
         UserError: if fewer than 3 photographs show the whole chessboard, the photographs differ
             in size, or the points do not fix a pose.
     """
-    if min(pattern) < 2 or square <= 0:
-        raise UserError(
-            f"a chessboard of {pattern[0]} x {pattern[1]} inner corners with squares of "
-            f"{square:g} m cannot be: at least 2 x 2 corners and squares above 0 m are needed"
-        )
-    corners, size = _find_all(source, pattern)
-    model = _lens(corners, size, pattern, square)
-    if points is None:
-        return model
-    return locate(model, points)
+    target: Target = (
+        Chessboard(pattern, square)
+        if marker is None
+        else Charuco(pattern, square, marker, dictionary)
+    )
+    views, size = _find_all(source, target)
+    model = _lens(views, size)
+    others = _without_one(views, size)
+    if points is not None:
+        rows = _read_points(points)
+        model = locate(model, rows)
+        return replace(model, uncertainty=_uncertainty(model, others, rows))
+    return replace(model, uncertainty=_uncertainty(model, others, None))
 
 
-def find_corners(image: NDArray, pattern: tuple[int, int]) -> NDArray | None:
-    """Return the inner corners [N, 2] of a chessboard in pixels, row by row, or None."""
-    grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    found, corners = cv2.findChessboardCorners(grey, pattern)
-    if not found:
+def _without_one(views: list[View], size: tuple[int, int]) -> list[CameraModel]:
+    """Return the lens without each of the views in turn; none where three are all there are."""
+    if len(views) <= FEWEST_PHOTOGRAPHS:
+        return []
+    try:
+        return [_lens(views[:i] + views[i + 1 :], size) for i in range(len(views))]
+    except UserError:
+        return []
+
+
+def _uncertainty(
+    model: CameraModel, others: list[CameraModel], points: NDArray | None
+) -> dict[str, Any] | None:
+    """Return what :attr:`CameraModel.uncertainty` holds, or None where it cannot be known."""
+    if not others:
         return None
-    reach = _reach(corners.reshape(pattern[1], pattern[0], 2))
-    corners = cv2.cornerSubPix(grey, corners, (reach, reach), (-1, -1), _REFINE)
-    return corners.reshape(-1, 2)
+    count = len(others)
+
+    def spread(values: NDArray) -> NDArray:
+        return np.sqrt((count - 1) / count * ((values - values.mean(0)) ** 2).sum(0))
+
+    fx, fy, cx, cy, *distortion = spread(np.array([_lens_numbers(m) for m in others])).tolist()
+    stated: dict[str, Any] = {
+        "method": "jackknife over photographs",
+        "fx": fx,
+        "fy": fy,
+        "cx": cx,
+        "cy": cy,
+        "distortion": distortion,
+    }
+    if points is not None:
+        pixels = _over_the_board(model, points)
+        lens = spread(np.array([locate(m, points).to_board(pixels, MARKER_HEIGHT) for m in others]))
+        clicks = click_spread(model, points)
+        stated["board_m"] = float(np.sqrt((lens**2 + clicks**2).sum(-1).mean()))
+        stated["height_m"] = MARKER_HEIGHT
+    return stated
 
 
-def _reach(corners: NDArray) -> int:
-    """Return how far the refinement window reaches: 11 x 11 pixels, less on small squares."""
-    nearest = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
-    return int(np.clip(nearest / 2, 2, 5))
+def click_spread(model: CameraModel, points: NDArray) -> NDArray:
+    """Return the standard deviation [N, 2] (m) of positions over the board that clicks leave.
+
+    The clicks' own error is what the points miss by, with the degrees of freedom that the pose
+    takes, and at least 0.3 px; each coordinate of each point is moved by it in turn.
+
+    Args:
+        model: located by ``points``.
+        points: [N, 4] u, v, x, y.
+    """
+    flat = np.column_stack([points[:, 2:], np.zeros(len(points))])
+    misses = model.to_pixels(flat) - points[:, :2]
+    error = max(LEAST_CLICK, float(np.sqrt((misses**2).sum() / (2 * len(points) - 6))))
+    pixels = _over_the_board(model, points)
+    here = model.to_board(pixels, MARKER_HEIGHT)
+    square = np.zeros_like(here)
+    for row in range(len(points)):
+        for column in range(2):
+            moved = points.copy()
+            moved[row, column] += error
+            square += (locate(model, moved).to_board(pixels, MARKER_HEIGHT) - here) ** 2
+    return np.sqrt(square)
+
+
+def _over_the_board(model: CameraModel, points: NDArray) -> NDArray:
+    """Return the pixels [25, 2] of a grid, at the markers' height, between the marked points."""
+    x, y = (np.linspace(points[:, i].min(), points[:, i].max(), 5) for i in (2, 3))
+    grid = np.stack([*np.meshgrid(x, y), np.full((5, 5), MARKER_HEIGHT)], axis=-1)
+    return model.to_pixels(grid.reshape(-1, 3))
+
+
+def _lens_numbers(model: CameraModel) -> NDArray:
+    matrix = model.camera_matrix
+    return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *model.distortion])
 
 
 def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
@@ -121,8 +199,8 @@ def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
 
 
 def _find_all(
-    source: str | Path | Sequence[str | Path], pattern: tuple[int, int]
-) -> tuple[list[NDArray], tuple[int, int]]:
+    source: str | Path | Sequence[str | Path], target: Target
+) -> tuple[list[View], tuple[int, int]]:
     if not isinstance(source, str | Path):
         images = _photographs([Path(p) for p in source])
     elif Path(source).is_dir():
@@ -132,9 +210,11 @@ def _find_all(
         images = _photographs(files)
     elif Path(source).suffix.lower() in PHOTOGRAPHS:
         images = _photographs([Path(source)])
+    elif not Path(source).exists():
+        raise UserError(f"{source}: no such photographs; name files, a folder of them, or a video")
     else:
         images = _video_frames(Path(source))
-    found: list[NDArray] = []
+    found: list[View] = []
     size: tuple[int, int] | None = None
     first, seen = "", 0
     with Progress("looking for the chessboard", unit="pictures") as progress:
@@ -148,14 +228,14 @@ def _find_all(
                     "all photographs must come from one camera at one setting"
                 )
             seen += 1
-            corners = find_corners(image, pattern)
-            if corners is not None:
-                found.append(corners)
+            view = target.find(image if image.ndim == 2 else cv2.cvtColor(image, _GREY))
+            if view is not None:
+                found.append(view)
             progress.advance()
     if len(found) < FEWEST_PHOTOGRAPHS:
         raise UserError(
-            f"the whole chessboard of {pattern[0]} x {pattern[1]} inner corners was found in "
-            f"{len(found)} of {seen} pictures; at least {FEWEST_PHOTOGRAPHS} are needed"
+            f"the {target.name} was found in {len(found)} of {seen} pictures; at least "
+            f"{FEWEST_PHOTOGRAPHS} are needed"
         )
     return _spread(found, MOST_FRAMES), size
 
@@ -179,11 +259,12 @@ def _video_frames(path: Path) -> Iterator[tuple[str, NDArray]]:
                 yield f"{path}, frame {index}", frame
 
 
-def _spread(found: list[NDArray], most: int) -> list[NDArray]:
+def _spread(found: list[View], most: int) -> list[View]:
     """Keep the ``most`` views that differ most, by farthest-point selection on four corners."""
     if len(found) <= most:
         return found
-    views = np.array([[c[0], c[-1], *_other_corners(c)] for c in found]).reshape(len(found), -1)
+    corners = [view.pixels for view in found]
+    views = np.array([[c[0], c[-1], *_other_corners(c)] for c in corners]).reshape(len(found), -1)
     chosen = [0]
     distance = np.linalg.norm(views - views[0], axis=1)
     while len(chosen) < most:
@@ -198,16 +279,14 @@ def _other_corners(corners: NDArray) -> tuple[NDArray, NDArray]:
     return corners[side.argmin()], corners[side.argmax()]
 
 
-def _lens(
-    corners: list[NDArray], size: tuple[int, int], pattern: tuple[int, int], square: float
-) -> CameraModel:
-    board = np.zeros((pattern[0] * pattern[1], 3), np.float32)
-    board[:, :2] = np.mgrid[: pattern[0], : pattern[1]].T.reshape(-1, 2) * square
-    images = [c.reshape(-1, 1, 2).astype(np.float32) for c in corners]
+def _lens(views: list[View], size: tuple[int, int]) -> CameraModel:
+    boards = [
+        np.column_stack([view.board, np.zeros(len(view.board))]).astype(np.float32)
+        for view in views
+    ]
+    images = [view.pixels.reshape(-1, 1, 2).astype(np.float32) for view in views]
     try:
-        rms, matrix, distortion, _, _ = cv2.calibrateCamera(
-            [board] * len(images), images, size, None, None
-        )
+        rms, matrix, distortion, _, _ = cv2.calibrateCamera(boards, images, size, None, None)
     except cv2.error:
         rms = np.inf
     if not np.isfinite(rms) or matrix[0, 0] > 100 * max(size):

@@ -41,6 +41,9 @@ class CameraModel:
         photographs: how many photographs the calibration rests on.
         board_rms_m: distance on the board between the marked points and where this model puts
             them, root of the mean square, in metres.
+        uncertainty: standard deviations, or None where nothing is known of them: ``fx``, ``fy``,
+            ``cx``, ``cy`` (px), ``distortion`` (five), and where the pose over the board is known
+            ``board_m``, of a position at the height ``height_m`` over it, in metres.
     """
 
     image_size: tuple[int, int]
@@ -51,6 +54,7 @@ class CameraModel:
     rms_px: float = 0.0
     photographs: int = 0
     board_rms_m: float | None = field(default=None)
+    uncertainty: dict[str, Any] | None = None
 
     def __post_init__(self) -> None:
         for name, shape in (
@@ -148,6 +152,7 @@ class CameraModel:
             "rotation": self.rotation,
             "translation": self.translation,
             "board_rms_m": self.board_rms_m,
+            "uncertainty": self.uncertainty,
         }
         write_json(path, FORMAT, VERSION, content)
 
@@ -191,6 +196,7 @@ class CameraModel:
             float(document.get("rms_px") or 0.0),
             int(document.get("photographs") or 0),
             document.get("board_rms_m"),
+            document.get("uncertainty"),
         )
 
     def _need_board(self) -> None:

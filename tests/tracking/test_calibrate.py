@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
-from tracking.calibrate import _spread, calibrate, locate
+from tracking.calibrate import _lens, _spread, _uncertainty, _without_one, calibrate, locate
 from tracking.camera_model import CameraModel
+from tracking.targets import Charuco, Chessboard, View
 
 TRUTH = CameraModel(
     (640, 480),
@@ -88,6 +89,11 @@ def test_a_rendered_lens_is_recovered_with_its_pose(tmp_path):
     pixels = TRUTH.to_pixels(np.column_stack([board, np.full(50, 0.1)]))
     misses = model.to_board(pixels, 0.1) - board
     assert np.abs(misses).max() < 0.005
+    stated = model.uncertainty
+    assert 0.1 < stated["fx"] < 20
+    assert 0.0003 < stated["board_m"] < 0.01
+    model.write(tmp_path / "calibration.json")
+    assert CameraModel.read(tmp_path / "calibration.json").uncertainty == stated
 
 
 def test_a_video_does_as_well(tmp_path):
@@ -104,8 +110,8 @@ def test_a_video_does_as_well(tmp_path):
 def test_views_that_differ_most_are_kept():
     same = [np.full((4, 2), 100.0) + 0.1 * i for i in range(6)]
     other = [np.full((4, 2), 300.0), np.full((4, 2), 500.0)]
-    kept = _spread([*same, *other], 3)
-    assert [view[0, 0] for view in kept] == [100.0, 300.0, 500.0]
+    kept = _spread([View(corners, corners) for corners in [*same, *other]], 3)
+    assert [view.pixels[0, 0] for view in kept] == [100.0, 300.0, 500.0]
 
 
 @pytest.mark.parametrize("count", [4, 9])
@@ -175,3 +181,65 @@ def test_photographs_that_will_not_do(tmp_path):
         calibrate(tmp_path, pattern=(7, 5))
     with pytest.raises(UserError, match="at least 2 x 2"):
         calibrate(tmp_path, pattern=(1, 5))
+
+
+def test_the_stated_uncertainty_covers_random_halves(shared_data):
+    """Two halves of the photographs have nothing in common: what they differ by is known."""
+    target = Chessboard((9, 6), 0.025)
+    pictures = sorted((shared_data / "chessboard").glob("*.jpg"))
+    views = [target.find(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)) for p in pictures]
+    rng = np.random.default_rng(4)
+    ratios = []
+    for _ in range(6):
+        order = rng.permutation(len(views))
+        fx = []
+        for half in (order[:12], order[12:24]):
+            own = [views[i] for i in half]
+            model = _lens(own, (640, 512))
+            stated = _uncertainty(model, _without_one(own, (640, 512)), None)
+            fx.append(
+                [
+                    (model.camera_matrix[0, 0], stated["fx"]),
+                    (model.camera_matrix[0, 2], stated["cx"]),
+                ]
+            )
+        (a, b), (c, d) = fx
+        for one, other in ((a, c), (b, d)):
+            ratios.append(abs(one[0] - other[0]) / np.hypot(one[1], other[1]))
+    assert np.mean(np.array(ratios) < 2) >= 0.8
+    # Not by stating too much: some differ by half of it.
+    assert np.max(ratios) > 0.5
+
+
+def test_a_charuco_board_of_which_parts_are_seen(tmp_path):
+    target = Charuco((7, 5), 0.03, 0.022)
+    flat = target.board.generateImage((960, 720), marginSize=0)
+    v, u = np.mgrid[:480, :640].astype(float)
+    rays = np.column_stack(
+        [TRUTH.undistort(np.column_stack([u.ravel(), v.ravel()])), np.ones(u.size)]
+    )
+    for i, (turn, shift) in enumerate(VIEWS):
+        rotation = cv2.Rodrigues(np.array(turn, float))[0]
+        # Nearer than the chessboard was, so that some of it is outside of the picture.
+        at = np.array([shift[0] * 1.2, shift[1] * 1.2, 0.42]) - rotation @ [0.12, 0.09, 0.0]
+        places = rays @ np.linalg.inv(np.column_stack([rotation[:, :2], at])).T
+        places = (places[:, :2] / places[:, 2:] * 4000 - 0.5).astype(np.float32)
+        view = cv2.remap(
+            flat, *np.moveaxis(places.reshape(480, 640, 2), -1, 0), cv2.INTER_AREA, borderValue=200
+        )
+        cv2.imwrite(str(tmp_path / f"{i}.png"), cv2.GaussianBlur(view, (0, 0), 0.8))
+    model = calibrate(tmp_path, (7, 5), 0.03, marker=0.022)
+    assert model.photographs >= 7
+    assert model.rms_px < 0.3
+    assert model.camera_matrix[0, 0] == pytest.approx(520, rel=0.01)
+    with pytest.raises(UserError, match="ChArUco board of 9 x 6"):
+        calibrate(tmp_path, (9, 6), 0.03, marker=0.022, dictionary="6X6_100")
+    with pytest.raises(UserError, match="no ArUco dictionary"):
+        calibrate(tmp_path, (9, 6), 0.03, marker=0.022, dictionary="9X9")
+    with pytest.raises(UserError, match="does not fit"):
+        calibrate(tmp_path, (9, 6), 0.03, marker=0.04)
+
+
+def test_a_place_that_is_not_there(tmp_path):
+    with pytest.raises(UserError, match="no such photographs"):
+        calibrate(tmp_path / "nope")
