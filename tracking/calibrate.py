@@ -159,6 +159,65 @@ def _lens_numbers(model: CameraModel) -> NDArray:
     return np.array([matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2], *model.distortion])
 
 
+def from_corners(
+    picture: str | Path, corners: ArrayLike, board: tuple[float, float]
+) -> CameraModel:
+    """Return a camera from the four corners of the board alone, for those who print nothing.
+
+    The lens is taken for a usual one: a pinhole with its axis through the picture's middle and a
+    focal length of 0.9 of the picture's width. What is stated as uncertain is what lenses on the
+    market differ by: 15 % of the focal length (standard deviation) and 0.1 of k1, which bends a
+    picture by a few per cent at its corners.
+
+    Args:
+        picture: a photograph of the board, for its size; or a video.
+        corners: [4, 2] pixels, from the top left one clockwise as seen.
+        board: its length and width, m; the length runs from left to right.
+
+    Raises:
+        UserError: if the picture cannot be read, or the corners are crossed, in one line, outside
+            of the picture or in another order.
+    """
+    image = next(iter(_pictures(picture)))[1]
+    size = (image.shape[1], image.shape[0])
+    pixels = np.asarray(corners, float)
+    if (pixels < -0.5).any() or (pixels > np.array(size) - 0.5).any():
+        raise UserError(f"a corner is outside of the picture of {size[0]} x {size[1]} pixels")
+    sides = np.roll(pixels, -1, axis=0) - pixels
+    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
+    if not (turns > 0).all():
+        raise UserError(
+            "the four corners do not go round the board: name them clockwise as seen, from the "
+            "top left one"
+        )
+    x, y = board[0] / 2, board[1] / 2
+    rows = np.column_stack([pixels, [(-x, y), (x, y), (x, -y), (-x, -y)]])
+    focal = 0.9 * size[0]
+    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
+
+    def camera(focal: float, k1: float) -> CameraModel:
+        matrix = [[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]
+        return locate(CameraModel(size, matrix, [k1, 0, 0, 0, 0]), rows)
+
+    model = camera(focal, 0.0)
+    seen = _over_the_board(model, rows)
+    here = model.to_board(seen, MARKER_HEIGHT)
+    square = click_spread(model, rows) ** 2
+    for other in (camera(1.15 * focal, 0.0), camera(focal, -0.1)):
+        square += (other.to_board(seen, MARKER_HEIGHT) - here) ** 2
+    stated = {
+        "method": "spread of usual lenses",
+        "fx": 0.15 * focal,
+        "fy": 0.15 * focal,
+        "cx": 0.02 * size[0],
+        "cy": 0.02 * size[1],
+        "distortion": [0.1, 0.0, 0.0, 0.0, 0.0],
+        "board_m": float(np.sqrt(square.sum(-1).mean())),
+        "height_m": MARKER_HEIGHT,
+    }
+    return replace(model, uncertainty=stated)
+
+
 def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
     """Return ``model`` with its pose over the board, from at least 4 marked points.
 
@@ -198,22 +257,25 @@ def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
     return replace(model, board_rms_m=float(np.sqrt((misses**2).sum(1).mean())))
 
 
-def _find_all(
-    source: str | Path | Sequence[str | Path], target: Target
-) -> tuple[list[View], tuple[int, int]]:
+def _pictures(source: str | Path | Sequence[str | Path]) -> Iterator[tuple[str, NDArray]]:
     if not isinstance(source, str | Path):
-        images = _photographs([Path(p) for p in source])
-    elif Path(source).is_dir():
+        return _photographs([Path(p) for p in source])
+    if Path(source).is_dir():
         files = sorted(p for p in Path(source).iterdir() if p.suffix.lower() in PHOTOGRAPHS)
         if not files:
             raise UserError(f"{source}: no photographs in this folder")
-        images = _photographs(files)
-    elif Path(source).suffix.lower() in PHOTOGRAPHS:
-        images = _photographs([Path(source)])
-    elif not Path(source).exists():
+        return _photographs(files)
+    if not Path(source).exists():
         raise UserError(f"{source}: no such photographs; name files, a folder of them, or a video")
-    else:
-        images = _video_frames(Path(source))
+    if Path(source).suffix.lower() in PHOTOGRAPHS:
+        return _photographs([Path(source)])
+    return _video_frames(Path(source))
+
+
+def _find_all(
+    source: str | Path | Sequence[str | Path], target: Target
+) -> tuple[list[View], tuple[int, int]]:
+    images = _pictures(source)
     found: list[View] = []
     size: tuple[int, int] | None = None
     first, seen = "", 0

@@ -26,6 +26,10 @@ class _Pattern(click.ParamType):
 
 @click.command()
 @click.argument("photographs", nargs=-1, required=True, type=PATH)
+@click.option("--marker", type=float, help="Side of a ChArUco board's markers, in mm.")
+@click.option(
+    "--dictionary", default="4X4_50", show_default=True, help="Of a ChArUco board's markers."
+)
 @click.option(
     "-o", "--out", type=PATH, default=Path("calibration.json"), show_default=True, help="The file."
 )
@@ -34,7 +38,7 @@ class _Pattern(click.ParamType):
     type=_Pattern(),
     default="9x6",
     show_default=True,
-    help="Inner corners of the chessboard.",
+    help="Inner corners of the chessboard or ChArUco board.",
 )
 @click.option("--square", default=25.0, show_default=True, help="Side of a square, in mm.")
 @click.option(
@@ -50,6 +54,15 @@ class _Pattern(click.ParamType):
     metavar="U,V,X,Y",
     help="One marked point; give it four times or more.",
 )
+@click.option(
+    "--corners",
+    metavar="U,V U,V U,V U,V",
+    help="Without any chessboard: the pixels of the corners of the board in a photograph, from the "
+    "top left one clockwise as seen.",
+)
+@click.option(
+    "--board", default="2.76x1.84", show_default=True, help="Length and width with --corners, in m."
+)
 @json_option
 def calibrate(
     photographs: tuple[Path, ...],
@@ -58,18 +71,37 @@ def calibrate(
     square: float,
     points: Path | None,
     given: tuple[str, ...],
+    marker: float | None,
+    dictionary: str,
+    corners: str | None,
+    board: str,
     as_json: bool,
 ) -> None:
     """Learn the camera from PHOTOGRAPHS of a chessboard: files, a folder of them, or a video.
 
-    Without marked points the lens alone is learned, and poses stay in pixels.
+    Without marked points the lens alone is learned, and poses stay in pixels. With --corners one
+    photograph of the board is enough, of a lens that is taken to be a usual one.
     """
     from tracking.calibrate import calibrate as calibrate_
+    from tracking.calibrate import from_corners
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
-    model = calibrate_(source, pattern, square / 1000, points or _points(given))
+    if corners is None:
+        side = None if marker is None else marker / 1000
+        model = calibrate_(
+            source,
+            pattern,
+            square / 1000,
+            points or _points(given),
+            marker=side,
+            dictionary=dictionary,
+        )
+    elif points is not None or given or len(photographs) > 1:
+        raise UserError("--corners takes one photograph of the board and no other points")
+    else:
+        model = from_corners(photographs[0], _corners(corners), _board(board))
     model.write(out)
     matrix = model.camera_matrix
     result = {
@@ -81,14 +113,26 @@ def calibrate(
         "cx": matrix[0, 2],
         "cy": matrix[1, 2],
         "distortion": model.distortion,
+        "uncertainty": model.uncertainty,
     }
-    emit(
-        result,
-        as_json,
-        f"{out}: {model.photographs} photographs, RMS reprojection error {model.rms_px:.3f} px, "
-        f"fx {matrix[0, 0]:.1f}, fy {matrix[1, 1]:.1f}, cx {matrix[0, 2]:.1f}, "
-        f"cy {matrix[1, 2]:.1f} px",
+    sure = model.uncertainty or {}
+    numbers = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
+    said = ", ".join(
+        f"{name} {matrix[place]:.1f}" + (f" +- {sure[name]:.1f}" if name in sure else "")
+        for name, place in numbers.items()
     )
+    where = (
+        f"; a position {100 * sure['height_m']:.0f} cm over the board to "
+        f"{1000 * sure['board_m']:.1f} mm"
+        if "board_m" in sure
+        else ""
+    )
+    how = (
+        "a usual lens and the board's four corners"
+        if corners is not None
+        else f"{model.photographs} photographs, RMS reprojection error {model.rms_px:.3f} px"
+    )
+    emit(result, as_json, f"{out}: {how}, {said} px{where} (standard deviations)")
 
 
 def _points(given: tuple[str, ...]) -> list[tuple[float, ...]] | None:
@@ -102,3 +146,25 @@ def _points(given: tuple[str, ...]) -> list[tuple[float, ...]] | None:
             raise UserError(f"--point {text!r}: expected four numbers, U,V,X,Y")
         points.append(point)
     return points or None
+
+
+def _corners(text: str) -> list[tuple[float, float]]:
+    try:
+        corners = [tuple(float(part) for part in pair.split(",")) for pair in text.split()]
+    except ValueError:
+        corners = []
+    if len(corners) != 4 or any(len(corner) != 2 for corner in corners):
+        raise UserError(
+            f"--corners {text!r}: expected four pixels, such as '10,8 630,9 628,470 12,471'"
+        )
+    return corners
+
+
+def _board(text: str) -> tuple[float, float]:
+    try:
+        length, width = (float(part) for part in text.lower().split("x"))
+    except ValueError:
+        length = width = 0.0
+    if not (length > 0 and width > 0):
+        raise UserError(f"--board {text!r}: expected length x width in metres, such as 2.76x1.84")
+    return length, width

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
-from tracking.calibrate import _lens, _spread, _uncertainty, _without_one, calibrate, locate
+from tracking.calibrate import (
+    _lens,
+    _spread,
+    _uncertainty,
+    _without_one,
+    calibrate,
+    from_corners,
+    locate,
+)
 from tracking.camera_model import CameraModel
 from tracking.targets import Charuco, Chessboard, View
 
@@ -243,3 +251,25 @@ def test_a_charuco_board_of_which_parts_are_seen(tmp_path):
 def test_a_place_that_is_not_there(tmp_path):
     with pytest.raises(UserError, match="no such photographs"):
         calibrate(tmp_path / "nope")
+
+
+def test_four_corners_and_nothing_else(tmp_path):
+    picture = tmp_path / "board.png"
+    cv2.imwrite(str(picture), np.zeros((480, 640), np.uint8))
+    board = CORNERS[[3, 2, 1, 0]] * 0.9  # top left, clockwise
+    flat = np.column_stack([board, np.zeros(4)])
+    corners = TRUTH.to_pixels(flat)
+    model = from_corners(picture, corners, (2.34, 1.44))
+    np.testing.assert_allclose(model.to_board(corners), board, atol=0.003)
+    places = np.random.default_rng(0).uniform(-0.7, 0.7, (50, 2))
+    seen = TRUTH.to_pixels(np.column_stack([places, np.full(50, 0.1)]))
+    misses = np.sqrt(((model.to_board(seen, 0.1) - places) ** 2).sum(-1).mean())
+    assert misses < 2 * model.uncertainty["board_m"] < 0.2
+    with pytest.raises(UserError, match="clockwise"):
+        from_corners(picture, corners[[0, 2, 1, 3]], (2.34, 1.44))
+    with pytest.raises(UserError, match="clockwise"):
+        from_corners(picture, corners[::-1], (2.34, 1.44))
+    with pytest.raises(UserError, match="outside"):
+        from_corners(picture, corners + 400, (2.34, 1.44))
+    with pytest.raises(UserError, match=r"clockwise|one line"):
+        from_corners(picture, [(0, 0), (10, 10), (20, 20), (30, 30)], (2.34, 1.44))
