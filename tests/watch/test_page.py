@@ -189,23 +189,42 @@ def test_a_page_that_outlives_its_server_says_so(tab, tmp_path):
     tab.complaints.clear()  # the browser's word on the server that went away
 
 
-def test_another_sites_page_gets_nothing(tab, tmp_path):
-    """The other page even knows the secret."""
+def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
+    """The other page even knows the secret; the server does not so much as look for a picture."""
     with (
         Scene(tmp_path) as scene,
+        Scene(tmp_path / "other") as elsewhere,
         PageServer(scene.viewer) as server,
-        PageServer(scene.viewer) as other,
+        PageServer(elsewhere.viewer) as other,
     ):
-        tab.open(other.url.replace("127.0.0.1", "localhost"))
-        tab.until(f"{STATUS} === 'the robot is seen'")
+        answered = []
+        for name in ("picture", "set_colour"):
+            monkeypatch.setattr(
+                scene.viewer, name, lambda *_, **__: answered.append(1) or (b"", {})
+            )
         # Without its own policy in the way, which would refuse first.
         tab.call("Page.setBypassCSP", enabled=True)
-        tab.open(other.url.replace("127.0.0.1", "localhost"))
-        for how in ("{}", "{mode: 'no-cors'}", "{method: 'POST', mode: 'no-cors', body: '{}'}"):
-            reply = tab.run(f"fetch('{server.url}picture', {how}).then(r => r.status, () => -1)")
-            assert reply in (-1, 0)
-        image = "new Promise(done => { const i = new Image(); i.onload = () => done('seen');"
-        image += f" i.onerror = () => done('refused'); i.src = '{server.url}picture'; }})"
-        assert tab.run(image) == "refused"
+        for host in ("localhost", "127.0.0.1"):  # another site, and another port of the same
+            tab.open(other.url.replace("127.0.0.1", host))
+            tab.until(f"{STATUS} === 'the robot is seen'")
+            body = '{"which": "front", "u": 50, "v": 50}'
+            for what, how in (
+                ("picture", "{}"),
+                ("picture", "{mode: 'no-cors'}"),
+                ("colour", f"{{method: 'POST', mode: 'no-cors', body: '{body}'}}"),
+                ("colour", f"{{method: 'POST', body: '{body}', "
+                 "headers: {'Content-Type': 'application/json'}}"),
+            ):  # fmt: skip
+                tab.run(f"fetch('{server.url}{what}', {how}).then(r => r.status, () => -1)")
+            image = "new Promise(done => { const i = new Image(); i.onload = () => done('seen');"
+            image += f" i.onerror = () => done('refused'); i.src = '{server.url}picture'; }})"
+            assert tab.run(image) == "refused"
         tab.call("Page.setBypassCSP", enabled=False)
+        assert answered == []
+        # The same server answers its own page.
+        tab.open(server.url)
+        end = time.monotonic() + 20
+        while not answered and time.monotonic() < end:
+            time.sleep(0.05)
+        assert answered
     tab.complaints.clear()

@@ -71,6 +71,23 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [video.name]
 
 
+@pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
+def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
+    with watching("--camera", "lab", "--camera-size", "320x240", cwd=tmp_path) as (child, url):
+        first = state_of(url)
+        end = time.monotonic() + 60
+        while not (first["found"] and first["label"] == "virtual lab"):
+            assert time.monotonic() < end
+            first = state_of(url, first["number"])
+        second = first
+        while np.hypot(*np.subtract(second["front"] or first["front"], first["front"])) < 5:
+            assert time.monotonic() < end
+            second = state_of(url, second["number"])
+        child.send_signal(signal.SIGINT)
+        assert child.wait(timeout=20) == 0
+        assert child.stderr.read() == ""
+
+
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
     # OpenCV opens a video as it opens a camera; at its end the camera is gone.
     monkeypatch.setattr("tracking.camera.VideoCamera", lambda path: OpenCVCamera(path, time.time))
