@@ -89,10 +89,11 @@ def record(
         try:
             with contextlib.ExitStack() as stack:
                 log = stack.enter_context(recording.command_log())
-                sink = spotter = None
+                spotter = None
                 if camera is not None:
                     frames = stack.enter_context(recording.frame_log())
                     sink = VideoSink(out / str(video), frames, session, camera.size, camera.fps)
+                    stack.callback(sink.close)
                     model = _model(out) if live else None
                     if model is not None:
                         spotter = Spotter(
@@ -105,6 +106,7 @@ def record(
                             waits=getattr(camera, "waits", False),
                             on_seen=on_seen,
                         )
+                        stack.callback(spotter.close)
                     camera.start(_to_both(sink, spotter))
                 try:
                     done = Session(
@@ -116,10 +118,6 @@ def record(
                     _stop_quietly(robot)
                     if camera is not None:
                         camera.stop()
-                    if sink is not None:
-                        sink.close()
-                    if spotter is not None:
-                        spotter.close()
         finally:
             if finish is not None:
                 finish(out, session)

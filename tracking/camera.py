@@ -22,7 +22,9 @@ OnFrame = Callable[[float, np.ndarray], None]
 class Camera(Protocol):
     """Whatever delivers frames: camera time in seconds, and the picture, BGR [H, W, 3] uint8.
 
-    A delivered frame belongs to the receiver: the camera does not write to it again.
+    A delivered frame belongs to the receiver: the camera does not write to it again. A camera may
+    say ``waits = True``: it makes the next frame only when this one was taken, so that none need
+    be passed over; and ``failed = True`` once it stopped by itself.
     """
 
     size: tuple[int, int]
@@ -87,7 +89,11 @@ class OpenCVCamera:
                 if not good:
                     self.failed = True
                     return
-                on_frame(self._now(), frame)
+                try:
+                    on_frame(self._now(), frame)
+                except UserError:  # who takes the frames has kept it, to tell at the end
+                    self.failed = True
+                    return
 
         self._running.set()
         self._thread = threading.Thread(target=read, name="camera", daemon=True)
@@ -192,11 +198,17 @@ class VideoSink:
         self._queue.put((time, frame))
 
     def close(self) -> int:
-        """Write what is left, close the file and return the number of frames."""
+        """Write what is left, close the file and return the number of frames.
+
+        Raises:
+            UserError: if a frame could not be written.
+        """
         if self._thread.is_alive():
             self._queue.put(None)
             self._thread.join()
         self._writer.release()
+        if self._error is not None:
+            raise UserError(f"{self._path}: writing the video failed: {self._error}")
         return self._frames
 
     def _encode(self) -> None:

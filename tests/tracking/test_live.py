@@ -1,9 +1,12 @@
 import threading
+import time
 
 import numpy as np
 import pytest
 import tracking_scene as scene
 
+from neurosim.base.errors import UserError
+from tracking.camera import OpenCVCamera, VideoSink
 from tracking.colours import parse_colour
 from tracking.live import WAITING, LiveTracker
 from tracking.tracker import Tracker
@@ -23,11 +26,11 @@ def test_a_camera_that_waits_is_tracked_frame_by_frame():
     seen = []
     live = LiveTracker(COLOURS, None, lambda: 7.5, seen.append, waits=True)
     slow = Tracker(*COLOURS)
-    for number, (time, frame) in enumerate(frames(6)):
-        live.take(time, frame)
-        expected = slow.update(frame, time)
+    for number, (when, frame) in enumerate(frames(6)):
+        live.take(when, frame)
+        expected = slow.update(frame, when)
         assert seen[-1].index == number
-        assert (seen[-1].time, seen[-1].arrived) == (time, 7.5)
+        assert (seen[-1].time, seen[-1].arrived) == (when, 7.5)
         assert seen[-1].frame is frame
         assert np.array_equal(seen[-1].sighting.front, expected.front)
         assert seen[-1].sighting.quality == expected.quality > 0
@@ -47,8 +50,8 @@ def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
     film = list(frames(10))
     live.take(*film[0])
     assert busy.wait(20)
-    for time, frame in film[1:]:
-        live.take(time, frame)  # returns although nothing is tracked
+    for when, frame in film[1:]:
+        live.take(when, frame)  # returns although nothing is tracked
     go.set()
     live.close()
     # The one that was begun, and the newest.
@@ -65,3 +68,44 @@ def test_what_goes_wrong_while_tracking_is_raised_at_the_end():
     with pytest.raises(ValueError, match="wrong"):
         live.close()
     assert live.failed
+
+
+class FullDisk:
+    def append(self, *values):
+        raise OSError("No space left on device")
+
+
+def test_a_video_that_could_not_be_written_is_told_of_at_the_end(tmp_path):
+    sink = VideoSink(tmp_path / "video.avi", FullDisk(), 1, scene.SIZE, 30.0)
+    for when, frame in frames(2):
+        sink.write(when, frame)
+        time.sleep(0.05)
+        if sink._error is not None:
+            break
+    with pytest.raises(UserError, match="No space left"):
+        sink.close()
+
+
+def test_a_camera_stops_where_its_frames_cannot_be_taken(tmp_path):
+    class Log:
+        def append(self, *values):
+            pass
+
+    sink = VideoSink(tmp_path / "video.avi", Log(), 1, scene.SIZE, 30.0)
+    for when, frame in frames(5):
+        sink.write(when, frame)
+    assert sink.close() == 5
+    taken = []
+
+    def refuse(when, frame):
+        taken.append(when)
+        raise UserError("the disk is full")
+
+    camera = OpenCVCamera(str(tmp_path / "video.avi"), lambda: 0.0)
+    camera.start(refuse)
+    end = time.monotonic() + 20
+    while not camera.failed and time.monotonic() < end:
+        time.sleep(0.01)
+    camera.stop()
+    assert camera.failed
+    assert taken == [0.0]
