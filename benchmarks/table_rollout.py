@@ -131,6 +131,9 @@ def kheperax(batch: int, repeats: int) -> float | None:
         from kheperax.tasks.main import KheperaxTask
     except ImportError:
         return None
+    for name in ("tree_leaves", "tree_map"):  # Kheperax 0.2 calls what newer JAX has moved
+        if not hasattr(jax, name):
+            setattr(jax, name, getattr(jax.tree_util, name))
     config = KheperaxConfig.get_default()
     config.maze = Maze.create(
         segments_list=[Segment(Pos(x, 0.4), Pos(x, 0.5)) for x in (0.3, 0.5, 0.7)]
