@@ -14,7 +14,8 @@ Everything goes the way of a recording: through the driver, the radio link and t
 roof camera's frames, the tracker and the displacement code. Left out are the video file, frames
 that no pose is taken from, and the flash: the camera's clock and optics are taken as known.
 
-The floor is the mean absolute deviation from each pair's median, averaged over pairs.
+The floor is the mean absolute deviation from each pair's median, averaged over pairs. All drives
+are kept beside it (``-o``'s name, ending in .csv), for predictions to be held against.
 ``--pose truth`` takes the lab's true poses in the camera's place: what is not the tracker's.
 
 Work is done in pieces of one pair, each kept at once in OUT.parts: an interrupted run goes on
@@ -33,6 +34,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
 from neurosim.base import files, se2
 from neurosim.base.progress import Progress
@@ -52,6 +54,7 @@ from tracking.tracker import Tracker
 
 FORMAT, VERSION = "neurosim-noise-floor", 1
 UNITS = {"dx": (100.0, "cm"), "dy": (100.0, "cm"), "dtheta": (180.0 / math.pi, "deg")}
+INPUTS = ("prev_left", "prev_right", "left", "right", "duration")
 #: Open-circuit voltage of a battery between nearly empty and full.
 BATTERY = (6.8, 8.2)
 #: The camera looks this long before and after the two instants at which the robot's pose counts, s.
@@ -83,11 +86,17 @@ class Settings:
     seed: int = 1
 
 
+def pairs_of(settings: Settings) -> pd.DataFrame:
+    """Return the held-out rows whose pairs of commands are driven."""
+    rows = Dataset.read(settings.dataset).split(0.2)[1].table
+    count = settings.commands
+    return rows.iloc[[(2 * pair + 1) * len(rows) // (2 * count) for pair in range(count)]]
+
+
 def displacements(settings: Settings, pair: int) -> np.ndarray:
     """Drive one pair of commands; return its displacements [repetitions, 3] (m, m, rad)."""
     rng = np.random.default_rng([settings.seed, pair])
-    rows = Dataset.read(settings.dataset).split(0.2)[1].table
-    row = rows.iloc[(2 * pair + 1) * len(rows) // (2 * settings.commands)]
+    row = pairs_of(settings).iloc[pair]
     command = Command(row.left, row.right, row.duration)
     found: list[np.ndarray] = []
     with VirtualRig(
@@ -250,13 +259,13 @@ def measure(settings: Settings, out: Path, jobs: int) -> dict[str, object]:
             columns = dict(zip(UNITS, rows.T.tolist(), strict=True))
             files.write_csv(parts / f"{work[done]:04d}.csv", columns)
             progress.advance()
-    deviations = []
+    driven = []
     for number in range(settings.commands):
         table = files.read_csv(parts / f"{number:04d}.csv", dict.fromkeys(UNITS, files.number))
-        rows = np.array([table[name] for name in UNITS]).T
-        spread = np.abs(rows - np.median(rows, axis=0)).mean(0)
-        deviations.append(spread)
-    deviations = np.array(deviations)
+        driven.append(np.array([table[name] for name in UNITS]).T)
+    _keep(out.with_suffix(".csv"), settings, driven)
+    moved = np.array(driven)
+    deviations = np.abs(moved - np.median(moved, axis=1, keepdims=True)).mean(1)
     floor, error = deviations.mean(0), deviations.std(0) / math.sqrt(len(deviations))
     return {
         "settings": asdict(settings),
@@ -270,6 +279,15 @@ def measure(settings: Settings, out: Path, jobs: int) -> dict[str, object]:
         },
         "wall_clock": {"seconds": round(time.monotonic() - began, 1)},
     }
+
+
+def _keep(path: Path, settings: Settings, driven: list[np.ndarray]) -> None:
+    """Write every drive beside the command that it is of."""
+    rows = pairs_of(settings)
+    columns: dict[str, list] = {"pair": np.repeat(np.arange(len(driven)), settings.repetitions)}
+    columns |= {name: np.repeat(rows[name].to_numpy(), settings.repetitions) for name in INPUTS}
+    columns |= dict(zip(UNITS, np.concatenate(driven).T.round(6), strict=True))
+    files.write_csv(path, {name: np.asarray(column).tolist() for name, column in columns.items()})
 
 
 def _check_same(path: Path, settings: dict[str, object]) -> None:

@@ -26,6 +26,7 @@ class Arrays(NamedTuple):
     dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
     floor: float  #: the smallest magnitude of a scaled input in a product unit
     twist: bool  #: whether the first three outputs are a body twist; two more: an offset
+    central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
     noise_unit: np.ndarray  #: [3], this and the next two as in NoiseModel
     noise_log_scale: np.ndarray  #: [3, F]
@@ -52,7 +53,11 @@ def displacement(a, member, inputs, out):
         out: [3], written.
     """
     members, outputs, units, count = a.exponents.shape
-    first, end = (0, members) if member < 0 else (member, member + 1)
+    if member < 0 and not a.central:
+        first, end = 0, members
+    else:
+        first = max(member, -1) + a.central
+        end = first + 1
     pattern = 0
     for i in range(count):
         if _scaled(a, inputs, i) < 0.0:

@@ -56,9 +56,11 @@ class MotionNetwork:
         inputs: names and units of the inputs, [{name, unit}].
         network: the shape that its networks have.
         genes: their weights, [M, O, G], float64: M members of as many networks as
-            :data:`COORDINATES` says.
+            :data:`COORDINATES` says; if ``central``, [1 + M, O, G], the mean's before them.
+        central: whether the mean of the ensemble is a network of its own, which has learned from
+            all rows; if not, it is the members' average.
         input_scale: [I]; inputs are divided by it.
-        output_scale: [M, O]; the networks' outputs times this are in metres and radians.
+        output_scale: as genes, [M, O]; the networks' outputs times this are in metres and radians.
         coordinates: one of :data:`COORDINATES`.
         noise: the noise model, or None.
         dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
@@ -79,6 +81,7 @@ class MotionNetwork:
         meta: Mapping[str, Any] | None = None,
         noise: NoiseModel | None = None,
         dead_zone: Tensor | None = None,
+        central: bool = False,
     ):
         """Make a simulator.
 
@@ -94,11 +97,12 @@ class MotionNetwork:
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}")
         shape = (len(genes), COORDINATES[coordinates], network.genes)
-        if len(names) != network.inputs or genes.shape != shape or len(genes) == 0:
+        if len(names) != network.inputs or genes.shape != shape or len(genes) <= central:
             raise ValueError("inputs, network and genes do not fit each other")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
         self.genes = genes.double()
+        self.central = central
         self.input_scale = input_scale.to(self.genes)
         self.output_scale = output_scale.to(self.genes).expand(shape[:2]).contiguous()
         zero = torch.zeros_like(self.input_scale)
@@ -115,6 +119,7 @@ class MotionNetwork:
         device = self.genes.device
         self._columns = CommandFeatures.of(names)
         self._predict = Prediction(network, self.genes.flatten(0, 1))
+        self._predict_mean = Prediction(network, self.genes[0]) if central else None
         self._remembered = slice(3, 3 + len(remembered))
         self._order = torch.tensor([given.index(name) for name in names], device=device)
         self._next = torch.tensor(
@@ -131,7 +136,7 @@ class MotionNetwork:
     @property
     def members(self) -> int:
         """How many networks of each output there are."""
-        return len(self.genes)
+        return len(self.genes) - self.central
 
     def start(
         self,
@@ -191,10 +196,13 @@ class MotionNetwork:
 
         Args:
             inputs: in the dataset's units.
-            member: of the ensemble, for all rows or for each [B]; -1: the mean of the networks'
-                outputs over all members.
+            member: of the ensemble, for all rows or for each [B]; -1: the mean.
         """
-        return self.from_outputs(_of_member(self.outputs(inputs), member))
+        if self.central and isinstance(member, int) and member < 0:
+            outputs = self._predict_mean(self.scaled(inputs)) * self.output_scale[0]
+        else:
+            outputs = _of_member(self._outputs(inputs), member, self.central)
+        return self.from_outputs(outputs)
 
     def scaled(self, inputs: Tensor) -> Tensor:
         """Return ``inputs`` [B, I] as the networks take them."""
@@ -203,8 +211,11 @@ class MotionNetwork:
 
     def outputs(self, inputs: Tensor) -> Tensor:
         """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
+        return self._outputs(inputs)[:, int(self.central) :]
+
+    def _outputs(self, inputs: Tensor) -> Tensor:
         outputs = self._predict(self.scaled(inputs))
-        return outputs.unflatten(-1, (self.members, -1)) * self.output_scale
+        return outputs.unflatten(-1, (len(self.genes), -1)) * self.output_scale
 
     def from_outputs(self, outputs: Tensor) -> Tensor:
         """Return the displacements [B, 3] that networks' outputs [B, O] stand for."""
@@ -259,6 +270,7 @@ class MotionNetwork:
             **{k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()},
             floor=self.network.floor,
             twist=self.coordinates != "displacement",
+            central=self.central,
             noisy=self.noise is not None,
             driven=np.array(self._columns.driven, np.int64),
             before=np.array(self._columns.before, np.int64),
@@ -281,6 +293,7 @@ class MotionNetwork:
             },
             "coordinates": self.coordinates,
             "members": self.members,
+            "central": self.central,
             "noise": None if self.noise is None else _NOISE,
             **self.meta,
         }
@@ -319,7 +332,8 @@ class MotionNetwork:
         members, noisy = _members_and_noise(path, content)
         if content["coordinates"] not in COORDINATES:
             raise FileError(path, f"expected one of {', '.join(COORDINATES)}", field="coordinates")
-        expected = _tensors(network, members, COORDINATES[content["coordinates"]])
+        central = content.get("central", False) is True
+        expected = _tensors(network, members + central, COORDINATES[content["coordinates"]])
         if noisy:
             expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
         if content["version"] == 1:
@@ -330,7 +344,7 @@ class MotionNetwork:
             weights = Path(folder) / "weights.safetensors"
             raise FileError(weights, "expected numbers above 0", field="input_scale")
         loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-        described = ("format", "version", "outputs", "members", "noise", *fields)
+        described = ("format", "version", "outputs", "members", "central", "noise", *fields)
         meta = {key: value for key, value in content.items() if key not in described}
         try:
             return cls(
@@ -343,6 +357,7 @@ class MotionNetwork:
                 meta,
                 _noise(loaded) if noisy else None,
                 loaded.get("dead_zone"),
+                central,
             )
         except ValueError as error:
             raise FileError(path, f"is no motion network ({error})") from None
@@ -375,13 +390,16 @@ _NOISE = {
 }
 
 
-def _of_member(outputs: Tensor, member: Tensor | int) -> Tensor:
-    """Return the outputs [N, O] of a member, of outputs [N, M, O]."""
+def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
+    """Return the outputs [N, O] of a member, of outputs [N, M, O], or [N, 1 + M, O] if central."""
     if isinstance(member, int):
-        return outputs.mean(1) if member < 0 else outputs[:, member]
-    own = torch.take_along_dim(outputs, member.clamp(min=0)[:, None, None], 1).squeeze(1)
+        return outputs.mean(1) if member < 0 else outputs[:, member + central]
+    place = (member + central).clamp(min=0)[:, None, None]
+    own = torch.take_along_dim(outputs, place, 1).squeeze(1)
     average = member < 0
-    return torch.where(average.unsqueeze(-1), outputs.mean(1), own) if average.any() else own
+    if central or not average.any():  # the mean's own network is the one before the first
+        return own
+    return torch.where(average.unsqueeze(-1), outputs.mean(1), own)
 
 
 def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:

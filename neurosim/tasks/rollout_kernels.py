@@ -56,6 +56,10 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
         a: the simulator's numbers.
         mean: whether only the mean of all members is wanted: an ensemble of one.
     """
+    if a.central:
+        own = slice(0, 1) if mean else slice(1, None)
+        names = ("exponents", "signed", "linear", "bias")
+        a = a._replace(**{name: getattr(a, name)[own] for name in names})
     members, outputs, _, inputs = a.exponents.shape
     units, weights, terms, places = [], [], [], {}
     filled = written = 0

@@ -1,24 +1,27 @@
-"""Ensembles: one search, read-outs fitted to resamples of the rows, and noise from what was unseen.
+"""Ensembles: networks that learned from other rows each, and noise from what was unseen.
 
 What a simulator of few rows does not know shows where networks that learned from other rows
-disagree. Searching is what takes time, so it is done once: the members share the product units
-that a search over all rows found, and each has a read-out of its own, fitted to a bootstrap
-resample (Breiman 1996). What the search itself may have got wrong is the same for all members and
-is left to the noise model, which is learned from residuals of read-outs that had not seen the row
-(cross-validation). The product units had seen it; what flattery there is in that is measured by one
-more search, on half of the rows: as far as its residuals are larger in the other half, so, by half
-(twice the rows), are the noise's. Rows are drawn in stretches of time, because
-neighbours share a place on the board and a state of the battery.
+disagree. The mean is a network of its own, searched for on all rows: it costs no more than one.
+Each member is a search of its own on a random half of the rows: what a search may find or miss is
+part of what is not known, and an estimate from half of the rows strays from that of all as far as
+that strays from the truth (Shao and Tu 1995, the delete-half jackknife). Its read-out is then
+fitted to all rows, in random weights (the Bayesian bootstrap, Rubin 1981): product units that had
+seen nothing of a corner of the commands would be wild there.
 
-Networks whose activations are not linear have no read-out to fit: each member is then a search on
-a random half of the rows. An estimate from half of them strays from that of all as far as that
-strays from the truth (Shao and Tu 1995, the delete-half jackknife).
+The noise is learned from residuals of read-outs that had not seen the row (cross-validation). The
+product units of the mean had seen it; what flattery there is in that is measured by the members:
+as far as their residuals are larger in the half of the rows that their search had not seen, so, by
+half (twice the rows), are the noise's. Rows are drawn in stretches of time, because neighbours
+share a place on the board and a state of the battery.
+
+Networks whose activations are not linear have no read-out to fit: their members are searches on
+halves alone, and the mean is the members' average.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -26,6 +29,7 @@ from torch import Tensor
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import PursuitSettings, Trainer, TrainingData
+from neurosim.training.exponents import ExponentsSettings
 from neurosim.training.noise import fit_noise, search_optimism
 from neurosim.training.readout import Readout
 
@@ -89,20 +93,20 @@ class EnsembleTrainer:
     ):
         if noise and members == 1 and not network.linear:
             raise ValueError("the noise of curved activations is learned from 2 members or more")
-        self._make = lambda rows, seed: kind(rows, network, settings, seed, device)
+        self._make = lambda rows, settings, seed: kind(rows, network, settings, seed, device)
         self._data, self._network, self._order = data, network, order
         self._settings = settings
         self._members, self._noise, self._seed = members, noise, seed
         self._each = generations
-        # Of linear networks the first search sees all rows, and another is for the noise alone.
-        searches = int(noise) if network.linear else members * (members > 1)
         generator = torch.Generator().manual_seed(seed)
         self._stretch = stretches(len(data.x))
-        self._seen = _halves(self._stretch, searches, generator)
-        if network.linear or not searches:
+        # A single network needs searches on both halves for its noise alone.
+        halves = members if members > 1 else 2 * int(noise and network.linear)
+        self._seen = _halves(self._stretch, halves, generator)
+        if network.linear or not halves:
             everything = torch.ones_like(self._stretch, dtype=torch.bool)
             self._seen = torch.cat([everything.unsqueeze(0), self._seen])
-        self._draws = _resamples(self._stretch, members, generator)
+        self._weights = _random_weights(self._stretch, members, generator)
         self._finished: list[dict[str, Tensor]] = []
         self._done = 0
         self._search = self._begin(0)
@@ -113,14 +117,16 @@ class EnsembleTrainer:
         return self._each * len(self._seen)
 
     def _begin(self, search: int) -> Trainer:
-        seen, data = self._seen[search], self._data
+        seen, data, settings = self._seen[search], self._data, self._settings
         if seen.all():
-            return self._make(data, self._seed)
+            return self._make(data, settings, self._seed)
+        if isinstance(settings, ExponentsSettings):
+            # The first search, of all rows, has found it.
+            zone = tuple(self._finished[0]["dead_zone"].tolist())
+            settings = replace(settings, dead_zone=zone)
         # Searches differ by seed too, for all that is drawn in them.
-        return self._make(
-            Share(data.inputs, data.x[seen], data.y[seen], data.input_scale),
-            self._seed + search,
-        )
+        share = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
+        return self._make(share, settings, self._seed + search)
 
     def advance(self) -> Tensor:
         """Work one generation of a search; return its least mean squared error so far, [3]."""
@@ -139,16 +145,18 @@ class EnsembleTrainer:
             search.load(state)
             found.append(search.result())
         found.append(self._search.result())
-        return self._refitted(found) if self._network.linear else self._joined(found)
+        return self._refitted(found) if self._network.linear else self._averaged(found)
 
     def _refitted(self, found: list[MotionNetwork]) -> MotionNetwork:
-        simulator = found[0]
+        simulator, *searched = found
         if self._members > 1:
-            readout = self._readout(simulator)
-            genes = [readout.genes(count) for count in self._draws]
-            simulator = readout.simulator(torch.stack(genes))
+            members = []
+            for member, weights in zip(searched, self._weights, strict=True):
+                readout = self._readout(member)
+                members.append(readout.simulator(readout.genes(weights)))
+            simulator = _together([simulator, *members], central=True)
         if self._noise:
-            said, *by_halves = [self._cross_validated(member) for member in found]
+            said, *by_halves = [self._cross_validated(network) for network in found]
             noise = fit_noise(simulator, self._data, said, self._order)
             widening = search_optimism(simulator, self._data, by_halves, self._seen[1:])
             simulator.noise = noise.widened(widening)
@@ -169,17 +177,8 @@ class EnsembleTrainer:
             outputs[out] = without.outputs(self._data.x[out])[:, 0]
         return outputs
 
-    def _joined(self, found: list[MotionNetwork]) -> MotionNetwork:
-        first = found[0]
-        simulator = MotionNetwork(
-            first.inputs,
-            first.network,
-            torch.cat([member.genes for member in found]),
-            first.input_scale,
-            torch.cat([member.output_scale for member in found]),
-            first.coordinates,
-            dead_zone=first.dead_zone,
-        )
+    def _averaged(self, found: list[MotionNetwork]) -> MotionNetwork:
+        simulator = _together(found, central=False)
         if self._noise:
             unseen = (~self._seen).double().unsqueeze(-1)  # [M, N, 1]
             said = simulator.outputs(self._data.x).transpose(0, 1)
@@ -207,6 +206,20 @@ class EnsembleTrainer:
         self._search.load(part("search."))
 
 
+def _together(found: list[MotionNetwork], central: bool) -> MotionNetwork:
+    first = found[0]
+    return MotionNetwork(
+        first.inputs,
+        first.network,
+        torch.cat([member.genes for member in found]),
+        first.input_scale,
+        torch.cat([member.output_scale for member in found]),
+        first.coordinates,
+        dead_zone=first.dead_zone,
+        central=central,
+    )
+
+
 def stretches(rows: int) -> Tensor:
     """Return the number of the stretch of time, up to :data:`STRETCHES`, of each row, [N]."""
     return torch.arange(rows) * min(STRETCHES, rows) // rows
@@ -222,10 +235,9 @@ def _halves(stretch: Tensor, searches: int, generator: torch.Generator) -> Tenso
     return torch.cat(seen)[:searches, stretch]
 
 
-def _resamples(stretch: Tensor, members: int, generator: torch.Generator) -> Tensor:
-    """Return how often each row counts for each member, [M, N]: stretches drawn at random."""
-    count = int(stretch[-1]) + 1
-    drawn = torch.randint(count, (members, count), generator=generator)
-    counts = torch.zeros(members, count, dtype=torch.float64)
-    counts.scatter_add_(1, drawn, torch.ones_like(counts))
-    return counts[:, stretch]
+def _random_weights(stretch: Tensor, members: int, generator: torch.Generator) -> Tensor:
+    """Return how much each row counts for each member, [M, N]: stretches weigh exponentially."""
+    uniform = torch.rand(
+        members, int(stretch[-1]) + 1, generator=generator, dtype=torch.float64
+    )
+    return -torch.log1p(-uniform)[:, stretch]

@@ -149,7 +149,7 @@ class ExponentsTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Return the state of both searches."""
-        state = {"generator": self._generator.get_state()}
+        state = {"generator": self._generator.get_state(), "dead_zone": self._dead_zone.cpu()}
         for name, search in (("turn", self._turn), ("shift", self._shift)):
             state |= {f"{name}.{key}": value for key, value in search.state().items()}
         return state
