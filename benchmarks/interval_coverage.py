@@ -153,7 +153,7 @@ def sequences(
 
 @njit(parallel=True, cache=True)
 def simulated_ends(arrays, start, commands, members, z, columns):
-    """Return final positions (D, 2) of one sequence in D trajectories with draws z (D, K, 3)."""
+    """Return final positions (D, 2) of one sequence in D trajectories with draws z (D, K, 4)."""
     ends = np.empty((len(members), 2))
     for d in prange(len(members)):
         pose, moved = start.copy(), np.empty(3)

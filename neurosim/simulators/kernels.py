@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from neurosim.networks.product_units import LOG_LIMIT
+from neurosim.simulators.noise import HEAVIEST
 
 
 class Arrays(NamedTuple):
@@ -28,9 +29,10 @@ class Arrays(NamedTuple):
     twist: bool  #: whether the first three outputs are a body twist; two more: an offset
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
-    noise_unit: np.ndarray  #: [3], this and the next two as in NoiseModel
+    noise_unit: np.ndarray  #: [3], this and the next three as in NoiseModel
     noise_log_scale: np.ndarray  #: [3, F]
     noise_coupling: np.ndarray  #: [3, F]
+    noise_tail: np.ndarray  #: [F]
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
@@ -100,10 +102,10 @@ def disturb(a, inputs, mean, z, out):
         a: :class:`Arrays` of a simulator with a noise model.
         inputs: [I], in the dataset's units.
         mean: [3], of :func:`displacement`.
-        z: [3], of :meth:`NoiseModel.draw`.
+        z: [4], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
-    size = np.empty(6)
+    size = np.empty(7)
     spread(a, inputs, mean, size)
     shake(mean, size, z, out)
 
@@ -114,7 +116,7 @@ def spread(a, inputs, mean, out):
 
     Args:
         a, inputs, mean: as in :func:`disturb`.
-        out: [6], written: s_t (rad), s_f, s_s (m) and the couplings c_1, c_2, c_3.
+        out: [7], written: s_t (rad), s_f, s_s (m), the couplings c_1, c_2, c_3, and tau.
     """
     duration = 1.0
     if a.duration >= 0:
@@ -150,6 +152,8 @@ def spread(a, inputs, mean, out):
             + w[7] * log_time
         )
         out[3 + j] = c[0] + c[1] * product + c[2] * turning + c[3] * going
+    tail = a.noise_tail
+    out[6] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
 
 
 @njit(cache=True, error_model="numpy")
@@ -158,14 +162,12 @@ def shake(mean, size, z, out):
 
     Args:
         mean: [3], of :func:`displacement`.
-        size: [6], of :func:`spread`.
-        z: [3], of :meth:`NoiseModel.draw`.
+        size: [7], of :func:`spread`.
+        z: [4], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
-    cos, sin = math.cos(0.5 * mean[2]), math.sin(0.5 * mean[2])
-    turned = math.copysign(1.0, mean[2])
-    went = math.copysign(1.0, cos * mean[0] + sin * mean[1])
-    z_t, z_f, z_s = turned * z[0], went * z[1], turned * went * z[2]
+    width = math.exp(size[6] * z[3])
+    z_t, z_f, z_s = width * z[0], width * z[1], width * z[2]
     e_t = size[0] * z_t
     e_f = size[1] * (z_f + size[3] * z_t)
     e_s = size[2] * (z_s + size[4] * z_t + size[5] * z_f)

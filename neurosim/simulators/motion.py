@@ -29,7 +29,7 @@ from neurosim.simulators.noise import (
     COMPONENTS,
     COUPLING_FEATURES,
     SCALE_FEATURES,
-    WIDTHS,
+    TAIL_FEATURES,
     CommandFeatures,
     NoiseModel,
     disturb,
@@ -48,9 +48,8 @@ class MotionNetwork:
     """A simulator of a robot in the plane, learned from a dataset.
 
     A trajectory keeps one member of the ensemble from its start to its end; the column
-    ``member`` of its state says which, -1 standing for the mean of all. Where noise lasts for
-    longer than a command, the columns ``drift_...`` hold what lasts. A simulator of one member
-    without noise, as in the paper, has neither.
+    ``member`` of its state says which, -1 standing for the mean of all. A simulator of one member,
+    as in the paper, has no such column.
 
     Attributes:
         inputs: names and units of the inputs, [{name, unit}].
@@ -113,8 +112,6 @@ class MotionNetwork:
         self.state_names = ("x", "y", "theta", *remembered)
         if self.members > 1:
             self.state_names += ("member",)
-        if noise is not None and noise.lasting:
-            self.state_names += tuple(f"drift_{name}" for name in COMPONENTS)
         given = (*remembered, *self.command_names)
         device = self.genes.device
         self._columns = CommandFeatures.of(names)
@@ -148,8 +145,7 @@ class MotionNetwork:
 
         Args:
             pose: x (m), y (m), heading (rad).
-            generator: each trajectory draws its member, and the noise that lasts; without one it
-                follows the mean of the members.
+            generator: each trajectory draws its member; without one it follows the mean.
             member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
         """
         pose = pose.to(self.genes)
@@ -159,8 +155,6 @@ class MotionNetwork:
             if member is None:
                 member = -1 if generator is None else self.draw_members(rows, generator)
             state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
-        if generator is not None and self.noise is not None and self.noise.lasting:
-            state[:, -3:] = self.noise.draw_drift(rows, generator)
         return state
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
@@ -181,11 +175,8 @@ class MotionNetwork:
         moved = self.displacement(inputs, member)
         rest = state[:, self._remembered.stop :]
         if generator is not None and self.noise is not None:
-            lasting = state[:, -3:] if self.noise.lasting else torch.zeros_like(state[:, :3])
-            z, lasting = self.noise.next_draw(lasting, generator)
+            z = self.noise.draw(len(moved), 1, generator)[:, 0]
             moved = self.disturbed(inputs, moved, z)
-            if self.noise.lasting:
-                rest = torch.cat([rest[:, :-3], lasting], dim=1)
         pose = compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], rest], dim=1)
 
@@ -227,7 +218,7 @@ class MotionNetwork:
         return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
 
     def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:
-        """Return displacements [B, 3] with noise of the draws ``z`` [B, 3].
+        """Return displacements [B, 3] with noise of the draws ``z`` [B, 4].
 
         Args:
             inputs: [B, I], in the dataset's units.
@@ -255,7 +246,7 @@ class MotionNetwork:
         shapes = NoiseModel.SHAPES
         noise = {
             name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
-            for name in ("unit", "log_scale", "coupling")
+            for name in shapes
         }
         tensors = {
             "exponents": w.exponents,
@@ -382,11 +373,11 @@ def exp(twist: Tensor) -> Tensor:
 
 #: What simulator.json says of a noise model; its numbers stand beside the weights.
 _NOISE = {
-    "kind": "cholesky-mixture",
+    "kind": "cholesky-lognormal",
     "components": list(COMPONENTS),
     "scale_features": list(SCALE_FEATURES),
     "coupling_features": list(COUPLING_FEATURES),
-    "widths": list(WIDTHS),
+    "tail_features": list(TAIL_FEATURES),
 }
 
 

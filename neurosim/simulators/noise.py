@@ -14,15 +14,13 @@ Biometrika 86), which is positive definite whatever its numbers are:
           e_s = s_s (z_s + c_2 z_t + c_3 z_f)
 
 Each ln s is linear in features of the command (how far, how much of a turn, how sudden), each c in
-others. The draws z are heavy-tailed: a mixture of normal distributions of different
-:data:`WIDTHS`, the same one for all three. Part of them may drift: what lasts for longer than a
-command (the ground of one corner, the battery) makes one command's noise resemble that of the
-next.
+others. The draws z are heavy-tailed, as if the scale itself were uncertain (Clark 1973,
+Econometrica 41): normal ones, all three times the same :math:`e^{\tau g}` with g standard normal.
+Small motions have the heavier tails: :math:`\ln \tau` is linear in features, too.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
@@ -32,12 +30,16 @@ from torch import Tensor
 #: The three components of the noise, in the order of every array here.
 COMPONENTS = ("turn", "forward", "sideways")
 
-#: Standard deviations of the normal distributions that z is a mixture of.
-WIDTHS = (0.5, 1.0, 2.0, 4.0)
+#: Draws of a command: one a component, and g, on which the width of all three depends.
+DRAWS = 4
 
-#: What ln s is linear in, and what a coupling c is; see :func:`features`.
+#: The heaviest tails, as :math:`\tau`.
+HEAVIEST = 1.5
+
+#: What ln s is linear in, what a coupling c, and what ln tau; see :func:`features`.
 SCALE_FEATURES = ("one", "travel", "travel_squared", "turn", "forward", "jump", "reversal", "time")
 COUPLING_FEATURES = ("one", "product", "turn", "forward")
+TAIL_FEATURES = ("one", "travel", "turn")
 
 
 @dataclass(frozen=True)
@@ -49,25 +51,19 @@ class NoiseModel:
             the features measure turns and distances in.
         log_scale: [3, len(SCALE_FEATURES)] of ln s_t (rad), ln s_f and ln s_s (m).
         coupling: [3, len(COUPLING_FEATURES)] of c_1, c_2 and c_3.
-        shares: [len(WIDTHS)] of the draws that are so wide; they sum to one.
-        drift: [3] share of the variance of z that lasts, of each component.
-        memory: [3] correlation of what lasts from one command to the next.
+        tail: [len(TAIL_FEATURES)] of ln tau.
     """
 
     unit: Tensor
     log_scale: Tensor
     coupling: Tensor
-    shares: Tensor
-    drift: Tensor
-    memory: Tensor
+    tail: Tensor
 
     SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {
         "unit": (3,),
         "log_scale": (3, len(SCALE_FEATURES)),
         "coupling": (3, len(COUPLING_FEATURES)),
-        "shares": (len(WIDTHS),),
-        "drift": (3,),
-        "memory": (3,),
+        "tail": (len(TAIL_FEATURES),),
     }
 
     def __post_init__(self) -> None:
@@ -78,22 +74,6 @@ class NoiseModel:
             object.__setattr__(self, name, value.detach().cpu().double())
         if (self.unit <= 0).any():
             raise ValueError("noise unit must be above 0")
-        if (self.shares < 0).any() or (self.shares.sum() - 1.0).abs() > 1e-6:
-            raise ValueError("noise shares must be at least 0 and sum to 1")
-        if (self.drift < 0).any() or (self.drift >= 1).any():
-            raise ValueError("noise drift must lie in 0..1")
-        if (self.memory.abs() > 1).any():
-            raise ValueError("noise memory must lie in -1..1")
-
-    @property
-    def lasting(self) -> bool:
-        """Whether the noise of one command resembles that of the next."""
-        return bool((self.drift > 0).any())
-
-    @property
-    def power(self) -> float:
-        """The variance of a draw z."""
-        return float(self.shares @ self.shares.new_tensor(WIDTHS).square())
 
     def widened(self, factor: Tensor) -> NoiseModel:
         """Return the model with each component [3] as many times as wide."""
@@ -106,42 +86,10 @@ class NoiseModel:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
-        """Return the draws z [rows, steps, 3] of trajectories, for :func:`disturb`.
-
-        Along a trajectory they are correlated as the model says; trajectories are independent.
-        """
-        device = generator.device
-        lasting = self.draw_drift(rows, generator)
-        draws = []
-        for _ in range(steps):
-            z, lasting = self.next_draw(lasting, generator)
-            draws.append(z)
-        if not draws:
-            return torch.empty(rows, 0, 3, dtype=torch.float64, device=device)
-        return torch.stack(draws, dim=1)
-
-    def draw_drift(self, rows: int, generator: torch.Generator) -> Tensor:
-        """Return what lasts, [rows, 3], of robots just put down: standard normal."""
+        """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""
         return torch.randn(
-            rows, 3, generator=generator, dtype=torch.float64, device=generator.device
+            rows, steps, DRAWS, generator=generator, dtype=torch.float64, device=generator.device
         )
-
-    def next_draw(self, lasting: Tensor, generator: torch.Generator) -> tuple[Tensor, Tensor]:
-        """Return the draws z [B, 3] of one command, and what lasts after it.
-
-        Args:
-            lasting: [B, 3] before the command.
-            generator: source of the draws.
-        """
-        draws = {"generator": generator, "dtype": torch.float64, "device": lasting.device}
-        memory, drift = self.memory.to(lasting), self.drift.to(lasting)
-        fresh = torch.randn(len(lasting), 7, **draws)
-        lasting = memory * lasting + (1.0 - memory.square()).sqrt() * fresh[:, :3]
-        # A normal draw decides on the width too, so that there is one call to the generator.
-        rank = 0.5 * torch.erfc(fresh[:, 6] / math.sqrt(2.0))
-        which = torch.bucketize(rank, self.shares.cumsum(0)[:-1].to(lasting))
-        own = fresh[:, 3:6] * lasting.new_tensor(WIDTHS)[which].unsqueeze(-1)
-        return (1.0 - drift).sqrt() * own + (drift * self.power).sqrt() * lasting, lasting
 
 
 @dataclass(frozen=True)
@@ -169,8 +117,8 @@ class CommandFeatures:
 
 def features(
     unit: Tensor, columns: CommandFeatures, inputs: Tensor, mean: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return what the noise's size and coupling depend on.
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Return what the noise's size, coupling and tails depend on.
 
     Args:
         unit: of the noise model, [3].
@@ -179,7 +127,7 @@ def features(
         mean: mean displacements, [B, 3].
 
     Returns:
-        [B, len(SCALE_FEATURES)] and [B, len(COUPLING_FEATURES)].
+        [B, len(SCALE_FEATURES)], [B, len(COUPLING_FEATURES)] and [B, len(TAIL_FEATURES)].
     """
     one = torch.ones_like(mean[:, 0])
     duration = inputs[:, columns.duration].clamp(min=0) if columns.duration >= 0 else one
@@ -208,7 +156,8 @@ def features(
         turn / (turn.square() + 0.05).sqrt(),
         forward / (forward.square() + 0.05).sqrt(),
     ]
-    return torch.stack(scale, dim=-1), torch.stack(coupling, dim=-1)
+    tail = [one, log_travel, scale[SCALE_FEATURES.index("turn")]]
+    return tuple(torch.stack(part, dim=-1) for part in (scale, coupling, tail))
 
 
 def disturb(
@@ -221,12 +170,14 @@ def disturb(
         columns: of the inputs.
         inputs: scaled inputs, [B, I].
         mean: mean displacements, [B, 3].
-        z: draws of :meth:`NoiseModel.draw`, [B, 3].
+        z: draws of :meth:`NoiseModel.draw`, [B, DRAWS].
     """
-    scale, coupling = features(noise.unit.to(mean), columns, inputs, mean)
+    scale, coupling, tail = features(noise.unit.to(mean), columns, inputs, mean)
     s = (scale @ noise.log_scale.to(mean).T).exp()
     c = coupling @ noise.coupling.to(mean).T
-    t, f, side = (z.to(mean) * orientation(mean)).unbind(-1)
+    z = z.to(mean)
+    width = (heaviness(tail, noise.tail.to(mean)) * z[:, 3]).exp()
+    t, f, side = (z[:, :3] * width.unsqueeze(-1)).unbind(-1)
     turn = s[:, 0] * t
     forward = s[:, 1] * (f + c[:, 0] * t)
     sideways = s[:, 2] * (side + c[:, 1] * t + c[:, 2] * f)
@@ -236,14 +187,9 @@ def disturb(
     return torch.cat([a + b, theta.unsqueeze(-1)], dim=-1)
 
 
-def orientation(mean: Tensor) -> Tensor:
-    """Return the signs [B, 3] that point noise along the motion.
-
-    Wheels that slip turn less and come less far, whichever way they go: what lasts is a share of
-    the motion, and not a pull to one side.
-    """
-    turn, along, _ = torch.copysign(torch.ones_like(mean), half_way_frame(mean)).unbind(-1)
-    return torch.stack([turn, along, turn * along], dim=-1)
+def heaviness(features: Tensor, tail: Tensor) -> Tensor:
+    """Return tau [B] of the tails, of features [B, len(TAIL_FEATURES)]."""
+    return (features @ tail).exp().clamp(max=HEAVIEST)
 
 
 def half_way_frame(displacement: Tensor) -> Tensor:
@@ -266,14 +212,13 @@ def residual(mean: Tensor, actual: Tensor) -> Tensor:
 def standardised(
     noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
 ) -> Tensor:
-    """Return the draws z [B, 3] that make ``actual`` of ``mean``: undoes :func:`disturb`."""
-    scale, coupling = features(noise.unit.to(mean), columns, inputs, mean)
+    """Return the first three draws [B, 3], times their width, that make ``actual`` of ``mean``."""
+    scale, coupling, _ = features(noise.unit.to(mean), columns, inputs, mean)
     s = (scale @ noise.log_scale.to(mean).T).exp()
     c = coupling @ noise.coupling.to(mean).T
     t, f, side = (residual(mean, actual) / s).unbind(-1)
     f = f - c[:, 0] * t
-    side = side - c[:, 1] * t - c[:, 2] * f
-    return torch.stack([t, f, side], dim=-1) * orientation(mean)
+    return torch.stack([t, f, side - c[:, 1] * t - c[:, 2] * f], dim=-1)
 
 
 def rotate(angle: Tensor, vector: Tensor) -> Tensor:

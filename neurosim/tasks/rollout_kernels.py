@@ -257,7 +257,7 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
         source, commands, given, stop: as :func:`mean_poses` takes them.
         starts: [R, 3] poses.
         member: [R] of the ensemble; below 0 in none.
-        z: [R, K + 1, 3] draws for the n-th command that is given, and the stop.
+        z: [R, K + 1, 4] draws for the n-th command that is given, and the stop.
 
     Returns:
         [B, R, K + 2, 3].
@@ -268,7 +268,7 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
     for b in prange(batch):
         inputs, x, log2 = np.empty(len(source)), np.empty(len(source)), np.empty(len(source))
         units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
-        means, sizes = np.empty((e.members, 3)), np.empty((e.members, 6))
+        means, sizes = np.empty((e.members, 3)), np.empty((e.members, 7))
         moved, before = np.empty(3), np.zeros(width)
         poses[b, :, 0] = starts
         sent = 0

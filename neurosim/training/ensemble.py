@@ -69,8 +69,6 @@ class EnsembleTrainer:
         members: networks of each output.
         generations: of each search.
         noise: whether to learn a noise model.
-        order: number of each row's command, [N]; neighbours differ by one. Tells which rows
-            followed each other.
 
     Raises:
         ValueError: if a noise model is asked of a single member whose activations are not
@@ -89,12 +87,11 @@ class EnsembleTrainer:
         members: int,
         generations: int,
         noise: bool,
-        order: Tensor,
     ):
         if noise and members == 1 and not network.linear:
             raise ValueError("the noise of curved activations is learned from 2 members or more")
         self._make = lambda rows, settings, seed: kind(rows, network, settings, seed, device)
-        self._data, self._network, self._order = data, network, order
+        self._data, self._network = data, network
         self._settings = settings
         self._members, self._noise, self._seed = members, noise, seed
         self._each = generations
@@ -120,7 +117,7 @@ class EnsembleTrainer:
         seen, data, settings = self._seen[search], self._data, self._settings
         if seen.all():
             return self._make(data, settings, self._seed)
-        if isinstance(settings, ExponentsSettings):
+        if isinstance(settings, ExponentsSettings) and self._finished:
             # The first search, of all rows, has found it.
             zone = tuple(self._finished[0]["dead_zone"].tolist())
             settings = replace(settings, dead_zone=zone)
@@ -157,7 +154,7 @@ class EnsembleTrainer:
             simulator = _together([simulator, *members], central=True)
         if self._noise:
             said, *by_halves = [self._cross_validated(network) for network in found]
-            noise = fit_noise(simulator, self._data, said, self._order)
+            noise = fit_noise(simulator, self._data, said)
             widening = search_optimism(simulator, self._data, by_halves, self._seen[1:])
             simulator.noise = noise.widened(widening)
         return simulator
@@ -183,7 +180,7 @@ class EnsembleTrainer:
             unseen = (~self._seen).double().unsqueeze(-1)  # [M, N, 1]
             said = simulator.outputs(self._data.x).transpose(0, 1)
             said = (said * unseen).sum(0) / unseen.sum(0)
-            simulator.noise = fit_noise(simulator, self._data, said, self._order)
+            simulator.noise = fit_noise(simulator, self._data, said)
         return simulator
 
     def state(self) -> dict[str, Tensor]:
@@ -237,7 +234,5 @@ def _halves(stretch: Tensor, searches: int, generator: torch.Generator) -> Tenso
 
 def _random_weights(stretch: Tensor, members: int, generator: torch.Generator) -> Tensor:
     """Return how much each row counts for each member, [M, N]: stretches weigh exponentially."""
-    uniform = torch.rand(
-        members, int(stretch[-1]) + 1, generator=generator, dtype=torch.float64
-    )
+    uniform = torch.rand(members, int(stretch[-1]) + 1, generator=generator, dtype=torch.float64)
     return -torch.log1p(-uniform)[:, stretch]

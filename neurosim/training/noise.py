@@ -1,28 +1,26 @@
 """Learning a noise model from what was predicted of rows that had not been seen.
 
-Scales, couplings and tail are fitted together by maximum likelihood, with a weak pull to zero
-for what few rows say little about. What lasts from command to command is then read off the
-correlation of the standardised residuals of commands that followed each other. The noise of the
-poses at both ends of a command, as the camera saw them, is part of what is learned: it is what
-is left of the noise where a robot stands still.
+Scales, couplings and tails are fitted together by maximum likelihood, with a weak pull to zero
+for what few rows say little about. The noise of the poses at both ends of a command, as the camera
+saw them, is part of what is learned: it is what is left of the noise where a robot stands still.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import torch
+from numpy.polynomial.hermite_e import hermegauss
 from torch import Tensor
 
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.noise import (
     COUPLING_FEATURES,
     SCALE_FEATURES,
-    WIDTHS,
+    TAIL_FEATURES,
     CommandFeatures,
     NoiseModel,
     features,
     half_way_frame,
+    heaviness,
     residual,
     standardised,
 )
@@ -37,33 +35,27 @@ FINEST = 1e-6
 #: The least share of the variance that is left when the members' spread is taken off.
 LEAST = 0.1
 
-#: Chi-squared above which a correlation is no chance (99.9 %, for the best of several memories).
-CHANCE = 11.0
+#: Places and weights of Gauss-Hermite quadrature over a standard normal number.
+_PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
 
-#: Commands ahead that the correlation of residuals is looked at.
-LAGS = 6
+#: Of ln tau where nothing is known: slight tails.
+SLIGHT = -0.7
 
 
-def fit_noise(
-    simulator: MotionNetwork, data: TrainingData, outputs: Tensor, order: Tensor
-) -> NoiseModel:
+def fit_noise(simulator: MotionNetwork, data: TrainingData, outputs: Tensor) -> NoiseModel:
     """Learn the noise of an ensemble's displacements.
 
     Args:
         simulator: the ensemble.
         data: rows.
         outputs: what networks that had not seen a row said of it, [N, O], averaged.
-        order: number of each row's command, [N]; those of commands in a row differ by one.
     """
     mean = simulator.from_outputs(outputs)
     columns = CommandFeatures.of(simulator.input_names)
     inputs = simulator.scaled(data.x)
     noise = _most_likely(columns, inputs, mean, data.y)
-    z = standardised(noise, columns, inputs, mean, data.y)
-    drift, memory = _lasting(z, noise.power, order)
-    spread = _spread(noise, columns, simulator, data)
-    left = (1.0 - spread / noise.power).clamp(min=LEAST).sqrt()
-    return replace(noise, drift=drift, memory=memory).widened(left)
+    left = (1.0 - _spread(noise, columns, simulator, data)).clamp(min=LEAST).sqrt()
+    return noise.widened(left)
 
 
 def search_optimism(
@@ -91,7 +83,7 @@ def search_optimism(
 def _spread(
     noise: NoiseModel, columns: CommandFeatures, simulator: MotionNetwork, data: TrainingData
 ) -> Tensor:
-    """Return the variance [3] of what the members say, in draws z.
+    """Return the variance [3] of what the members say, as a share of the noise's.
 
     What the rows strayed by holds it already: left in the noise, it would count twice.
     """
@@ -103,52 +95,26 @@ def _spread(
         for m in range(simulator.members)
     ]
     variance = torch.stack(strays).square().sum(0) / (simulator.members - 1)
-    return variance.clamp(max=noise.power).mean(0)
-
-
-def _lasting(z: Tensor, power: float, order: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the share of the variance of z that lasts, and its memory, [3] each.
-
-    A share d with memory m makes draws that are n commands apart correlate by d m^n; the two are
-    fitted to the correlations found, and nothing lasts where that explains no more than chance.
-    """
-    z = z.clamp(-3.0 * power**0.5, 3.0 * power**0.5)
-    z = (z - z.mean(0)) / z.std(0).clamp(min=1e-12)
-    found, pairs = [], []
-    for lag in range(1, LAGS + 1):
-        near = order[lag:] - order[:-lag] == lag
-        count = int(near.sum())
-        both = (z[lag:] * z[:-lag])[near]
-        found.append(both.mean(0) if count else torch.zeros(3, dtype=torch.float64))
-        pairs.append(count)
-    weight = torch.tensor(pairs, dtype=torch.float64)
-    drift, memory = torch.zeros(2, 3, dtype=torch.float64)
-    lags = torch.arange(1, LAGS + 1)
-    for j, r in enumerate(torch.stack(found).T):
-        best = torch.tensor(CHANCE, dtype=torch.float64)
-        for m in torch.linspace(0.05, 1.0, 20, dtype=torch.float64):
-            shape = m**lags
-            norm = (weight * shape * shape).sum()
-            share = ((weight * shape * r).sum() / norm.clamp(min=1e-12)).clamp(0.0, 0.9)
-            gain = share * share * norm  # chi-squared with one degree of freedom, if by chance
-            if gain > best:
-                best, drift[j], memory[j] = gain, share, m
-    return drift, memory
+    tau = heaviness(features(noise.unit, columns, inputs, mean)[2], noise.tail)
+    power = (2.0 * tau.square()).exp().unsqueeze(-1)
+    return (variance / power).clamp(max=1.0).mean(0)
 
 
 def _most_likely(
     columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
 ) -> NoiseModel:
     unit = root_mean_square(half_way_frame(mean))
-    scale, coupling = features(unit, columns, inputs, mean)
+    scale, coupling, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = len(error)
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
     c = torch.zeros(3, len(COUPLING_FEATURES), dtype=torch.float64, requires_grad=True)
-    logits = torch.zeros(len(WIDTHS), dtype=torch.float64, requires_grad=True)
-    widths = torch.tensor(WIDTHS, dtype=torch.float64)
+    h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
+    h[0] = SLIGHT
+    h.requires_grad_()
+    shares = (_SHARES / _SHARES.sum()).log()
 
     def draws() -> tuple[Tensor, Tensor]:
         log_s, k = scale @ w.T, coupling @ c.T
@@ -161,14 +127,16 @@ def _most_likely(
         z, log_s = draws()
         # As if each had been read to the finest step only: no residual is likelier than that.
         finest = (FINEST / size * (-log_s).exp()).square()
-        power = (z.square() + finest).sum(-1, keepdim=True) / (2.0 * widths.square())
-        likelihood = (logits.log_softmax(0) - power - 3.0 * widths.log()).logsumexp(-1)
-        pull = w[:, 1:].square().sum() + c.square().sum() + logits.square().sum()
+        log_width = heaviness(tail, h).unsqueeze(-1) * _PLACES
+        power = (z.square() + finest).sum(-1, keepdim=True) * (-2.0 * log_width).exp() / 2.0
+        likelihood = (shares - power - 3.0 * log_width).logsumexp(-1)
+        pull = w[:, 1:].square().sum() + c.square().sum() + (h[0] - SLIGHT).square()
+        pull = pull + h[1:].square().sum()
         value = (log_s.sum(-1) - likelihood).mean() + PULL * pull / (2 * rows)
         value.backward()
         return value
 
-    optimiser = torch.optim.LBFGS([w, c, logits], max_iter=100, line_search_fn="strong_wolfe")
+    optimiser = torch.optim.LBFGS([w, c, h], max_iter=100, line_search_fn="strong_wolfe")
     with one_thread("cpu"):
         optimiser.step(loss)
     w, c = w.detach(), c.detach()
@@ -177,7 +145,5 @@ def _most_likely(
         unit=unit,
         log_scale=w,
         coupling=c,
-        shares=logits.detach().softmax(0),
-        drift=torch.zeros(3),
-        memory=torch.zeros(3),
+        tail=h.detach(),
     )

@@ -139,7 +139,6 @@ def train(
             members=members,
             generations=generations,
             noise=noise,
-            order=command_order(earlier),
         )
     except ValueError as error:
         raise UserError(f"trainer {trainer!r} cannot be set so: {error}") from None
@@ -178,13 +177,6 @@ def training_data(dataset: Dataset) -> TrainingData:
         torch.tensor(dataset.input_array()),
         torch.tensor(dataset.output_array()),
     )
-
-
-def command_order(rows: Dataset) -> Tensor:
-    """Return a number for each row, [N], that differs by one where one command followed another."""
-    recording = rows.table["recording"].factorize()[0].astype("int64")
-    # Recordings lie far apart, however many commands they have.
-    return torch.tensor(recording * 2**40 + rows.table["command"].to_numpy("int64"))
 
 
 @dataclass

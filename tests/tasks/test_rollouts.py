@@ -19,9 +19,9 @@ def normal(seed, *shape):
     return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
 
-def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False):
+def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False, central=False):
     network = ProductSummationNetwork(inputs=5, products=7, summations=2)
-    genes = 0.5 * normal(1, members, OUTPUTS[coordinates], network.genes)
+    genes = 0.5 * normal(1, members + central, OUTPUTS[coordinates], network.genes)
     if shared:  # networks with the same exponents, as read-outs of one search have
         genes[:, :, : 7 * 5] = genes[:1, :1, : 7 * 5]
         genes[:, :, 7 * 5] = 0.0
@@ -31,9 +31,6 @@ def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False):
         drawn = {name: 0.1 * normal(2, *shape) for name, shape in shapes.items()}
         drawn["log_scale"][:, 0] -= 3.0
         drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
-        drawn["shares"] = torch.tensor([0.1, 0.6, 0.2, 0.1])
-        drawn["drift"] = torch.tensor([0.2, 0.1, 0.0])
-        drawn["memory"] = torch.tensor([0.9, 0.5, 0.0])
         noise = NoiseModel(**drawn)
     scale = [3.0 if name == "duration" else 50.0 for name in names]
     return MotionNetwork(
@@ -45,6 +42,7 @@ def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False):
         coordinates,
         noise=noise,
         dead_zone=torch.tensor([0.06 if name != "duration" else 0.0 for name in names]),
+        central=central,
     )
 
 
@@ -62,9 +60,12 @@ def plans(batch, count):
 
 @pytest.mark.parametrize("names", [NAMES, (*NAMES[2:], *NAMES[:2])])
 @pytest.mark.parametrize("shared", [False, True])
-@pytest.mark.parametrize(("members", "coordinates"), [(1, "displacement"), (3, "twist-offset")])
-def test_expected_paths_are_those_of_single_steps(members, coordinates, shared, names):
-    sim = simulator(members, coordinates, names=names, shared=shared, noisy=False)
+@pytest.mark.parametrize(
+    ("members", "coordinates", "central"),
+    [(1, "displacement", False), (3, "twist-offset", False), (3, "twist-offset", True)],
+)
+def test_expected_paths_are_those_of_single_steps(members, coordinates, central, shared, names):
+    sim = simulator(members, coordinates, names=names, shared=shared, noisy=False, central=central)
     commands, given = plans(8, 6)
     fast, slow = rollouts(sim, START), SteppedRollouts(sim, START)
     assert isinstance(fast, CompiledRollouts)
@@ -74,11 +75,18 @@ def test_expected_paths_are_those_of_single_steps(members, coordinates, shared, 
 
 
 @pytest.mark.parametrize(
-    ("members", "coordinates", "noisy"),
-    [(1, "twist", True), (4, "twist", False), (4, "twist-offset", True)],
+    ("members", "coordinates", "noisy", "central"),
+    [
+        (1, "twist", True, False),
+        (4, "twist", False, False),
+        (4, "twist-offset", True, False),
+        (4, "twist-offset", True, True),
+    ],
 )
-def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(members, coordinates, noisy):
-    sim = simulator(members, coordinates, noisy=noisy)
+def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
+    members, coordinates, noisy, central
+):
+    sim = simulator(members, coordinates, noisy=noisy, central=central)
     commands, given = plans(6, 5)
     fast = rollouts(sim, START)
     draws = fast.draw(9, 5, 3, (0.01, 0.05))

@@ -1,0 +1,235 @@
+import json
+import math
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from safetensors.numpy import load_file, save_file
+
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork, kernels, read_simulator
+from neurosim.simulators.noise import (
+    HEAVIEST,
+    CommandFeatures,
+    NoiseModel,
+    disturb,
+    features,
+    half_way_frame,
+    heaviness,
+    standardised,
+)
+
+NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+SEEDS = st.integers(0, 2**31 - 1)
+STILL = torch.zeros(1, 3, dtype=torch.float64)
+
+
+def normal(seed, *shape):
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+
+def noise_model(seed=0, size=-3.0):
+    drawn = {
+        name: 0.2 * normal(seed + n, *shape)
+        for n, (name, shape) in enumerate(NoiseModel.SHAPES.items())
+    }
+    drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
+    drawn["log_scale"][:, 0] += size
+    return NoiseModel(**drawn)
+
+
+def simulator(seed=0, members=3, central=True, noise=None):
+    network = ProductSummationNetwork(inputs=5, products=4, summations=1, phases=True)
+    return MotionNetwork(
+        [{"name": name, "unit": ""} for name in NAMES],
+        network,
+        0.4 * normal(seed, members + central, 5, network.genes),
+        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
+        torch.full((5,), 0.1),
+        "twist-offset",
+        noise=noise,
+        dead_zone=torch.tensor([0.05] * 4 + [0.0]),
+        central=central,
+    )
+
+
+def commands(seed, rows):
+    drawn = np.random.default_rng(seed).uniform((-50, -50, 0.5), (50, 50, 3), (rows, 3))
+    drawn[0, :2] = 0.0
+    drawn[-1, 0] = 2.0  # within the dead zone
+    return torch.from_numpy(drawn)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_without_a_generator_the_answer_is_the_mean(seed):
+    quiet, noisy = simulator(seed), simulator(seed, noise=noise_model(seed))
+    start = normal(seed, 6, 3)
+    states = [s.step(s.start(start), commands(seed, 6)) for s in (quiet, noisy)]
+    assert torch.equal(*states)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, SEEDS)
+def test_the_same_seed_gives_the_same_and_another_one_another(seed, other):
+    noisy = simulator(noise=noise_model())
+
+    def driven(seed):
+        generator = torch.Generator().manual_seed(seed)
+        state = noisy.start(normal(0, 6, 3), generator)
+        return noisy.step(state, commands(0, 6), generator)
+
+    assert torch.equal(driven(seed), driven(seed))
+    if seed != other:
+        assert not torch.equal(driven(seed), driven(other))
+
+
+@settings(max_examples=10, deadline=None)
+@given(SEEDS)
+def test_a_trajectory_keeps_its_member(seed):
+    noisy = simulator(noise=noise_model())
+    generator = torch.Generator().manual_seed(seed)
+    place = noisy.state_names.index("member")
+    state = noisy.start(normal(seed, 30, 3), generator)
+    member = state[:, place].clone()
+    assert set(member.tolist()) <= {0.0, 1.0, 2.0}
+    for step in range(4):
+        state = noisy.step(state, commands(step, 30), generator)
+        assert torch.equal(state[:, place], member)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_draws_of_zero_are_the_mean(seed):
+    noisy, x = (
+        simulator(noise=noise_model(seed)),
+        torch.cat([normal(seed, 5, 2), commands(0, 5)], 1),
+    )
+    mean = noisy.displacement(x)
+    moved = noisy.disturbed(x, mean, torch.zeros(5, 4, dtype=torch.float64))
+    assert torch.allclose(moved, mean, rtol=0, atol=1e-12)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_draws_are_found_again_in_what_they_made(seed):
+    noise, columns = noise_model(seed), CommandFeatures.of(NAMES)
+    x, mean, z = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3), normal(seed, 8, 4)
+    moved = disturb(noise, columns, x, mean, z)
+    tau = heaviness(features(noise.unit, columns, x, mean)[2], noise.tail)
+    found = standardised(noise, columns, x, mean, moved)
+    assert torch.allclose(found, z[:, :3] * (tau * z[:, 3]).exp()[:, None], atol=1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS, st.floats(-6.0, 6.0))
+def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
+    noise, columns = noise_model(seed, size), CommandFeatures.of(NAMES)
+    x, mean = normal(seed, 1, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 1, 3)
+    # The map from draws to noise is linear at a fixed width; its rows are those of unit draws.
+    unit = torch.cat([torch.eye(3, dtype=torch.float64), torch.zeros(3, 1)], 1)
+    scale, coupling, _ = features(noise.unit, columns, x, mean)
+    s, c = (scale @ noise.log_scale.T).exp()[0], (coupling @ noise.coupling.T)[0]
+    lower = torch.diag(s)
+    lower[1, 0], lower[2, 0], lower[2, 1] = s[1] * c[0], s[2] * c[1], s[2] * c[2]
+    assert (torch.linalg.eigvalsh(lower @ lower.T / s.square().max()) > 0).all()
+    small = 1e-4 / max(1.0, float(s.max()))
+    moved = disturb(noise, columns, x.expand(3, -1), mean.expand(3, -1), small * unit)
+    turn = (moved[:, 2] - mean[:, 2]) / small
+    assert torch.allclose(turn, torch.tensor([float(s[0]), 0.0, 0.0]).double(), atol=1e-6)
+
+
+def test_noise_worked_by_hand():
+    shapes = NoiseModel.SHAPES
+    numbers = {name: torch.zeros(shape) for name, shape in shapes.items()}
+    numbers["unit"] = torch.ones(3)
+    numbers["log_scale"][:, 0] = torch.tensor([0.1, 0.02, 0.03]).log()
+    numbers["tail"][0] = math.log(0.5)
+    noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
+    mean = torch.tensor([[0.2, 0.0, 0.0]], dtype=torch.float64)
+    z = torch.tensor([[0.0, 1.0, -2.0, 2.0]], dtype=torch.float64)
+    x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
+    # No turn: 0.02 ahead and 0.06 to the right, times e^(0.5 * 2).
+    moved = disturb(noise, columns, x, mean, z)
+    assert moved[0].tolist() == pytest.approx([0.2 + 0.02 * math.e, -0.06 * math.e, 0.0])
+    # A turn that came out larger carries the robot round with it.
+    turned = disturb(noise, columns, x, mean, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double())
+    expected = [0.2 * math.cos(0.05), 0.2 * math.sin(0.05), 0.1]
+    assert turned[0].tolist() == pytest.approx(expected)
+
+
+def test_tails_have_a_limit():
+    far = torch.tensor([[1.0, 100.0, 0.0]], dtype=torch.float64)
+    assert heaviness(far, torch.tensor([0.0, 1.0, 0.0]).double()).item() == HEAVIEST
+
+
+@pytest.mark.parametrize("central", [False, True])
+def test_compiled_functions_are_the_steps_of_the_protocol(central):
+    noisy = simulator(central=central, noise=noise_model())
+    arrays, before = noisy.arrays(), normal(5, 12, 2) * 30.0
+    x = torch.cat([before, commands(3, 12)], 1)
+    z = normal(4, 12, 4)
+    for member in (-1, 0, 2):
+        mean = noisy.displacement(x, member)
+        expected = noisy.disturbed(x, mean, z).numpy()
+        per_row = noisy.displacement(x, torch.full((12,), member))
+        assert torch.allclose(mean, per_row, rtol=1e-12, atol=1e-12)
+        for n in range(12):
+            moved = np.empty(3)
+            kernels.displacement(arrays, member, x[n].numpy(), moved)
+            assert moved == pytest.approx(mean[n].numpy(), rel=1e-9, abs=1e-12)
+            kernels.disturb(arrays, x[n].numpy(), moved, z[n].numpy(), moved)
+            assert moved == pytest.approx(expected[n], rel=1e-9, abs=1e-12)
+
+
+def test_the_mean_is_a_network_of_its_own_or_the_members_average():
+    own, average = simulator(central=True), simulator(members=4, central=False)
+    assert (own.members, average.members) == (3, 4)
+    x = torch.cat([torch.zeros(5, 2), commands(1, 5)], 1).double()
+    assert torch.equal(own.genes, average.genes)
+    assert torch.allclose(own.displacement(x), average.displacement(x, 0))
+    assert torch.allclose(own.displacement(x, 1), average.displacement(x, 2))
+    assert torch.allclose(average.displacement(x), average.from_outputs(average.outputs(x).mean(1)))
+    assert own.outputs(x).shape == (5, 3, 5)
+
+
+def test_ensembles_and_noise_are_written_and_read(tmp_path):
+    noisy = simulator(noise=noise_model())
+    noisy.write(tmp_path)
+    again = read_simulator(tmp_path)
+    assert again.central
+    assert again.members == 3
+    x = torch.cat([torch.zeros(5, 2), commands(1, 5)], 1).double()
+    z = normal(1, 5, 4)
+    for member in (-1, 2):
+        mean = noisy.displacement(x, member)
+        assert torch.equal(again.displacement(x, member), mean)
+        assert torch.equal(again.disturbed(x, mean, z), noisy.disturbed(x, mean, z))
+
+
+def test_folders_of_version_1_are_read(tmp_path):
+    """They had one member, no noise and no dead zone."""
+    sim = simulator(members=1, central=False)
+    sim.dead_zone = torch.zeros_like(sim.dead_zone)
+    sim.write(tmp_path)
+    path = tmp_path / "simulator.json"
+    content = json.loads(path.read_text())
+    for name in ("members", "central", "noise"):
+        del content[name]
+    path.write_text(json.dumps(content | {"version": 1}))
+    weights = tmp_path / "weights.safetensors"
+    tensors = load_file(weights)
+    del tensors["dead_zone"]
+    save_file({k: v[0] if k != "input_scale" else v for k, v in tensors.items()}, weights)
+    again = read_simulator(tmp_path)
+    x = torch.cat([torch.zeros(5, 2), commands(1, 5)], 1).double()
+    assert torch.equal(again.displacement(x), sim.displacement(x))
+    assert again.noise is None
+
+
+def test_the_half_way_frame_of_a_half_circle():
+    moved = torch.tensor([[0.0, 2.0, math.pi]], dtype=torch.float64)
+    assert half_way_frame(moved)[0].tolist() == pytest.approx([math.pi, 2.0, 0.0])
