@@ -160,7 +160,7 @@ def _lens_numbers(model: CameraModel) -> NDArray:
 
 
 def from_corners(
-    picture: str | Path, corners: ArrayLike, board: tuple[float, float]
+    picture: str | Path | tuple[int, int], corners: ArrayLike, board: tuple[float, float]
 ) -> CameraModel:
     """Return a camera from the four corners of the board alone, for those who print nothing.
 
@@ -170,7 +170,7 @@ def from_corners(
     picture by a few per cent at its corners.
 
     Args:
-        picture: a photograph of the board, for its size; or a video.
+        picture: a photograph of the board, or a video, for its size; or the size in pixels.
         corners: [4, 2] pixels, from the top left one clockwise as seen.
         board: its length and width, m; the length runs from left to right.
 
@@ -178,8 +178,11 @@ def from_corners(
         UserError: if the picture cannot be read, or the corners are crossed, in one line, outside
             of the picture or in another order.
     """
-    image = next(iter(_pictures(picture)))[1]
-    size = (image.shape[1], image.shape[0])
+    if isinstance(picture, tuple):
+        size = picture
+    else:
+        image = next(iter(_pictures(picture)))[1]
+        size = (image.shape[1], image.shape[0])
     pixels = np.asarray(corners, float)
     if (pixels < -0.5).any() or (pixels > np.array(size) - 0.5).any():
         raise UserError(f"a corner is outside of the picture of {size[0]} x {size[1]} pixels")

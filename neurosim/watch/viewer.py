@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from tracking.calibrate import from_corners
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour
 from tracking.live import Seen
@@ -300,17 +301,27 @@ class Viewer:
         missing = [name for name in CORNERS if name not in self._corners]
         if missing:
             return f"next: the {missing[0]} corner"
-        x, y = self._board["length"] / 2, self._board["width"] / 2
-        points = [(*self._corners[name], a * x, b * y) for name, (a, b) in CORNERS.items()]
-        camera = camera_over_board(self.size, points, self._lens, self._height)
+        length, width = self._board["length"], self._board["width"]
+        if self._lens is None and self._height is None:
+            clicked = [self._corners[name] for name in CORNERS]
+            camera = from_corners(self.size, clicked, (length, width))
+        else:
+            points = [
+                (*self._corners[name], a * length / 2, b * width / 2)
+                for name, (a, b) in CORNERS.items()
+            ]
+            camera = camera_over_board(self.size, points, self._lens, self._height)
         with self._change:
             self._camera = camera
             self._saved.discard("calibration")
         self._start_afresh()
-        return (
+        says = (
             f"the camera hangs {camera.position[2]:.2f} m above the board; the corners fit to "
-            f"{1000 * (camera.board_rms_m or 0.0):.1f} mm. Does the grid lie on the board?"
+            f"{1000 * (camera.board_rms_m or 0.0):.1f} mm"
         )
+        if self._lens is None:
+            says += ", but the lens is not known: positions may be off by some centimetres"
+        return f"{says}. Does the grid lie on the board?"
 
     def _start_afresh(self) -> None:
         with self._change:
