@@ -17,7 +17,7 @@ poses before and after a command get the noise of tracking (0.4 mm, 0.05 degrees
 perimeter line a command is cut, the robot is put down near the middle, and the command is sent
 again after its predecessor's speeds, up to four times, as the recorder does.
 
-    python benchmarks/guided_recording.py            5 seeds, about 12 minutes on one core
+    python benchmarks/guided_recording.py            5 seeds, about a quarter of an hour on one core
     python benchmarks/guided_recording.py --quick    one seed, fewer commands
 """
 
