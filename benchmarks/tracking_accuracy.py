@@ -1,0 +1,209 @@
+"""How exactly and how steadily the robot is tracked, against rendered truth.
+
+    python benchmarks/tracking_accuracy.py                       about 25 minutes on one core
+    python benchmarks/tracking_accuracy.py --sizes 1280x720      about 8 minutes
+    python benchmarks/tracking_accuracy.py --quick               one minute, 640x480
+
+Clips of the robot on the paper's board, which fills the picture, are rendered with known poses:
+clean, under a moving lamp, with a drifting white balance, blurred, compressed, noisy, among other
+things of the same colours, with markers covered, out of the picture, through a tilted and bent
+camera (benchmarks/tracking_scenes.py). Markers stand 10 cm above the board and are 6 cm wide.
+
+  - position, heading: RMSE of the pose of the middle of the axle, over the frames in which both
+    markers are whole in view (99 % of each);
+  - worst: the largest of those errors of position;
+  - tracked: share of those frames that have a pose;
+  - false: poses where less than a tenth of a marker is in view, and poses more than 1 cm or 5
+    degrees off; swapped: of these, those with front and back exchanged.
+
+Beside it OpenCV's ArUco detector with its corners refined, on the same ways and in otherwise the
+same pictures, in which the robot carries one 4 x 4 marker with a side of 6 cm (``--aruco``).
+Both are told the camera as it is; what a calibration adds is not in these figures. Only the clips
+that say so are compressed, with OpenCV's MPEG-4 encoder.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tracking_scenes import ARUCO, DICTIONARY, FPS, MARKERS, SCENARIOS, Clip, Frame
+
+from tracking.camera_model import CameraModel
+from tracking.colours import parse_colour
+from tracking.track import board_poses, marker_geometry
+from tracking.tracker import Tracker
+
+#: A pose further off than this (m, rad) is a false one.
+FALSE = (0.01, math.radians(5.0))
+
+
+class Ours:
+    """The tracker, frame by frame, as ``neurosim track`` runs it."""
+
+    name = "ours"
+
+    def __init__(self, camera: CameraModel):
+        self._camera = camera
+        front, rear = (parse_colour(MARKERS[m]["colour"]) for m in ("front", "rear"))
+        self._tracker = Tracker(front, rear, marker_geometry(MARKERS, camera))
+
+    def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
+        seen = self._tracker.update(picture, time)
+        if not seen.found:
+            return None
+        seen = replace(seen, front=seen.front[None], rear=seen.rear[None])
+        return board_poses(seen, MARKERS, self._camera)[0]
+
+
+class ArUco:
+    """OpenCV's detector, with its corners refined to fractions of a pixel."""
+
+    name = "ArUco"
+
+    def __init__(self, camera: CameraModel):
+        self._camera = camera
+        settings = cv2.aruco.DetectorParameters()
+        settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
+        self._detector = cv2.aruco.ArucoDetector(dictionary, settings)
+
+    def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
+        corners, ids, _ = self._detector.detectMarkers(picture)
+        for corner, number in zip(corners, [] if ids is None else ids.ravel(), strict=True):
+            if number == 7:
+                points = self._camera.to_board(corner[0], MARKERS["height"])
+                break
+        else:
+            return None
+        # Corners: left ahead, right ahead, right behind, left behind.
+        ahead = points[1] + points[2] - points[0] - points[3]
+        theta = math.atan2(ahead[1], ahead[0])
+        cos, sin = math.cos(theta), math.sin(theta)
+        middle = points.mean(axis=0)
+        x, y = ARUCO
+        return np.array([middle[0] - cos * x + sin * y, middle[1] - sin * x - cos * y, theta])
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--sizes", default="640x480,1280x720,1920x1080")
+    parser.add_argument("--scenarios", default=",".join(s.name for s in SCENARIOS))
+    parser.add_argument("--clips", type=int, default=3, help="of every scenario")
+    parser.add_argument("--seconds", type=float, default=5.2, help="of a clip")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--aruco", type=float, default=0.06, help="side in m; 0 leaves it out")
+    parser.add_argument("--quick", action="store_true", help="one clip of each, 640x480")
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--renders", type=Path, help="keep the clips here, to run again quickly")
+    options = parser.parse_args()
+    if options.quick:
+        options.sizes, options.clips = "640x480", 1
+    chosen = options.scenarios.split(",")
+    rows = []
+    if not options.json:
+        print(_line("", "", "position", "worst", "heading", "tracked", "false", "swapped"))
+    for size in options.sizes.split(","):
+        width, height = (int(side) for side in size.split("x"))
+        for scenario in (s for s in SCENARIOS if s.name in chosen):
+            for method in (Ours, ArUco) if options.aruco else (Ours,):
+                seen, bits = [], 0.0
+                for seed in range(options.seed, options.seed + options.clips):
+                    aruco = options.aruco if method is ArUco else None
+                    clip = Clip(scenario, (width, height), seed, options.seconds, aruco)
+                    estimate = method(clip.camera)
+                    frames, bits = frames_of(clip, seed, aruco, options.renders)
+                    seen += [(frame, estimate(frame.picture, frame.time)) for frame in frames]
+                row = {"size": size, "scenario": scenario.name, "method": method.name}
+                row |= rate(seen) | ({"bit_rate": bits} if bits else {})
+                rows.append(row)
+                if not options.json:
+                    print(_line(
+                        f"{size} {scenario.name}", row["method"],
+                        f"{row['position_mm']:.2f} mm", f"{row['worst_mm']:.1f} mm",
+                        f"{row['heading_deg']:.2f} deg", f"{100 * row['tracked']:.1f} %",
+                        row["false"], row["swapped"],
+                    ), flush=True)  # fmt: skip
+    if options.json:
+        print(json.dumps({"frames_a_second": FPS, "rows": rows}))
+
+
+def frames_of(
+    clip: Clip, seed: int, aruco: float | None, renders: Path | None
+) -> tuple[Iterable[Frame], float]:
+    """Return a clip's frames, compressed if the scenario says so, and the bit rate if it does."""
+    frames: Iterable[Frame] = clip
+    if renders is not None:
+        renders.mkdir(parents=True, exist_ok=True)
+        width, height = clip.size
+        what = f"{clip.scenario.name}-{width}x{height}-{seed}-{clip.frames}-{aruco or 'pair'}"
+        frames = _kept(clip, renders / f"{what}.npz")
+    return _compressed(frames, clip.size) if clip.scenario.compressed else (frames, 0.0)
+
+
+def _kept(clip: Clip, path: Path) -> Iterator[Frame]:
+    if not path.exists():
+        frames = list(clip)
+        columns = {k: np.array([getattr(f, k) for f in frames]) for k in Frame.__annotations__}
+        np.savez(path, **columns)
+    with np.load(path) as kept:
+        columns = {k: kept[k] for k in Frame.__annotations__}
+    for i in range(len(columns["time"])):
+        yield Frame(*(columns[k][i] for k in Frame.__annotations__))
+
+
+def _compressed(frames: Iterable[Frame], size: tuple[int, int]) -> tuple[list[Frame], float]:
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "clip.mp4"
+        writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
+        kept = []
+        for frame in frames:
+            writer.write(frame.picture)
+            kept.append(frame)
+        writer.release()
+        bits = 8.0 * path.stat().st_size / (len(kept) / FPS)
+        capture = cv2.VideoCapture(str(path))
+        kept = [replace(frame, picture=capture.read()[1]) for frame in kept]
+        capture.release()
+    return kept, bits
+
+
+def rate(seen: list[tuple[Frame, np.ndarray | None]]) -> dict:
+    """Compare poses with the truth."""
+    off, angle, visible = [], [], []
+    for frame, pose in seen:
+        miss = np.full(3, np.nan) if pose is None else pose - frame.pose
+        off.append(math.hypot(miss[0], miss[1]))
+        angle.append(abs((miss[2] + math.pi) % (2 * math.pi) - math.pi))
+        visible.append(frame.visible.min())
+    off, angle, visible = np.array(off), np.array(angle), np.array(visible)
+    found, whole = np.isfinite(off), visible > 0.99
+    good = found & whole
+    wrong = found & ((visible < 0.1) | (off > FALSE[0]) | (angle > FALSE[1]))
+    rms = [float(np.sqrt(np.mean(np.square(e[good])))) if good.any() else math.nan
+           for e in (off, angle)]  # fmt: skip
+    return {
+        "frames": len(seen),
+        "whole": int(whole.sum()),
+        "position_mm": 1e3 * rms[0],
+        "worst_mm": 1e3 * float(off[good].max(initial=0.0)),
+        "heading_deg": math.degrees(rms[1]),
+        "tracked": float(found[whole].mean()) if whole.any() else math.nan,
+        "false": int(wrong.sum()),
+        "swapped": int((found & (angle > math.pi / 2)).sum()),
+    }
+
+
+def _line(what: str, who: str, *cells: object) -> str:
+    return f"{what:24}{who:8}" + "".join(f"{cell:>11}" for cell in cells)
+
+
+if __name__ == "__main__":
+    main()
