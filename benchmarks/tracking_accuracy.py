@@ -56,6 +56,7 @@ class Ours:
         self._tracker = Tracker(front, rear, marker_geometry(MARKERS, camera))
 
     def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
+        """Return the pose [3] in the next picture."""
         seen = self._tracker.update(picture, time)
         if not seen.found:
             return None
@@ -76,6 +77,7 @@ class ArUco:
         self._detector = cv2.aruco.ArucoDetector(dictionary, settings)
 
     def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
+        """Return the pose [3] in the next picture."""
         corners, ids, _ = self._detector.detectMarkers(picture)
         for corner, number in zip(corners, [] if ids is None else ids.ravel(), strict=True):
             if number == 7:

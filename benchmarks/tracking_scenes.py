@@ -233,8 +233,9 @@ class Clip:
 
     def _window(self, poses: list[NDArray]) -> tuple[int, int, int, int] | None:
         reach = np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]]) * _HALF * _TEXEL
-        corners = [[*(pose[:2] + corner), scene.MARKER_HEIGHT] for pose in poses for corner in reach]
-        pixels = self.optics.project(np.array(corners))
+        corners = np.concatenate([pose[:2] + reach for pose in poses])
+        height = np.full(len(corners), scene.MARKER_HEIGHT)
+        pixels = self.optics.project(np.column_stack([corners, height]))
         left, top = np.maximum(np.floor(pixels.min(0)).astype(int) - 2, 0)
         right, bottom = np.minimum(np.ceil(pixels.max(0)).astype(int) + 3, self.size)
         return None if right - left < 2 or bottom - top < 2 else (top, bottom, left, right)
@@ -348,8 +349,10 @@ def way(scenario: Scenario, rng: np.random.Generator, seconds: float):
                 kind = rng.random()
                 wanted = rng.uniform(-1, 1, 2) * scenario.speed
                 if kind < 0.4:
-                    wanted[:] = wanted[0] if abs(wanted[0]) > 0.5 * scenario.speed else (
-                        scenario.speed * np.sign(wanted[0])
+                    wanted[:] = (
+                        wanted[0]
+                        if abs(wanted[0]) > 0.5 * scenario.speed
+                        else (scenario.speed * np.sign(wanted[0]))
                     )
                 elif kind < 0.5:
                     wanted[:] = 0.0
@@ -438,5 +441,3 @@ def _on_robot(pose: NDArray, points: NDArray) -> NDArray:
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     turned = points @ np.array([[cos, sin], [-sin, cos]]) + pose[:2]
     return np.column_stack([turned, np.full(len(points), scene.MARKER_HEIGHT)])
-
-

@@ -34,6 +34,9 @@ NAMED = {
 #: How far from an exactly given colour the hue may lie, in degrees.
 GIVEN_TOLERANCE = 25.0
 
+#: Factors of blue and of red where there is no colour cast to take out.
+NO_CAST = (1.0, 1.0)
+
 _WEIGHTS = np.array(  # columns B, G, R
     [[-0.5, -0.5, 1.0], [-math.sqrt(0.75), math.sqrt(0.75), 0.0]], np.float32
 )
@@ -85,11 +88,16 @@ def parse_colour(text: str) -> Colour:
     )
 
 
-def chroma_plane(image: NDArray) -> NDArray:
-    """Return alpha and beta, float32 [2, ...], of BGR pixels [..., 3]."""
+def chroma_plane(image: NDArray, white: tuple[float, float] = NO_CAST) -> NDArray:
+    """Return alpha and beta, float32 [2, ...], of BGR pixels [..., 3].
+
+    ``white``: factors of blue and of red that take a colour cast out first.
+    """
     pixels = np.asarray(image, np.float32)
     rows = pixels.reshape(len(pixels) if pixels.ndim > 1 else 1, -1, 3)
-    return np.stack(cv2.split(cv2.transform(rows, _WEIGHTS))).reshape(2, *pixels.shape[:-1])
+    return np.stack(
+        cv2.split(cv2.transform(rows, _WEIGHTS * np.float32([white[0], 1.0, white[1]])))
+    ).reshape(2, *pixels.shape[:-1])
 
 
 def angle_between(a: float | NDArray, b: float | NDArray) -> NDArray:

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracking.colours import Colour, angle_between
-from tracking.markers import Blob, Look, Measurement, Picture, learn, measure
+from tracking.colours import NO_CAST, Colour, angle_between
+from tracking.markers import LEAST_CHROMA, Blob, Look, Measurement, Picture, learn, measure
+from tracking.white import Cast, cast_of
 
 #: Marker areas and separations that are still believed, as ratios to what is expected.
 AREA_RATIO = (0.70, 1.45)
@@ -33,6 +34,17 @@ REACH, REACH_PER_SECOND = 1.0, 12.0
 TURN, TURN_PER_SECOND = 0.7, 8.0
 #: After this many seconds it may be anywhere: a hand may have moved it.
 FORGET_AFTER = 2.0
+
+#: The image's scale is worked out anew after the pair moved by this many pixels.
+SCALE_REACH = 4.0
+#: A marker is lighter than what it lies on by this much luma at least.
+LEAST_LIGHT = 5.0
+#: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
+HUE_MARGIN = math.radians(8.0)
+#: The cast is looked at every so many frames.
+CAST_CADENCE = 4
+#: A picture has a cast worth trying to take out from this factor on.
+CAST_TRIED = 1.06
 
 #: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
 SEEN_AREA = 20.0
@@ -143,6 +155,9 @@ class Tracker:
         self.geometry = geometry or Geometry()
         self._learned: _Learned | None = None
         self._motion: _Motion | None = None
+        self._cast: Cast | None = None
+        self._scale: tuple[NDArray, float] | None = None
+        self._frames = 0
         self._lost = 0
         self._seen = [False, False]
 
@@ -164,6 +179,9 @@ class Tracker:
             time: in seconds, later than the frame before.
         """
         found = None
+        self._frames += 1
+        if self._cast is not None and (self._lost or self._frames % CAST_CADENCE == 0):
+            self._cast.update(frame)
         if self._motion is not None and self._lost == 0:
             found = self._follow(frame, time)
         if found is None and self._search_now():
@@ -205,7 +223,7 @@ class Tracker:
         radius = self._radii(near.mean(axis=0))
         measured = []
         for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
-            measurement = measure(frame, place, r, look, margin)
+            measurement = measure(frame, place, r, look, margin, self._cast.white)
             if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
                 return None
             measured.append(measurement)
@@ -217,7 +235,7 @@ class Tracker:
         fresh = self._learned.frames < 5
         low, high = FIRST_AREA_RATIO if fresh else AREA_RATIO
         tolerance = FIRST_SEPARATION_TOLERANCE if fresh else SEPARATION_TOLERANCE
-        scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
+        scale = self._pixels_per_unit(pixels.mean(axis=0))
         misfit = 0.0
         for measurement, area in zip(measured, self._learned.areas, strict=True):
             ratio = measurement.area / (area * scale**2)
@@ -236,18 +254,24 @@ class Tracker:
         learned.frames += 1
         # The first frames count fully, so that one odd first sight does not last.
         share = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
-        scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
+        scale = self._pixels_per_unit(pixels.mean(axis=0))
         for i, measurement in enumerate(measured):
             learned.looks[i] = learned.looks[i].blend(measurement.look, share)
             learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
         learned.separation += share * (self._separation(pixels) - learned.separation)
 
     def _radii(self, middle: NDArray) -> list[float]:
-        scale = self.geometry.pixels_per_unit(middle)
+        scale = self._pixels_per_unit(middle)
         if self.geometry.diameter is not None:
             return [self.geometry.diameter / 2 * scale] * 2
         # The white dot is not of the colour, so a disc is somewhat larger than its coloured area.
         return [1.05 * scale * math.sqrt(area / math.pi) for area in self._learned.areas]
+
+    def _pixels_per_unit(self, middle: NDArray) -> float:
+        """Return the local scale; it hardly changes over a few pixels."""
+        if self._scale is None or np.abs(self._scale[0] - middle).max() > SCALE_REACH:
+            self._scale = middle, self.geometry.pixels_per_unit(middle)
+        return self._scale[1]
 
     def _separation(self, pixels: NDArray) -> float:
         front, rear = self.geometry.plane(pixels)
@@ -259,9 +283,9 @@ class Tracker:
         return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
 
     def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
-        picture = Picture(frame)
         if self._learned is None:
-            return self._search_first(frame, picture)
+            return self._search_first(frame)
+        picture = Picture(frame, self._cast.white)
         kinds = [self._learned.looks, self.colours]
         # The light may have changed while the pair was away: then the named colours must do.
         for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
@@ -276,40 +300,58 @@ class Tracker:
                     return found
         return None
 
-    def _search_first(
-        self, frame: NDArray, picture: Picture
-    ) -> tuple[list[Measurement], float] | None:
-        blobs = [picture.blobs(colour) for colour in self.colours]
-        self._seen = [
-            seen or any(blob.area >= SEEN_AREA for blob in found)
-            for seen, found in zip(self._seen, blobs, strict=True)
-        ]
-        rated = [(self._rate(pair), pair) for pair in itertools.product(*blobs)]
-        for rating, pair in sorted(rated, key=lambda entry: -entry[0])[:3]:
+    def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
+        rated = []
+        whites = [NO_CAST, cast_of(frame)]
+        # Where the picture has a cast, the names may mean the colours with it or without.
+        for white in whites[
+            : 1 + (max(abs(math.log(f)) for f in whites[1]) > math.log(CAST_TRIED))
+        ]:
+            picture = Picture(frame, white)
+            blobs = [picture.blobs(colour) for colour in self.colours]
+            self._seen = [
+                seen or any(blob.area >= SEEN_AREA for blob in found)
+                for seen, found in zip(self._seen, blobs, strict=True)
+            ]
+            rated += [(self._rate(pair), pair, white) for pair in itertools.product(*blobs)]
+        for rating, pair, white in sorted(rated, key=lambda entry: -entry[0])[:4]:
             if rating <= 0:
                 break
-            pixels = np.stack([blob.centre for blob in pair])
-            scale = self.geometry.pixels_per_unit(pixels.mean(axis=0))
-            self._learned = _Learned(
-                [learn(frame, blob) for blob in pair],
-                [blob.area / scale**2 for blob in pair],
-                self.geometry.separation or self._separation(pixels),
-            )
+            self._cast = Cast(frame, white)
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
+            pixels = np.stack([blob.centre for blob in pair])
+            self._learn(
+                [learn(frame, blob, white) for blob in pair], [b.area for b in pair], pixels
+            )
             measured = self._measure_each(frame, pixels, margins)
             if measured is not None:
                 # Once more with what the first look at full resolution taught.
                 pixels = np.stack([m.centre for m in measured])
-                self._learned = _Learned(
-                    [m.look for m in measured],
-                    [m.area / scale**2 for m in measured],
-                    self.geometry.separation or self._separation(pixels),
-                )
+                self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
-                if found is not None:
+                if found is not None and self._plausible(found[0]):
                     return found
-            self._learned = None
+            self._learned = self._cast = None
         return None
+
+    def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
+        scale = self._pixels_per_unit(pixels.mean(axis=0))
+        self._learned = _Learned(
+            looks,
+            [area / scale**2 for area in areas],
+            self.geometry.separation or self._separation(pixels),
+        )
+
+    def _plausible(self, measured: list[Measurement]) -> bool:
+        """Return whether both look like markers of the colours that were named."""
+        for measurement, colour in zip(measured, self.colours, strict=True):
+            look = measurement.look
+            off = abs(float(angle_between(_angle(look.direction), colour.hue)))
+            if off > colour.tolerance + HUE_MARGIN or look.chroma < LEAST_CHROMA:
+                return False
+            if look.light < LEAST_LIGHT:
+                return False
+        return True
 
     def _rate(self, pair: tuple[Blob, Blob]) -> float:
         """Rate two patches as a pair never seen before; 0 for one that cannot be it."""

@@ -1,0 +1,69 @@
+"""A camera's colour cast: guessed from one picture, and followed from there.
+
+A camera that balances its whites by itself, or a lamp that is switched on, turns all colours
+alike. What most of the picture does between two frames is taken for such a turn, and taken out
+before a marker's hue is looked at: a robot or a hand is a small part of the picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracking.colours import NO_CAST
+
+#: Pixels looked at along the picture's width.
+_ACROSS = 64
+#: Darker than this a ratio of channels is mostly noise, brighter than this a channel is clipped.
+_DARK, _CLIPPED = 24, 250
+#: Fewer usable pixels say nothing.
+_LEAST = 60
+#: A cast is believed up to this factor.
+_MOST = 2.0
+
+
+def cast_of(frame: NDArray) -> tuple[float, float]:
+    """Guess the cast of one picture: most of what is bright in it is taken to be grey.
+
+    Args:
+        frame: BGR [H, W, 3] uint8.
+
+    Returns:
+        Factors of blue and of red that take it out; 1 and 1 where there is too little light.
+    """
+    grid = _grid(frame)
+    usable = (grid.min(axis=1) > 2 * _DARK) & (grid.max(axis=1) < _CLIPPED)
+    if usable.sum() < _LEAST:
+        return NO_CAST
+    blue, green, red = grid[usable].T
+    return _believed(np.median(green / blue), np.median(green / red))
+
+
+class Cast:
+    """Follows the cast from a first picture on; for a camera that stands still."""
+
+    def __init__(self, frame: NDArray, base: tuple[float, float] = NO_CAST):
+        """Begin with a picture and the factors that take its cast out."""
+        self._reference = _grid(frame)
+        self._base = base
+        self.white = base
+
+    def update(self, frame: NDArray) -> tuple[float, float]:
+        """Return the factors of blue and of red for a later picture of the same view."""
+        grid, before = _grid(frame), self._reference
+        usable = np.minimum(grid, before).min(axis=1) > _DARK
+        usable &= np.maximum(grid, before).max(axis=1) < _CLIPPED
+        if usable.sum() >= _LEAST:
+            ratio = grid[usable] / before[usable]
+            factors = np.median(ratio[:, 1:2] / ratio[:, ::2], axis=0)
+            self.white = _believed(*(factors * self._base))
+        return self.white
+
+
+def _grid(frame: NDArray) -> NDArray:
+    step = max(1, frame.shape[1] // _ACROSS)
+    return frame[step // 2 :: step, step // 2 :: step].reshape(-1, 3).astype(np.float32)
+
+
+def _believed(blue: float, red: float) -> tuple[float, float]:
+    return tuple(float(min(max(f, 1 / _MOST), _MOST)) for f in (blue, red))
