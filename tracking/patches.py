@@ -131,11 +131,23 @@ def _length(member, u, v, radius):
 
 
 @njit(cache=True, nogil=True)
-def _brightest(plane, luma, u, v, radius, reach, p, q, chroma, light, backing):
+def _plain(plane, u, v, radius, p, q, chroma):
+    """Return whether a marker is coloured in its middle as well, without a white dot."""
+    total = along = 0.0
+    for i in range(plane.shape[1]):
+        for j in range(plane.shape[2]):
+            weight = _disc(i, j, u, v, 0.35 * radius)
+            total += weight
+            along += weight * (p * plane[0, i, j] + q * plane[1, i, j])
+    return along > 0.6 * chroma * total
+
+
+@njit(cache=True, nogil=True)
+def _brightest(plane, luma, u, v, radius, reach, full, p, q, chroma, light, backing):
     """Return the centroid of the marker's light within reach of itself, and its sum."""
     # A dead zone takes out what is left of the backing; more of it would cost edge pixels.
     dark = backing + 0.15 * light
-    explained = 2.0 * light / chroma
+    explained = full * light / chroma
     for _ in range(ROUNDS):
         total = across = down = 0.0
         for i in range(luma.shape[0]):
@@ -147,8 +159,8 @@ def _brightest(plane, luma, u, v, radius, reach, p, q, chroma, light, backing):
                 if window == 0.0:
                     continue
                 # Mixing with black at the rim leaves the ratio of chroma to light as it is; a grey
-                # board or another colour has less of this chroma. Twice the ratio of the rim, so
-                # that the brighter part of the fade counts in full. Outside the white dot only
+                # board or another colour has less of this chroma. Some times the ratio of the rim,
+                # so that the fade and bleached edges count in full. Outside the white dot only
                 # such light counts: the backing may be narrow, and the board beyond it is bright.
                 alpha, beta = plane[0, i, j], plane[1, i, j]
                 own = p * alpha + q * beta - 0.7 * abs(p * beta - q * alpha)
@@ -190,9 +202,14 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
         if area <= 0.0:
             return none
     backing = darkest(luma)
-    # A bar is longer than the disc of its area, and has no one brightest place along it.
-    reach = 1.0 + max(radius, 1.1 * _length(member, cu, cv, 1.4 * radius + 1.0))
-    bu, bv, total = _brightest(plane, luma, cu, cv, radius, reach, p, q, chroma, light, backing)
+    # A marker with a white dot is round. Another may be a bar, which is longer than the disc of its
+    # area and has no one brightest place along it, or a square, whose corners stand out.
+    reach, full = radius, 2.0
+    if _plain(plane, cu, cv, radius, p, q, chroma):
+        reach, full = max(1.25 * radius, 1.1 * _length(member, cu, cv, 1.4 * radius + 1.0)), 3.0
+    bu, bv, total = _brightest(
+        plane, luma, cu, cv, radius, reach + 1.0, full, p, q, chroma, light, backing
+    )
     if total <= 0.0:
         return none
     # Where something bright beside the marker pulls at the light, only the colour can be trusted.
