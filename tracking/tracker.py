@@ -42,7 +42,7 @@ LEAST_LIGHT = 5.0
 #: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
 HUE_MARGIN = math.radians(8.0)
 #: The cast is looked at every so many frames.
-CAST_CADENCE = 4
+CAST_CADENCE = 8
 #: A picture has a cast worth trying to take out from this factor on.
 CAST_TRIED = 1.06
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tracking.colours import NO_CAST
 
 #: Pixels looked at along the picture's width.
-_ACROSS = 64
+_ACROSS = 48
 #: Darker than this a ratio of channels is mostly noise, brighter than this a channel is clipped.
 _DARK, _CLIPPED = 24, 250
 #: Fewer usable pixels say nothing.
@@ -54,9 +54,9 @@ class Cast:
         usable = np.minimum(grid, before).min(axis=1) > _DARK
         usable &= np.maximum(grid, before).max(axis=1) < _CLIPPED
         if usable.sum() >= _LEAST:
-            ratio = grid[usable] / before[usable]
-            factors = np.median(ratio[:, 1:2] / ratio[:, ::2], axis=0)
-            self.white = _believed(*(factors * self._base))
+            blue, green, red = (grid[usable] / before[usable]).T
+            factors = np.median(green / blue), np.median(green / red)
+            self.white = _believed(factors[0] * self._base[0], factors[1] * self._base[1])
         return self.white
 
 
