@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
@@ -19,6 +19,7 @@ from tracking.camera_model import CameraModel
 from tracking.colours import Colour, parse_colour
 from tracking.motion import Delay, fit_clock_to_motion, motion_delay
 from tracking.overlay import Overlay
+from tracking.pointing import colour_at
 from tracking.recordings import Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
 from tracking.tracker import Geometry, Tracker
@@ -38,7 +39,7 @@ class Track:
         quality: [N] 0 not found, up to 1.
         lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
         size: width and height of the video in pixels.
-        colours: of front and rear as found, BGR of the rim.
+        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure.
     """
 
     frame: NDArray
@@ -65,6 +66,7 @@ def follow(
     times: NDArray | None = None,
     overlay: str | Path | None = None,
     expected_size: tuple[int, int] | None = None,
+    clicks: ArrayLike | None = None,
 ) -> Track:
     """Follow two coloured markers through a video.
 
@@ -76,19 +78,23 @@ def follow(
         times: camera time [N] of the frames in seconds; without, the container's.
         overlay: write a video with the markers drawn over it here.
         expected_size: the calibration's image size in pixels.
+        clicks: pixels [2, 2] of the front and the rear marker in the first frame; their colours
+            are then taken from there.
 
     Raises:
         UserError: if the video cannot be read, has another size than expected, or shows no
             such pair in any frame.
     """
     path = Path(path)
-    colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
-    if colours[0].name == colours[1].name:
-        raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
-    tracker = Tracker(colours[0], colours[1], geometry)
     rows: list[tuple] = []
     with ExitStack() as stack:
         video = stack.enter_context(Video(path, times))
+        if clicks is not None:
+            front, rear = (colour_at(video.first, click).colour for click in np.asarray(clicks))
+        colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
+        if colours[0].name == colours[1].name:
+            raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
+        tracker = Tracker(*colours, geometry, None if clicks is None else np.asarray(clicks, float))
         if expected_size is not None and video.size != tuple(expected_size):
             raise UserError(
                 f"{path} has {video.size[0]} x {video.size[1]} pixels, the calibration was made "
@@ -110,7 +116,7 @@ def follow(
                 drawing.write(frame, time, sighting)
             progress.advance()
     table = np.array(rows, float)
-    if tracker.looks is None:
+    if tracker.found is None:
         raise UserError(_not_found(path, colours, tracker.seen))
     return Track(
         table[:, 0].astype(int),
@@ -122,11 +128,13 @@ def follow(
         video.size,
         tuple(
             {
-                "colour": colour.name,
-                "hue_deg": math.degrees(math.atan2(look.direction[1], look.direction[0])) % 360,
-                "chroma": look.chroma,
+                "colour": found.colour.name,
+                "rgb": found.rgb,
+                "hue_deg": math.degrees(found.colour.hue) % 360,
+                "chroma": found.chroma,
+                "sure": round(found.sure, 3),
             }
-            for colour, look in zip(colours, tracker.looks, strict=True)
+            for found in tracker.found
         ),
     )
 
@@ -252,6 +260,7 @@ def track_video(
     calibration: str | Path | CameraModel | None = None,
     height: float = 0.0,
     overlay: str | Path | None = None,
+    clicks: ArrayLike | None = None,
 ) -> dict[str, Any]:
     """Track two coloured markers in any video, without a recording.
 
@@ -268,6 +277,7 @@ def track_video(
         calibration: a calibration file or model.
         height: of the markers above the board, in metres; counts with a calibration only.
         overlay: write a video with the markers drawn over it here.
+        clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
@@ -282,7 +292,10 @@ def track_video(
         size = camera.image_size
     with ExitStack() as stack:
         folder = None if out is None else stack.enter_context(new_folder(out))
-        seen = follow(path, front, rear, geometry=geometry, overlay=overlay, expected_size=size)
+        seen = follow(
+            path, front, rear,
+            geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
+        )  # fmt: skip
         if camera is None:
             ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
             # v runs down: mirrored, the heading is counter-clockwise as seen.

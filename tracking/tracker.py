@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST, Colour, angle_between
 from tracking.markers import LEAST_CHROMA, Blob, Look, Measurement, Picture, learn, measure
+from tracking.palette import Found, found_colour
 from tracking.white import Cast, cast_of
 
 #: Marker areas and separations that are still believed, as ratios to what is expected.
@@ -148,9 +149,23 @@ class _Motion:
 
 
 class Tracker:
-    """Tracks one pair of markers through the frames of one video part, in order."""
+    """Tracks one pair of markers through the frames of one video part, in order.
 
-    def __init__(self, front: Colour, rear: Colour, geometry: Geometry | None = None):
+    Args:
+        front, rear: the markers' colours.
+        geometry: what is known of the pair.
+        start: pixels [2, 2] where front and rear are in the first frame, roughly.
+    """
+
+    def __init__(
+        self,
+        front: Colour,
+        rear: Colour,
+        geometry: Geometry | None = None,
+        start: NDArray | None = None,
+    ):
+        self._start = start
+        self._rivals = (0.0, 0.0)
         self.colours = (front, rear)
         self.geometry = geometry or Geometry()
         self._learned: _Learned | None = None
@@ -170,6 +185,15 @@ class Tracker:
     def looks(self) -> list[Look] | None:
         """How front and rear look to this camera, once they were found."""
         return None if self._learned is None else list(self._learned.looks)
+
+    @property
+    def found(self) -> tuple[Found, Found] | None:
+        """This camera's colours of front and rear and how sure they are, once they were found."""
+        if self._learned is None:
+            return None
+        looks = zip(self.colours, self._learned.looks, self._rivals, strict=True)
+        front, rear = (found_colour(*entry) for entry in looks)
+        return front, rear
 
     def update(self, frame: NDArray, time: float) -> Sighting:
         """Find the pair in the next frame.
@@ -314,7 +338,8 @@ class Tracker:
                 for seen, found in zip(self._seen, blobs, strict=True)
             ]
             rated += [(self._rate(pair), pair, white) for pair in itertools.product(*blobs)]
-        for rating, pair, white in sorted(rated, key=lambda entry: -entry[0])[:4]:
+        rated.sort(key=lambda entry: -entry[0])
+        for rating, pair, white in rated[:4]:
             if rating <= 0:
                 break
             self._cast = Cast(frame, white)
@@ -330,6 +355,7 @@ class Tracker:
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
                 if found is not None and self._plausible(found[0]):
+                    self._rivals = _rivals(pair, rating, rated)
                     return found
             self._learned = self._cast = None
         return None
@@ -365,6 +391,9 @@ class Tracker:
         for blob, colour in zip(pair, self.colours, strict=True):
             off = float(angle_between(blob.hue, colour.hue)) / colour.tolerance
             rating *= math.exp(-0.5 * off**2) * math.sqrt(blob.chroma / 255)
+        if self._start is not None and self._frames == 1:
+            for blob, place in zip(pair, self._start, strict=True):
+                rating *= math.exp(-0.5 * (math.dist(blob.centre, place) / blob.radius) ** 2)
         if self.geometry.separation is not None:
             off = self._separation(pixels) / self.geometry.separation - 1.0
             if abs(off) > FIRST_SEPARATION_TOLERANCE:
@@ -427,6 +456,16 @@ class Tracker:
         u = np.arange(left, left + luma.shape[1]) - centre[0]
         v = np.arange(top, top + luma.shape[0])[:, None] - centre[1]
         return float(luma[u**2 + v**2 <= reach**2].mean())
+
+
+def _rivals(pair: tuple[Blob, Blob], rating: float, rated: list[tuple]) -> tuple[float, float]:
+    """Return how the best pair with another front, and with another rear, compares to a pair."""
+    best = [0.0, 0.0]
+    for other, others, _ in rated:
+        for i in (0, 1):
+            if math.dist(others[i].centre, pair[i].centre) > pair[i].radius:
+                best[i] = max(best[i], other / rating)
+    return min(best[0], 1.0), min(best[1], 1.0)
 
 
 def _angle(axis: NDArray) -> float:

@@ -33,6 +33,7 @@ class Video:
 
     Attributes:
         size: width and height in pixels.
+        first: the first frame, BGR [H, W, 3] uint8.
         fps: the frame rate the container claims.
         frames: the number of frames the container claims; 0 where it does not say.
     """
@@ -59,11 +60,11 @@ class Video:
             cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():
             raise FileError(self.path, "cannot be opened as a video; it may be empty or cut short")
-        good, self._first = self._capture.read()
+        good, self.first = self._capture.read()
         if not good:
             self._capture.release()
             raise FileError(self.path, "has no frame that can be read")
-        self.size = (self._first.shape[1], self._first.shape[0])
+        self.size = (self.first.shape[1], self.first.shape[0])
         self.fps = self._claimed(cv2.CAP_PROP_FPS) or 30.0
         self.frames = int(self._claimed(cv2.CAP_PROP_FRAME_COUNT))
         self._times = None if times is None else np.asarray(times, float)
@@ -107,7 +108,7 @@ class Video:
     def _decode(self) -> None:
         last: BaseException | None = None
         try:
-            index, frame, time = 0, self._first, -np.inf
+            index, frame, time = 0, self.first, -np.inf
             while frame is not None and not self._stopped.is_set():
                 if self._times is not None and index >= len(self._times):
                     break

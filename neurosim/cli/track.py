@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -31,6 +32,13 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
     help="What ties the camera's clock to the robot's: the lamp, or the robot's answers to its "
     "commands.",
 )
+@click.option(
+    "--click",
+    "clicks",
+    multiple=True,
+    metavar="U,V",
+    help="Of a video file: a pixel of the front marker in its first frame; again for the rear.",
+)
 @click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
 @click.option(
     "--height", default=0.0, show_default=True, help="Of a video file's markers over the board, m."
@@ -44,6 +52,7 @@ def track(
     videos: tuple[Path, ...],
     partial: bool,
     sync: str,
+    clicks: tuple[str, ...],
     out: Path | None,
     height: float,
     as_json: bool,
@@ -60,13 +69,19 @@ def track(
     if recording.is_file():
         if out is None:
             raise UserError(f"{recording} is a video file; name a folder for its poses with -o")
+        if clicks and colours:
+            raise UserError("--click takes the colours from the picture; leave out --colours")
+        places = _places(clicks) if clicks else None
         front, rear = pair or ("pink", "blue")
         result = track_video(
-            recording, front, rear, out, calibration=calibration, height=height, overlay=overlay
-        )
+            recording, front, rear, out,
+            calibration=calibration, height=height, overlay=overlay, clicks=places,
+        )  # fmt: skip
         result.pop("poses")
-        where, then = out, ""
+        where, then = out, f"\n{_colours_found(result['markers'])}"
     else:
+        if clicks:
+            raise UserError("--click is for video files; set a recording's colours with --colours")
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
         result = track_(recording, pair, calibration, overlay, videos, partial=partial, sync=sync)
@@ -84,3 +99,21 @@ def _pair(colours: str) -> tuple[str, str]:
     if len(names) != 2 or not all(names):
         raise UserError(f"--colours {colours!r}: expected two colours, such as pink,blue")
     return names[0], names[1]
+
+
+def _places(clicks: tuple[str, ...]) -> list[list[float]]:
+    try:
+        places = [[float(part) for part in text.split(",")] for text in clicks]
+    except ValueError:
+        places = []
+    if len(places) != 2 or any(len(place) != 2 for place in places):
+        raise UserError("--click: expected two of them, U,V in pixels, front first, then rear")
+    return places
+
+
+def _colours_found(markers: dict[str, dict[str, Any]]) -> str:
+    found = (
+        f"{where} {seen['colour']} is {seen['rgb']} here (sure: {100 * seen['sure']:.0f} %)"
+        for where, seen in markers.items()
+    )
+    return ", ".join(found) + "."
