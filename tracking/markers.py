@@ -77,11 +77,19 @@ class Look:
 
 @dataclass(frozen=True)
 class Measurement:
-    """A marker measured in a frame: centre and area in pixels, and its look just now."""
+    """A marker measured in a frame.
+
+    Attributes:
+        centre: in pixels [2].
+        area: in pixels.
+        look: just now.
+        other: where the centre may be instead, of light and not of colour; None where both agree.
+    """
 
     centre: NDArray
     area: float
     look: Look
+    other: NDArray | None = None
 
 
 def shrink_factor(width: int) -> int:
@@ -181,8 +189,9 @@ def measure(
     )  # fmt: skip
     if not seen[0]:
         return None
-    _, u, v, area, p, q, chroma, light = seen
-    return Measurement(np.array([u, v]), area, Look(np.array([p, q]), chroma, light))
+    _, u, v, light_u, light_v, area, p, q, chroma, light = seen
+    other = None if (u, v) == (light_u, light_v) else np.array([light_u, light_v])
+    return Measurement(np.array([u, v]), area, Look(np.array([p, q]), chroma, light), other)
 
 
 def learn(frame: NDArray, blob: Blob, white: tuple[float, float] = NO_CAST) -> Look:

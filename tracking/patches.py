@@ -182,9 +182,10 @@ def _brightest(plane, luma, u, v, radius, reach, full, p, q, chroma, light, back
 def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, red_gain):
     """See :func:`tracking.markers.measure`.
 
-    Returns whether there is one, its u and v, its area, and its look as it is now.
+    Returns whether there is one, its u and v, those of its light alone, its area, and its look as
+    it is now.
     """
-    none = (False, u, v, 0.0, p, q, chroma, light)
+    none = (False, u, v, u, v, 0.0, p, q, chroma, light)
     plane, luma, left, top = read_patch(frame, u, v, radius + margin + 3.0, blue_gain, red_gain)
     rows, columns = luma.shape
     if rows < 3 or columns < 3:
@@ -212,11 +213,12 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
     )
     if total <= 0.0:
         return none
-    # Where something bright beside the marker pulls at the light, only the colour can be trusted.
+    # Something bright beside the marker pulls at its light, something of its colour at both.
+    ou, ov = bu, bv
     if math.hypot(bu - cu, bv - cv) < 0.5 + 0.15 * radius:
         cu, cv = bu, bv
     p, q, chroma, light = read_look(plane, luma, cu, cv, radius, p, q, chroma, light, backing)
-    return True, left + cu, top + cv, area, p, q, chroma, light
+    return True, left + cu, top + cv, left + ou, top + ov, area, p, q, chroma, light
 
 
 @njit(cache=True, nogil=True)

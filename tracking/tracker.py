@@ -11,7 +11,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -251,7 +251,19 @@ class Tracker:
             if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
                 return None
             measured.append(measurement)
-        return measured
+        return self._fitting(measured)
+
+    def _fitting(self, measured: list[Measurement]) -> list[Measurement]:
+        """Where a centre is in doubt, take those whose separation is as it should be."""
+        if all(m.other is None for m in measured):
+            return measured
+        options = [[m] if m.other is None else [m, replace(m, centre=m.other)] for m in measured]
+
+        def misfit(pair: tuple[Measurement, ...]) -> float:
+            pixels = np.stack([m.centre for m in pair])
+            return abs(self._separation(pixels) - self._learned.separation)
+
+        return list(min(itertools.product(*options), key=misfit))
 
     def _quality(self, measured: list[Measurement]) -> float:
         """Rate a pair, 1 as expected; 0 where a size or the separation is not to be believed."""
