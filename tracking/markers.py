@@ -194,6 +194,13 @@ def measure(
     return Measurement(np.array([u, v]), area, Look(np.array([p, q]), chroma, light), other)
 
 
+def compile_loops() -> None:
+    """Compile the loops over pixels, so that the first frame need not wait for them."""
+    frame = np.zeros((16, 16, 3), np.uint8)
+    blob = Blob(np.array([8.0, 8.0]), 12.0, 0.0, 50.0, 1.0)
+    measure(frame, blob.centre, blob.radius, learn(frame, blob), 3.0)
+
+
 def learn(frame: NDArray, blob: Blob, white: tuple[float, float] = NO_CAST) -> Look:
     """Learn a marker's look from the patch in which it was found."""
     u, v = (float(place) for place in blob.centre)

@@ -18,7 +18,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST, Colour, angle_between
-from tracking.markers import LEAST_CHROMA, Blob, Look, Measurement, Picture, learn, measure
+from tracking.markers import (
+    LEAST_CHROMA,
+    Blob,
+    Look,
+    Measurement,
+    Picture,
+    compile_loops,
+    learn,
+    measure,
+)
 from tracking.palette import Found, found_colour
 from tracking.white import Cast, cast_of
 
@@ -164,6 +173,7 @@ class Tracker:
         geometry: Geometry | None = None,
         start: NDArray | None = None,
     ):
+        compile_loops()
         self._start = start
         self._rivals = (0.0, 0.0)
         self.colours = (front, rear)

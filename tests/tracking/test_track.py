@@ -5,9 +5,11 @@ import cv2
 import numpy as np
 import pytest
 import tracking_scene as scene
+from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import number, read_csv
+from neurosim.cli.track import track as verb
 from tracking.camera_model import CameraModel
 from tracking.recordings import Recording
 from tracking.track import board_poses, marker_geometry, track, track_video, unwrap
@@ -256,6 +258,40 @@ def test_footage_as_a_user_would(shared_data, tmp_path):
     assert summary["found"] == 1.0
     with Video(tmp_path / "seen.mkv") as overlay:
         assert sum(1 for _ in overlay) == 121
+
+
+def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
+    video = shared_data / "footage" / "field-static.mp4"
+    arguments = [str(video), "-o", str(tmp_path / "out"), "--json"]
+    clicks = ["--click", "422,178", "--click", "437,177"]
+    done = CliRunner().invoke(verb, arguments + clicks)
+    assert done.exit_code == 0, done.output
+    told = json.loads(done.output)
+    assert told["found"] == 1
+    assert told["markers"]["front"]["sure"] > 0.5
+    poses = read_csv(tmp_path / "out" / "poses.csv", {"u": number, "v": number})
+    assert np.std([poses["u"], poses["v"]], axis=1).max() < 0.1
+    assert abs(np.mean(poses["u"]) - 428) < 2
+
+
+@pytest.mark.parametrize(
+    ("clicks", "says"),
+    [
+        (["--click", "422,178"], "expected two of them"),
+        (["--click", "422,178", "--click", "x,y"], "expected two of them"),
+        (["--click", "5,5", "--click", "9,9"], "only grey"),
+        (["--click", "9000,5", "--click", "9,9"], "outside of the picture"),
+        (["--click", "5,5", "--click", "9,9", "--colours", "red,blue"], "leave out --colours"),
+    ],
+)
+def test_clicks_that_will_not_do(tmp_path, frames, clicks, says):
+    write_video(tmp_path / "bare.avi", frames[:3])
+    done = CliRunner().invoke(
+        verb, [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), *clicks]
+    )
+    assert done.exit_code == 1
+    assert says in str(done.exception)
+    assert not (tmp_path / "out").exists()
 
 
 def test_bare_video_that_will_not_do(tmp_path, frames):
