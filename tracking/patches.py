@@ -15,6 +15,8 @@ from numba import njit
 ACROSS = 1.5
 #: The centre of light is sought until it moves by less (px), or so many times.
 SETTLED, ROUNDS = 0.002, 12
+#: In a smaller marker (px) a white dot is not told apart: video has colour at half resolution.
+DOT_RADIUS = 4.0
 _ROOT = math.sqrt(0.75)
 
 
@@ -206,7 +208,7 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
     # A marker with a white dot is round. Another may be a bar, which is longer than the disc of its
     # area and has no one brightest place along it, or a square, whose corners stand out.
     reach, full = radius, 2.0
-    if _plain(plane, cu, cv, radius, p, q, chroma):
+    if radius > DOT_RADIUS and _plain(plane, cu, cv, radius, p, q, chroma):
         reach, full = max(1.25 * radius, 1.1 * _length(member, cu, cv, 1.4 * radius + 1.0)), 3.0
     bu, bv, total = _brightest(
         plane, luma, cu, cv, radius, reach + 1.0, full, p, q, chroma, light, backing
