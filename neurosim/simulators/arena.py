@@ -125,6 +125,24 @@ class Arena:
             return np.empty(0, np.int64)
         return np.arange(len(self.outline) + len(self.inner))
 
+    @property
+    def inward_corners(self) -> NDArray[np.int64]:
+        """Of each wall, the walls [W, 2] that it meets in a corner that points into the arena.
+
+        At its beginning and at its end; -1 where there is none.
+        """
+        edges = np.roll(self._corners, -1, axis=0) - self._corners
+        before = np.roll(edges, 1, axis=0)
+        turns = before[:, 0] * edges[:, 1] - before[:, 1] * edges[:, 0]
+        x, y = self._corners.T
+        area = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum()
+        count = len(self.outline)
+        found = np.full((count + len(self.inner), 2), -1)
+        for wall in np.flatnonzero(turns * area < 0):
+            previous = (wall - 1) % count
+            found[wall, 0], found[previous, 1] = previous, wall
+        return found
+
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return whether points [..., 2] lie within the outline."""
         points = np.asarray(points, float)

@@ -46,6 +46,7 @@ class TableArrays(NamedTuple):
     radius: float  #: of the robot, m
     walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length
     hiding: np.ndarray  #: places of walls that may stand before something
+    corners: np.ndarray  #: [W, 2] as :attr:`neurosim.simulators.arena.Arena.inward_corners`
     obstacles: np.ndarray  #: [N, 3] x, y, radius
     noise: int  #: place in :data:`neurosim.simulators.tables.NOISES`
     sensor_noise: float  #: half width of uniform noise
@@ -58,6 +59,21 @@ def _nearest(wall, x, y):
     along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
     along = min(max(along, 0.0), wall[4])
     return wall[0] + along * wall[2] - x, wall[1] + along * wall[3] - y
+
+
+@njit(cache=True, error_model="numpy")
+def _share(t, w, x, y):
+    """Return how much of a wall counts for a robot at (x, y): less beyond an inward corner."""
+    wall = t.walls[w]
+    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+    if 0.0 <= along <= wall[4]:
+        return 1.0
+    other = t.corners[w, 0 if along < 0.0 else 1]
+    if other < 0:
+        return 1.0
+    wall = t.walls[other]
+    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+    return 0.0 if 0.0 <= along <= wall[4] else 0.5
 
 
 @njit(cache=True, error_model="numpy")
@@ -80,13 +96,12 @@ def _hidden(walls, hiding, x, y, dx, dy, itself):
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
-def _add(t, kind, distance, bearing, out, variance):
+def _add(t, kind, distance, bearing, weight, out, variance):
     """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
     distances, angles = t.excess.shape[1], t.excess.shape[2] - 1
     row = max((distance - t.first) / t.pitch, 0.0)
-    weight = 1.0
     if row > distances - 1:
-        weight = 1.0 - (row - (distances - 1)) * t.pitch / t.fade
+        weight *= 1.0 - (row - (distances - 1)) * t.pitch / t.fade
         row = float(distances - 1)
     # Samples are in the order in which the robot turned to the left: objects pass to the right.
     turn = -bearing / (2.0 * math.pi)
@@ -118,14 +133,17 @@ def _sense(t, x, y, theta, out, variance):
         square = dx * dx + dy * dy
         if square >= reach * reach or _hidden(t.walls, t.hiding, x, y, dx, dy, w):
             continue
-        _add(t, 0, math.sqrt(square) - t.radius, math.atan2(dy, dx) - theta, out, variance)
+        share = _share(t, w, x, y)
+        if share > 0.0:
+            distance = math.sqrt(square) - t.radius
+            _add(t, 0, distance, math.atan2(dy, dx) - theta, share, out, variance)
     for o in range(len(t.obstacles)):
         dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
         square, limit = dx * dx + dy * dy, reach + t.obstacles[o, 2]
         if square >= limit * limit or _hidden(t.walls, t.hiding, x, y, dx, dy, -1):
             continue
         distance = math.sqrt(square) - t.radius - t.obstacles[o, 2]
-        _add(t, 1, distance, math.atan2(dy, dx) - theta, out, variance)
+        _add(t, 1, distance, math.atan2(dy, dx) - theta, 1.0, out, variance)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

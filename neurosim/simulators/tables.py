@@ -6,9 +6,10 @@ motors move the robot, is looked up in tables that the robot filled itself.
 Readings. Every object adds the light that it reflects: what the table says above ambient, at
 the distance from the robot's rim to the nearest point of its surface and the bearing of that
 point, interpolated between samples in both; the sum is clipped to 0..1, as a sensor saturates.
-Walls that meet in a corner are two objects. Nearer than the first sampled distance the first
-counts; beyond the last a reading fades to ambient over half of the sampled reach. What a wall
-hides is not seen.
+Walls that meet in a corner are two objects; where a corner points into the arena, a wall that
+is seen only by that end does not count beside the other, and where both are, each counts for
+half. Nearer than the first sampled distance the first counts; beyond the last a reading fades
+to ambient over half of the sampled reach. What a wall hides is not seen.
 
 Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
 straight out of it, so that it slides along; where it does not fit, as in a gap that is too
@@ -126,7 +127,7 @@ class TableSimulator:
         to, distance, kind = self._objects(state)
         bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:]
         weights, rows, columns = self._place(distance, bearing)
-        weights = weights * ~self._hidden(state, to)
+        weights = weights * self._share(state) * ~self._hidden(state, to)
         looked_up = {
             name: sum(
                 weights[i, j].unsqueeze(-1) * t[name][kind, rows[i], columns[j]]
@@ -182,6 +183,7 @@ class TableSimulator:
             radius=float(self.radius),
             walls=np.concatenate([walls[:, :2], along / length, length], axis=1),
             hiding=self.arena.hiding,
+            corners=self.arena.inward_corners,
             obstacles=self.arena.cylinders,
             noise=NOISES.index(self.noise),
             sensor_noise=float(self.noise_level),
@@ -194,7 +196,7 @@ class TableSimulator:
         return {
             name: torch.from_numpy(value).to(self.device, torch.float64)
             for name, value in arrays.items()
-            if isinstance(value, np.ndarray) and name != "hiding"
+            if isinstance(value, np.ndarray) and name not in ("hiding", "corners")
         }
 
     def _objects(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -228,6 +230,18 @@ class TableSimulator:
             [torch.stack([(1 - u) * (1 - v), (1 - u) * v]), torch.stack([u * (1 - v), u * v])]
         )
         return weights * fade, torch.stack([r, r + 1]), torch.stack([c, c + 1])
+
+    def _share(self, state: Tensor) -> Tensor:
+        """Return how much of each object counts, [B, K]: less of a wall beyond an inward corner."""
+        walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
+        along = ((state[:, None, :2] - walls[:, :2]) * walls[:, 2:4]).sum(-1)
+        within = (along >= 0) & (along <= walls[:, 4])
+        corners = torch.from_numpy(self.arrays.corners).to(along.device)
+        other = torch.where(along < 0, corners[:, 0], corners[:, 1])
+        beside = torch.take_along_dim(within, other.clamp(min=0), dim=1)
+        share = torch.where(beside, 0.0, 0.5).to(along)
+        share = torch.where(within | (other < 0), 1.0, share)
+        return torch.cat([share, torch.ones_like(share[:, :1]).expand(-1, len(obstacles))], dim=1)
 
     def _hidden(self, state: Tensor, to: Tensor) -> Tensor:
         """Return whether a wall stands before the nearest point of each object, [B, K]."""

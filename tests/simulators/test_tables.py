@@ -78,6 +78,23 @@ def test_several_objects_add_up_and_saturate(simulator):
     assert corner[2] > wall[0, 2]
 
 
+def test_a_corner_that_points_inwards_counts_once(simulator):
+    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
+    walls = tuple((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
+    sim = simulator.changed(arena=Arena(walls))
+    assert sim.arena.inward_corners.tolist()[2:4] == [[-1, 3], [2, -1]]
+    flat = simulator.changed(arena=Arena.rectangle(2, 2))
+    # 20 mm below the corner's own height beside it, on it, and diagonally before it.
+    at, wall = 0.0475, flat.sense(tensor([1 - 0.0475, 0, 0]))[0]
+    poses = tensor(
+        [1.3, 1 - at, math.pi / 2],
+        [1 + 1e-9, 1 - at, math.pi / 2],
+        [1 - 1e-9, 1 - at, math.pi / 2],
+        [1 - at / math.sqrt(2), 1 - at / math.sqrt(2), math.pi / 4],
+    )
+    assert sim.sense(poses).numpy() == pytest.approx(np.tile(wall, (4, 1)), abs=1e-6)
+
+
 def test_a_wall_hides_what_is_behind_it(simulator):
     # A thin wall ahead, the obstacle right behind it: nothing of the obstacle is seen.
     thin = Arena(Arena.rectangle(2, 2).outline, (), ((0.02, -0.5, 0.02, 0.5),))
