@@ -1,6 +1,6 @@
 """How exactly and how steadily the robot is tracked, against rendered truth.
 
-    python benchmarks/tracking_accuracy.py                       about 25 minutes on one core
+    python benchmarks/tracking_accuracy.py                       about half an hour on one core
     python benchmarks/tracking_accuracy.py --sizes 1280x720      about 8 minutes
     python benchmarks/tracking_accuracy.py --quick               one minute, 640x480
 
