@@ -30,6 +30,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from neurosim.base import files
 from neurosim.networks import ProductSummationNetwork
 from neurosim.training.base import TrainingData
 from neurosim.training.evaluate import errors
@@ -44,6 +45,7 @@ SIZES = (100, 200, 500, 1000, 2000, 5000)
 #: A whole run of the paper's trainer belongs to ga_training.py.
 GA_GENERATIONS = 500
 #: Learns from inputs (N, I) and outputs (N, 3) with a seed; returns what predicts.
+Drives = tuple[np.ndarray, np.ndarray]
 Learner = Callable[[Dataset, int], Callable[[np.ndarray], np.ndarray]]
 
 
@@ -141,17 +143,27 @@ def learners(options: argparse.Namespace) -> dict[str, Learner]:
     return found
 
 
-def judge(learn: Learner, rows: Dataset, later: Dataset, seeds: int) -> dict[str, object]:
+def judge(
+    learn: Learner, rows: Dataset, later: Dataset, seeds: int, drives: Drives | None
+) -> dict[str, object]:
     """Return the errors (cm, cm, deg) of every seed, their medians, and the median seconds."""
-    runs, seconds = [], []
+    runs, seconds, driven = [], [], []
     for seed in range(seeds):
         began = time.perf_counter()
         predict = learn(rows, seed)
         seconds.append(time.perf_counter() - began)
-        table = errors(predict(later.input_array()), later.output_array())
-        runs.append([table[name]["mean_absolute_error"] for name in OUTPUTS])
-    median = np.median(runs, axis=0).tolist()
-    return {"error": median, "runs": runs, "seconds": statistics.median(seconds)}
+        runs.append(absolute(predict(later.input_array()), later.output_array()))
+        if drives is not None:
+            driven.append(absolute(predict(drives[0]), drives[1]))
+    result = {"error": np.median(runs, axis=0).tolist(), "runs": runs}
+    if driven:
+        result |= {"on_drives": np.median(driven, axis=0).tolist(), "drives_runs": driven}
+    return {**result, "seconds": statistics.median(seconds)}
+
+
+def absolute(predicted: np.ndarray, actual: np.ndarray) -> list[float]:
+    table = errors(predicted, actual)
+    return [table[name]["mean_absolute_error"] for name in OUTPUTS]
 
 
 def first(rows: Dataset, count: int) -> Dataset:
@@ -166,9 +178,26 @@ def read_floor(path: Path | None) -> list[float] | None:
     return [floor[name]["mean_absolute_deviation"] for name in OUTPUTS]
 
 
+def read_drives(path: Path, inputs: tuple[str, ...]) -> Drives | None:
+    """Return the inputs (N, I) and displacements (N, 3) of the drives that a floor is of."""
+    path = path.with_suffix(".csv")
+    if not path.exists():
+        return None
+    table = files.read_csv(path, dict.fromkeys((*inputs, *OUTPUTS), files.number))
+    inputs_, outputs = (
+        np.array([table[name] for name in names], float).T for names in (inputs, OUTPUTS)
+    )
+    return inputs_, outputs
+
+
 def line(name: str, found: dict[str, object], floor: list[float] | None) -> str:
     error = found["error"]
-    ratios = [e / f for e, f in zip(error, floor, strict=True)] if floor else [float("nan")] * 3
+    nothing = [float("nan")] * 3
+    ratios = [
+        e / f
+        for e in (error, found.get("on_drives", nothing))
+        for e, f in zip(e, floor or nothing, strict=True)
+    ]
     return (
         f"{name:30s}"
         + "".join(f"{ratio:8.2f}" for ratio in ratios)
@@ -194,6 +223,7 @@ def main() -> None:
     earlier, later = read(options.dataset)
     same_robot = earlier.inputs[:2] == ("prev_left", "prev_right") and not options.no_floor
     floor = read_floor(options.floor) if same_robot else None
+    drives = read_drives(options.floor, earlier.inputs) if floor else None
     seeds = 1 if options.quick else options.seeds
     counts = [len(earlier)]
     if options.sizes:
@@ -202,11 +232,12 @@ def main() -> None:
     for count in counts:
         if not options.json:
             print(f"\n{count} rows to learn from, {len(later)} held out, {seeds} seeds")
-            print(f"{'':30s}{'error / floor':>24s}{'cm':>9s}{'cm':>9s}{'deg':>9s}{'s':>9s}")
+            print(f"{'':30s}{'error / floor':>24s}{'on its drives':>24s}", end="")
+            print(f"{'cm':>9s}{'cm':>9s}{'deg':>9s}{'s':>9s}")
         table = result["rows"].setdefault(count, {})
         for name, learn in learners(options).items():
             repeats = 1 if name == "ideal unicycle" else seeds
-            table[name] = judge(learn, first(earlier, count), later, repeats)
+            table[name] = judge(learn, first(earlier, count), later, repeats, drives)
             if not options.json:
                 print(line(name, table[name], floor), flush=True)
     if options.json:

@@ -41,7 +41,8 @@ def outcome(folder):
 
 
 @pytest.mark.parametrize(
-    ("trainer", "generations", "better"), [("ga", 100, 2.0), ("exponents", 6, 8.0)]
+    ("trainer", "generations", "better"),
+    [("ga", 100, 2.0), ("exponents", 6, 8.0), ("gradient", 60, 1.1)],
 )
 def test_training_learns_far_more_than_the_mean(tmp_path, dataset, trainer, generations, better):
     simulator = train(
