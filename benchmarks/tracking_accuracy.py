@@ -3,6 +3,7 @@
     python benchmarks/tracking_accuracy.py                       about half an hour on one core
     python benchmarks/tracking_accuracy.py --sizes 1280x720      about 8 minutes
     python benchmarks/tracking_accuracy.py --quick               one minute, 640x480
+    python benchmarks/tracking_accuracy.py --recording FOLDER    a tracked recording of the lab
 
 Clips of the robot on the paper's board, which fills the picture, are rendered with known poses:
 clean, under a moving lamp, with a drifting white balance, blurred, compressed, noisy, among other
@@ -18,6 +19,10 @@ camera (benchmarks/tracking_scenes.py). Markers stand 10 cm above the board and 
 
 Beside it OpenCV's ArUco detector with its corners refined, on the same ways and in otherwise the
 same pictures, in which the robot carries one 4 x 4 marker with a side of 6 cm (``--aruco``).
+With ``--recording`` the poses of a recording made in the virtual lab are compared with the truth
+that was kept beside it, calibration included. A constant offset and a lag of the clock (the radio's
+delay, which displacements between two stops do not see) are told apart from the scatter.
+
 Both are told the camera as it is; what a calibration adds is not in these figures. Only the clips
 that say so are compressed, with OpenCV's MPEG-4 encoder.
 """
@@ -36,8 +41,10 @@ import cv2
 import numpy as np
 from tracking_scenes import ARUCO, DICTIONARY, FPS, MARKERS, SCENARIOS, Clip, Frame
 
+from neurosim.lab.world import read_truth
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
+from tracking.recordings import Recording
 from tracking.track import board_poses, marker_geometry
 from tracking.tracker import Tracker
 
@@ -105,7 +112,13 @@ def main() -> None:
     parser.add_argument("--quick", action="store_true", help="one clip of each, 640x480")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--renders", type=Path, help="keep the clips here, to run again quickly")
+    parser.add_argument("--recording", type=Path, help="compare this recording's poses instead")
     options = parser.parse_args()
+    if options.recording is not None:
+        told = rate_recording(options.recording)
+        shown = ", ".join(f"{name} {value:.3f}" for name, value in told.items())
+        print(json.dumps(told) if options.json else shown)
+        return
     if options.quick:
         options.sizes, options.clips = "640x480", 1
     chosen = options.scenarios.split(",")
@@ -175,6 +188,32 @@ def _compressed(frames: Iterable[Frame], size: tuple[int, int]) -> tuple[list[Fr
         kept = [replace(frame, picture=capture.read()[1]) for frame in kept]
         capture.release()
     return kept, bits
+
+
+def rate_recording(folder: Path) -> dict[str, float]:
+    """Compare a recording's poses with the lab's truth: scatter (RMS) about a constant offset."""
+    poses, misses, lags = Recording(folder).poses(), [], []
+    for session in np.unique(poses.session):
+        own = (poses.session == session) & (poses.quality > 0)
+        truth, times, seen = read_truth(folder, int(session)), poses.time[own], poses.pose[own]
+        step = 0.005
+        speed = (truth.pose_at(times + step) - truth.pose_at(times - step))[:, :2] / (2 * step)
+        off = (seen - truth.pose_at(times))[:, :2]
+        lag = float(((off - off.mean(axis=0)) * speed).sum() / max((speed**2).sum(), 1e-12))
+        miss = seen - truth.pose_at(times + lag)
+        miss[:, 2] = (miss[:, 2] + math.pi) % (2 * math.pi) - math.pi
+        misses.append(miss)
+        lags.append(lag)
+    miss = np.concatenate(misses)
+    x, y, theta = miss.std(axis=0)
+    return {
+        "tracked": len(miss) / len(poses.time),
+        "position_mm": 1e3 * math.hypot(x, y),
+        "heading_deg": math.degrees(theta),
+        "offset_mm": 1e3 * float(np.hypot(*miss.mean(axis=0)[:2])),
+        "offset_deg": math.degrees(miss.mean(axis=0)[2]),
+        "lag_ms": 1e3 * float(np.mean(lags)),
+    }
 
 
 def rate(seen: list[tuple[Frame, np.ndarray | None]]) -> dict:
