@@ -1,7 +1,23 @@
-"""The virtual lab: an NXT, its board and a roof camera in software, reached as real ones are."""
+"""The virtual lab: robots, their boards and arenas and a roof camera in software.
 
+They are reached as real ones are: by a serial line, and by the frames of a camera.
+"""
+
+from neurosim.lab.khepera_params import KheperaParams, LabArena
+from neurosim.lab.khepera_rig import VirtualKheperaRig
 from neurosim.lab.params import CameraParams, LabParams
 from neurosim.lab.rig import VirtualRig
 from neurosim.lab.world import Lab, Pacer, Truth, read_truth
 
-__all__ = ["CameraParams", "Lab", "LabParams", "Pacer", "Truth", "VirtualRig", "read_truth"]
+__all__ = [
+    "CameraParams",
+    "KheperaParams",
+    "Lab",
+    "LabArena",
+    "LabParams",
+    "Pacer",
+    "Truth",
+    "VirtualKheperaRig",
+    "VirtualRig",
+    "read_truth",
+]

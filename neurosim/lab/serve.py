@@ -10,17 +10,15 @@ runs in real time the same classes serve any other program.
 from __future__ import annotations
 
 import os
-import select
 import socket
 import struct
 import threading
-from contextlib import suppress
 from typing import Protocol
 
 import numpy as np
 
-from neurosim.base.errors import RobotError
 from neurosim.lab.brick import DIRECT, NO_REPLY, SYSTEM, telegram_length
+from neurosim.lab.server import PtyEnd, Server, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 
 #: No telegram is longer (nxt-python's largest block over a serial line, and its head).
@@ -141,38 +139,10 @@ class Radio:
         return max(self.clock.now() + delay, last + spacing)
 
 
-class _Server:
-    """A thread that reads from one place at a time and can be stopped at once.
+class _RadioServer(Server):
+    """A server whose telegrams go through a radio."""
 
-    ``error`` is what ended it before its time (the lab runs in it), or None.
-    """
-
-    def __init__(self, radio: Radio):
-        self.radio = radio
-        self._wake_read, self._wake_write = socket.socketpair()
-        self._stopping = False
-        self.error: BaseException | None = None
-        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
-
-    def _serve(self) -> None:
-        raise NotImplementedError
-
-    def _close(self) -> None:
-        raise NotImplementedError
-
-    def _run(self) -> None:
-        try:
-            self._serve()
-        except BaseException as error:
-            # Told by whoever owns the lab; a thread can only print it.
-            self.error = error
-        finally:
-            self._close()
-
-    def _wait(self, readable: int | socket.socket, seconds: float | None) -> bool:
-        """Return True when there is something to read, False when time or the server ends."""
-        ready, _, _ = select.select([readable, self._wake_read], [], [], seconds)
-        return readable in ready and not self._stopping
+    radio: Radio
 
     def _wait_or_settle(self, readable: int | socket.socket, rest_due: bool) -> bool:
         """Wait for more; meanwhile what is under way arrives. False when nothing came."""
@@ -182,29 +152,8 @@ class _Server:
             self.radio.settle()
         return self._wait(readable, REST_WITHIN if rest_due else None)
 
-    def stop(self) -> None:
-        """Close the line and end the thread. A second call does nothing."""
-        self._stopping = True
-        self._wake()
-        if threading.current_thread() is not self._thread:
-            self._thread.join(timeout=5.0)
 
-    def _wake(self) -> None:
-        with suppress(OSError):
-            self._wake_write.send(b"\0")
-
-    def hang_up(self) -> None:
-        """Close the line as a brick does whose battery falls out."""
-        self.stop()
-
-    def __enter__(self) -> _Server:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        self.stop()
-
-
-class PtyServer(_Server):
+class PtyServer(PtyEnd, _RadioServer):
     """Serves telegrams framed by their length, as over Bluetooth's serial port, on a pty.
 
     ``path`` is the device file that a client opens. A client may close it and another open
@@ -215,22 +164,8 @@ class PtyServer(_Server):
     """
 
     def __init__(self, radio: Radio):
-        try:
-            import tty
-        except ImportError:
-            raise RobotError(
-                "this system has no pseudo-terminals: reach the virtual brick by a socket"
-            ) from None
-        try:
-            self._master, self._slave = os.openpty()
-        except OSError as error:
-            raise RobotError(f"no pseudo-terminal to be had: {error}") from None
-        super().__init__(radio)
-        # The slave end stays open here: without it the line would hang up with each client.
-        tty.setraw(self._slave)
-        os.set_blocking(self._master, False)
-        self.path = os.ttyname(self._slave)
-        self._thread.start()
+        self.radio = radio
+        super().__init__()
 
     def _serve(self) -> None:
         buffer = b""
@@ -257,19 +192,8 @@ class PtyServer(_Server):
                 self._write(struct.pack("<H", len(reply)) + reply)
         return buffer
 
-    def _write(self, frame: bytes) -> None:
-        # A client that does not read loses its replies, as over the air.
-        with suppress(OSError):
-            os.write(self._master, frame)
 
-    def _close(self) -> None:
-        os.close(self._master)
-        os.close(self._slave)
-        self._wake_read.close()
-        self._wake_write.close()
-
-
-class SocketServer(_Server):
+class SocketServer(SocketEnd, _RadioServer):
     """Serves nxt-python's socket back end, as its ``nxt-server`` does, on loopback.
 
     ``address`` is (host, port). One client at a time; the next is served when it leaves.
@@ -287,38 +211,18 @@ class SocketServer(_Server):
     TYPE = b"bluetooth"
 
     def __init__(self, radio: Radio, host: str = "127.0.0.1", port: int = 0):
-        if host not in ("127.0.0.1", "localhost"):
-            raise RobotError(f"a virtual brick is served on loopback only, not on {host!r}")
-        super().__init__(radio)
-        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
-        try:
-            if os.name == "posix":  # On Windows it would let two servers share a port.
-                self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-            self._listener.bind((host, port))
-            self._listener.listen()
-        except (OSError, OverflowError) as error:
-            self._listener.close()
-            raise RobotError(f"cannot serve on port {port} of {host}: {error}") from None
-        self.address: tuple[str, int] = self._listener.getsockname()
-        self._thread.start()
+        self.radio = radio
+        super().__init__(host, port)
 
-    def _serve(self) -> None:
-        while not self._stopping:
-            if not self._wait(self._listener, None):
-                continue
-            client, _ = self._listener.accept()
-            with client:
-                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-                client.settimeout(REST_WITHIN)
-                self._serve_client(client)
-            self.radio.settle()
+    def _client_left(self) -> None:
+        self.radio.settle()
 
     def _serve_client(self, client: socket.socket) -> None:
         buffer = b""
         while not self._stopping:
             whole = not self._wait_or_settle(client, bool(buffer))
             if not whole:
-                received = _receive(client)
+                received = receive(client)
                 if not received:
                     return
                 buffer += received
@@ -333,26 +237,5 @@ class SocketServer(_Server):
                         break
                     reply = self.radio.deliver(buffer[:length])
                     buffer = buffer[length:]
-                if reply is not None and not _send(client, reply):
+                if reply is not None and not send(client, reply):
                     return
-
-    def _close(self) -> None:
-        self._listener.close()
-        self._wake_read.close()
-        self._wake_write.close()
-
-
-def _receive(client: socket.socket) -> bytes:
-    """Return what has come, or nothing where the client left, politely or not."""
-    try:
-        return client.recv(4096)
-    except OSError:
-        return b""
-
-
-def _send(client: socket.socket, data: bytes) -> bool:
-    try:
-        client.sendall(data)
-    except OSError:
-        return False
-    return True

@@ -34,7 +34,35 @@ class Truth:
         return np.stack(columns, axis=-1)
 
 
-class Lab:
+class LabTime:
+    """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
+
+    Hold :attr:`lock` while touching what stands in the lab.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.clock = LabClock(self)
+        self._moved = threading.Condition(self.lock)
+        self._paced = False
+
+    @property
+    def time(self) -> float:
+        """Seconds since the lab was made."""
+        raise NotImplementedError
+
+    def advance_to(self, time: float) -> None:
+        """Return once the lab's time is ``time`` (s); at once if it is already."""
+        with self.lock:
+            while self._paced and self.time < time:
+                self._moved.wait()
+            self._advance(time)
+
+    def _advance(self, time: float) -> None:
+        raise NotImplementedError
+
+
+class Lab(LabTime):
     """A board with a robot on it under a camera, in a time that moves only when asked to.
 
     Hold :attr:`lock` while touching the body. With :class:`Pacer` the time is the wall clock's,
@@ -60,14 +88,11 @@ class Lab:
         truth_rate: float = 100.0,
     ):
         self.seed = seed
+        super().__init__()
         self.params = LabParams.drawn(seed) if params is None else params
-        self.lock = threading.RLock()
         self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring)
         self.place(*start)
         self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time)
-        self.clock = LabClock(self)
-        self._moved = threading.Condition(self.lock)
-        self._paced = False
         self._truth_rate = truth_rate
         self._truth = np.empty((1024, len(_TRUTH_COLUMNS)))
         self._kept = self._written = self._ticks = 0
@@ -89,17 +114,8 @@ class Lab:
         with self.lock:
             self.body.place(x, y, theta)
 
-    def advance_to(self, time: float) -> None:
-        """Return once the lab's time is ``time`` (s); at once if it is already.
-
-        Frames that fall due on the way are delivered to whoever started the camera.
-        """
-        with self.lock:
-            while self._paced and self.time < time:
-                self._moved.wait()
-            self._advance(time)
-
     def _advance(self, time: float) -> None:
+        # Frames that fall due on the way are delivered to whoever started the camera.
         while True:
             truth_due = self._ticks / self._truth_rate if self._truth_rate > 0 else math.inf
             camera_due = math.inf if self.camera is None else self.camera.due
@@ -165,7 +181,7 @@ def read_truth(folder: str | Path, session: int = 1) -> Truth:
 class LabClock:
     """The lab's time as a robot's clock: to sleep is to let the lab go on."""
 
-    def __init__(self, lab: Lab):
+    def __init__(self, lab: LabTime):
         self._lab = lab
 
     def now(self) -> float:
@@ -184,7 +200,7 @@ class Pacer:
     A lab that cannot keep up (rendering on a slow machine) falls behind and catches up later.
     """
 
-    def __init__(self, lab: Lab, *, tick: float = 0.005):
+    def __init__(self, lab: LabTime, *, tick: float = 0.005):
         self._lab = lab
         self._tick = tick
         self._end = threading.Event()

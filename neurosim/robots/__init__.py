@@ -13,12 +13,13 @@ from inspect import signature
 
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Robot, SystemClock
+from neurosim.robots.khepera import Khepera
 from neurosim.robots.nxt import NXT
 
 #: The entry points' group.
 GROUP = "neurosim.robots"
 
-_OURS: dict[str, Callable[..., Robot]] = {"nxt": NXT}
+_OURS: dict[str, Callable[..., Robot]] = {"khepera": Khepera, "nxt": NXT}
 
 
 def robot_names() -> list[str]:
@@ -69,6 +70,7 @@ __all__ = [
     "Clock",
     "Robot",
     "SystemClock",
+    "Khepera",
     "NXT",
     "GROUP",
     "robot_names",

@@ -29,7 +29,7 @@ def others(monkeypatch):
 
 
 def test_names(others):
-    assert robots.robot_names() == ["broken", "nxt", "turtle"]
+    assert robots.robot_names() == ["broken", "khepera", "nxt", "turtle"]
 
 
 def test_a_driver_of_another_package(others):
@@ -47,8 +47,8 @@ def test_ours():
 
 
 def test_what_can_be_wrong(others):
-    with pytest.raises(UserError, match="no driver for a robot 'khepera'; there are broken, nxt"):
-        robots.robot_factory("khepera")
+    with pytest.raises(UserError, match="no driver for a robot 'roomba'; there are broken"):
+        robots.robot_factory("roomba")
     with pytest.raises(RobotError, match=r"'broken' \(no_such_package.robot:Robot\)"):
         robots.robot_factory("broken")
     with pytest.raises(UserError, match="'turtle' does not take these options"):

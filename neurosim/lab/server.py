@@ -1,0 +1,175 @@
+"""Threads behind which a virtual robot stands: one on a pseudo-terminal, one on a socket."""
+
+from __future__ import annotations
+
+import os
+import select
+import socket
+import threading
+from contextlib import suppress
+
+from neurosim.base.errors import RobotError
+
+#: A client that does not read for so many seconds is left (s).
+SEND_WITHIN = 0.5
+
+
+class Server:
+    """A thread that reads from one place at a time and can be stopped at once.
+
+    ``error`` is what ended it before its time (the lab runs in it), or None.
+    """
+
+    def __init__(self) -> None:
+        self._wake_read, self._wake_write = socket.socketpair()
+        self._stopping = False
+        self.error: BaseException | None = None
+        self._thread = threading.Thread(target=self._run, name=type(self).__name__, daemon=True)
+
+    def _serve(self) -> None:
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        self._wake_read.close()
+        self._wake_write.close()
+
+    def _run(self) -> None:
+        try:
+            self._serve()
+        except BaseException as error:
+            # Told by whoever owns the lab; a thread can only print it.
+            self.error = error
+        finally:
+            self._close()
+
+    def _wait(self, readable: int | socket.socket, seconds: float | None) -> bool:
+        """Return True when there is something to read, False when time or the server ends."""
+        ready, _, _ = select.select([readable, self._wake_read], [], [], seconds)
+        return readable in ready and not self._stopping
+
+    def stop(self) -> None:
+        """Close the line and end the thread. A second call does nothing."""
+        self._stopping = True
+        self._wake()
+        if threading.current_thread() is not self._thread:
+            self._thread.join(timeout=5.0)
+
+    def _wake(self) -> None:
+        with suppress(OSError):
+            self._wake_write.send(b"\0")
+
+    def hang_up(self) -> None:
+        """Close the line as a brick does whose battery falls out."""
+        self.stop()
+
+    def __enter__(self) -> Server:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+
+
+class PtyEnd(Server):
+    """The robot's end of a pseudo-terminal; ``path`` is the device file that a client opens.
+
+    A client may close it and another open it again.
+
+    Raises:
+        RobotError: where the system has no pseudo-terminals (Windows), or none is left.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import tty
+        except ImportError:
+            raise RobotError(
+                "this system has no pseudo-terminals: reach the virtual robot by a socket"
+            ) from None
+        try:
+            self._master, self._slave = os.openpty()
+        except OSError as error:
+            raise RobotError(f"no pseudo-terminal to be had: {error}") from None
+        super().__init__()
+        # The slave end stays open here: without it the line would hang up with each client.
+        tty.setraw(self._slave)
+        os.set_blocking(self._master, False)
+        self.path = os.ttyname(self._slave)
+        self._thread.start()
+
+    def _write(self, data: bytes) -> None:
+        # A client that does not read loses its replies, as over the air.
+        with suppress(OSError):
+            os.write(self._master, data)
+
+    def _close(self) -> None:
+        os.close(self._master)
+        os.close(self._slave)
+        super()._close()
+
+
+class SocketEnd(Server):
+    """The robot's end of a loopback socket; ``address`` is (host, port).
+
+    One client at a time; the next is served when it leaves.
+
+    Args:
+        host: a loopback address.
+        port: 0 for any free one.
+
+    Raises:
+        RobotError: if the host is not loopback or the port is taken.
+    """
+
+    def __init__(self, host: str = "127.0.0.1", port: int = 0):
+        if host not in ("127.0.0.1", "localhost"):
+            raise RobotError(f"a virtual robot is served on loopback only, not on {host!r}")
+        super().__init__()
+        self._listener = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+        try:
+            if os.name == "posix":  # On Windows it would let two servers share a port.
+                self._listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            self._listener.bind((host, port))
+            self._listener.listen()
+        except (OSError, OverflowError) as error:
+            self._listener.close()
+            raise RobotError(f"cannot serve on port {port} of {host}: {error}") from None
+        self.address: tuple[str, int] = self._listener.getsockname()
+        self._thread.start()
+
+    def _serve(self) -> None:
+        while not self._stopping:
+            if not self._wait(self._listener, None):
+                continue
+            client, _ = self._listener.accept()
+            with client:
+                client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                client.settimeout(SEND_WITHIN)
+                self._serve_client(client)
+            self._client_left()
+
+    def _serve_client(self, client: socket.socket) -> None:
+        raise NotImplementedError
+
+    def _client_left(self) -> None:
+        """Do what is due after a client has left."""
+
+    def _close(self) -> None:
+        self._listener.close()
+        super()._close()
+
+
+def receive(client: socket.socket) -> bytes:
+    """Return what has come, or nothing where the client left, politely or not."""
+    try:
+        return client.recv(4096)
+    except OSError:
+        return b""
+
+
+def send(client: socket.socket, data: bytes) -> bool:
+    """Send all of it; return whether the client took it."""
+    try:
+        client.sendall(data)
+    except OSError:
+        return False
+    return True

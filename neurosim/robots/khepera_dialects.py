@@ -1,0 +1,157 @@
+"""What sets the Khepera I and II, the Khepera III and the e-puck apart on the serial line.
+
+All three take an upper-case letter with numbers behind commas and answer with the same letter in
+lower case, numbers behind commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and
+Khepera II User Manual 1.1 (2002), appendix A; Khepera III User Manual, appendix A; the firmware
+``asercom``/``sercom`` of the e-puck (EPFL, GCtronic).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from neurosim.base.errors import UserError
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A round robot on two wheels: its radius and the distance between its wheels (m)."""
+
+    radius: float
+    wheel_base: float
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """One robot's way of speaking.
+
+    Attributes:
+        name: what it is called on the command line.
+        robot: what it is called in a sentence.
+        baud: the line's speed as delivered.
+        stop_bits: 1 or 2.
+        version: command that asks for the firmware's version.
+        read_counts: command that asks for the position counters; None where there is none.
+        set_counts: letter that sets the position counters.
+        long: prefix of a 32-bit number in a command.
+        lamp: command of the lamp; its state (0 or 1) comes behind the last comma.
+        banners: what the robot says, anywhere in a line, when it has just been switched on.
+        sensors: places of the infra-red sensors used among the answer's numbers.
+        values: how many numbers an answer about the sensors has.
+        angles: where the sensors look, degrees counter-clockwise from straight ahead.
+        full_scale: of a proximity reading.
+        pulses_per_metre: of the position counters.
+        speed_unit: the wheel speed that a speed of 1 stands for, m/s.
+        full_speed: what 100 % is unless said otherwise, in the robot's own units.
+        max_speed: the largest number that may be sent.
+        geometry: of the body.
+    """
+
+    name: str
+    robot: str
+    baud: int
+    stop_bits: int
+    version: str
+    read_counts: str
+    set_counts: str
+    long: str
+    lamp: str | None
+    banners: tuple[str, ...]
+    sensors: tuple[int, ...]
+    values: int
+    angles: tuple[float, ...]
+    full_scale: int
+    pulses_per_metre: float
+    speed_unit: float
+    full_speed: int
+    max_speed: int
+    geometry: Geometry
+
+
+#: Khepera I and II. A speed of 1 is one pulse in 10 ms: 10 mm/s at the 10 pulses a millimetre of
+#: Lund and Miglino 1996 (the manual's 12 pulses a millimetre make it 8 mm/s).
+KHEPERA = Dialect(
+    name="khepera",
+    robot="Khepera",
+    baud=9600,
+    stop_bits=2,
+    version="B",
+    read_counts="H",
+    set_counts="G",
+    long="",
+    lamp="L,0",
+    banners=("ROM of minirobot KHEPERA",),
+    sensors=tuple(range(8)),
+    values=8,
+    angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0),
+    full_scale=1023,
+    pulses_per_metre=10_000.0,
+    speed_unit=0.010,
+    full_speed=10,
+    max_speed=127,
+    geometry=Geometry(radius=0.0275, wheel_base=0.053),
+)
+
+#: Khepera III. Its sensors are put into the Khepera's order as far as it has them: left 90, 45,
+#: front left, front right, right 45, 90, back right, back left; the one straight behind and the
+#: two under it are left out.
+KHEPERA3 = Dialect(
+    name="khepera3",
+    robot="Khepera III",
+    baud=115_200,
+    stop_bits=1,
+    version="B",
+    read_counts="R",
+    set_counts="I",
+    long="l",
+    lamp=None,
+    banners=("Khepera III", "KheperaIII"),
+    sensors=(1, 2, 3, 4, 5, 6, 7, 0),
+    values=12,
+    angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -135.0, 135.0),
+    full_scale=4095,
+    pulses_per_metre=1000 / 0.047,
+    speed_unit=0.001 / 144.01,
+    full_speed=14_401,
+    max_speed=43_000,
+    geometry=Geometry(radius=0.065, wheel_base=0.0884),
+)
+
+#: e-puck: stepper motors, 1000 steps a turn of a wheel 41 mm across; counters of 16 bits.
+EPUCK = Dialect(
+    name="epuck",
+    robot="e-puck",
+    baud=115_200,
+    stop_bits=1,
+    version="V",
+    read_counts="Q",
+    set_counts="P",
+    long="",
+    lamp="B",
+    banners=("SerCom protocol",),
+    sensors=tuple(range(8)),
+    values=8,
+    angles=(-17.0, -49.0, -90.0, -150.0, 150.0, 90.0, 49.0, 17.0),
+    full_scale=4095,
+    pulses_per_metre=1000 / (math.pi * 0.041),
+    speed_unit=math.pi * 0.041 / 1000,
+    full_speed=1000,
+    max_speed=1000,
+    geometry=Geometry(radius=0.035, wheel_base=0.053),
+)
+
+DIALECTS = {dialect.name: dialect for dialect in (KHEPERA, KHEPERA3, EPUCK)}
+
+
+def dialect_named(name: str) -> Dialect:
+    """Return the dialect of this name.
+
+    Raises:
+        UserError: if there is none.
+    """
+    try:
+        return DIALECTS[name]
+    except KeyError:
+        known = ", ".join(DIALECTS)
+        raise UserError(f"dialect {name!r} is not known; there are {known}") from None

@@ -1,0 +1,171 @@
+"""Lines of text over a serial port, by whatever URL pyserial opens, with errors for people.
+
+A line ends in CR, LF or both.
+"""
+
+from __future__ import annotations
+
+import errno
+import time
+from contextlib import suppress
+
+import serial
+
+from neurosim.base.errors import LinkLost, RobotError
+
+#: Seconds that a single read waits; deadlines are kept by the caller.
+_SLICE = 0.1
+#: No answer is longer (an e-puck's help comes in lines); what is, is garbage.
+LONGEST = 512
+
+_NO_RIGHT = "you may not open it; on Linux, join its group (dialout) or use sudo"
+_WHY = {
+    errno.ENOENT: "there is no such port",
+    errno.EACCES: _NO_RIGHT,
+    errno.EPERM: _NO_RIGHT,
+    errno.EBUSY: "it is busy; another program may hold the line",
+    errno.EAGAIN: "it is busy; another program may hold the line",
+    errno.EIO: "nothing is behind it any more",
+    errno.ENOTTY: "it is not a serial port",
+    errno.EISDIR: "it is a folder, not a serial port",
+    errno.ECONNREFUSED: "nothing listens there",
+}
+#: Windows says in words what others say in numbers.
+_WORDS = {
+    "FileNotFoundError": errno.ENOENT,
+    "PermissionError": errno.EBUSY,
+    "Connection refused": errno.ECONNREFUSED,
+}
+
+
+class SerialLine:
+    """A serial port that is read line by line.
+
+    Args:
+        port: a device (``/dev/ttyUSB0``, ``COM3``) or any URL of pyserial (``socket://host:port``,
+            ``rfc2217://host:port``, ``spy://device``).
+        baud: bits per second.
+        stop_bits: 1 or 2.
+    """
+
+    def __init__(self, port: str, *, baud: int, stop_bits: int = 1):
+        self.port = port
+        self.baud = baud
+        self._stop_bits = stop_bits
+        self._serial: serial.SerialBase | None = None
+        self._buffer = b""
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the line stands."""
+        return self._serial is not None
+
+    def open(self) -> None:
+        """Open the port, for this program alone where the system can see to that.
+
+        Raises:
+            RobotError: if it cannot be opened, with the reason.
+        """
+        try:
+            self._serial = serial.serial_for_url(
+                self.port,
+                baudrate=self.baud,
+                stopbits=self._stop_bits,
+                timeout=_SLICE,
+                write_timeout=5.0,
+                exclusive=True,
+            )
+        except (OSError, ValueError, AttributeError, ImportError) as error:
+            raise RobotError(f"cannot open the serial port {self.port}: {_reason(error)}") from None
+        self._buffer = b""
+
+    def close(self) -> None:
+        """Close the port; never raises."""
+        if self._serial is not None:
+            with suppress(Exception):
+                self._serial.close()
+            self._serial = None
+
+    def write(self, data: bytes) -> None:
+        """Send bytes.
+
+        Raises:
+            LinkLost: if the line takes no more.
+        """
+        try:
+            self._connected().write(data)
+        except (OSError, TypeError, ValueError) as error:
+            raise self._lost(error) from None
+
+    def waiting(self) -> list[bytes]:
+        """Return the whole lines that have come already; a rest without an end is dropped."""
+        port, lines = self._connected(), []
+        try:
+            while count := port.in_waiting:
+                self._buffer += port.read(count).replace(b"\r", b"\n")
+                while (line := self._cut()) is not None:
+                    lines.append(line)
+        except (OSError, TypeError, ValueError) as error:
+            raise self._lost(error) from None
+        while (line := self._cut()) is not None:
+            lines.append(line)
+        self._buffer = b""
+        return lines
+
+    def read_line(self, seconds: float) -> bytes | None:
+        """Return the next line without its end, or None if none is whole in time.
+
+        Args:
+            seconds: wall-clock time that it may take.
+
+        Raises:
+            LinkLost: if the line is gone.
+        """
+        port = self._connected()
+        end = None
+        while (line := self._cut()) is None:
+            now = time.monotonic()
+            end = now + seconds if end is None else end
+            if now >= end:
+                return None
+            try:
+                data = port.read(1)
+                if data and (more := port.in_waiting):
+                    data += port.read(more)
+            except (OSError, TypeError, ValueError) as error:
+                raise self._lost(error) from None
+            self._buffer += data.replace(b"\r", b"\n")
+        return line
+
+    def _cut(self) -> bytes | None:
+        """Take the next non-empty line off what was received."""
+        while self._buffer:
+            line, ending, rest = self._buffer.partition(b"\n")
+            if not ending:
+                if len(line) <= LONGEST:
+                    return None
+                line, rest = line[:LONGEST], b""
+            self._buffer = rest
+            line = line.strip(b"\0\f\a ")
+            if line:
+                return line
+        return None
+
+    def _connected(self) -> serial.SerialBase:
+        if self._serial is None:
+            raise RobotError(f"the serial port {self.port} is not open: connect first")
+        return self._serial
+
+    def _lost(self, error: Exception) -> LinkLost:
+        self.close()
+        return LinkLost(f"the line {self.port} is gone: {_reason(error)}")
+
+
+def _reason(error: Exception) -> str:
+    code = getattr(error, "errno", None)
+    if code is None:
+        code = next((code for words, code in _WORDS.items() if words in str(error)), None)
+        if code is None and "[Errno " in str(error):
+            number = str(error).partition("[Errno ")[2].partition("]")[0]
+            code = int(number) if number.isdigit() else None
+    return _WHY.get(code) or " ".join(str(error).split()) or type(error).__name__

@@ -1,0 +1,265 @@
+"""The virtual Khepera's motion, contact and light against hand-worked numbers."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neurosim.base.errors import UserError
+from neurosim.lab import KheperaParams, LabArena
+from neurosim.lab import khepera_physics as physics
+from neurosim.lab.khepera_body import KheperaBody, KheperaLab
+from neurosim.lab.khepera_params import RADIUS, WHEEL_BASE
+
+EMPTY = LabArena()
+IDEAL = KheperaParams.ideal()
+LAG = 0.04
+FAR_WALL = ((0.0, -1.0, 0.0, 1.0),)
+
+
+def body(params=IDEAL, arena=EMPTY, pose=(0.0, 0.0, 0.0), seed=0):
+    return KheperaBody(params, arena, seed, pose)
+
+
+def light(arena, pose, angle=0.0):
+    return physics.reflected(np.array(pose, float), angle, arena.wall_rows, arena.cylinder_rows)
+
+
+def read(params, arena, pose, drift=0.0):
+    return physics.proximity(
+        np.array(pose, float),
+        params.angle,
+        params.reach,
+        params.threshold,
+        params.offset,
+        (0.0, 0.0),
+        drift,
+        arena.wall_rows,
+        arena.cylinder_rows,
+        arena.albedo,
+        np.random.default_rng(0),
+    )
+
+
+def test_straight_on_it_goes_its_speed_less_the_lag():
+    robot = body()
+    robot.set_speeds(10, 10)
+    robot.advance(2.0)
+    np.testing.assert_allclose(robot.pose, [0.1 * (2.0 - LAG), 0.0, 0.0], atol=1e-9)
+    np.testing.assert_allclose(robot.counts(), 1960, atol=1)
+    assert robot.speeds() == (10, 10)
+
+
+def test_wheels_against_each_other_turn_it_on_the_spot():
+    robot = body()
+    robot.set_speeds(-5, 5)
+    robot.advance(3.0)
+    turned = 0.1 * (3.0 - LAG) / WHEEL_BASE
+    np.testing.assert_allclose(robot.pose, [0.0, 0.0, turned], atol=1e-9)
+    left, right = robot.counts()
+    assert right == pytest.approx(1480, abs=1)
+    assert left == pytest.approx(-1480, abs=1)
+
+
+def test_a_slower_left_wheel_makes_an_arc_to_the_left():
+    robot = body()
+    robot.set_speeds(5, 10)
+    robot.advance(20.0)
+    # After the lag it is a circle of 1.5 wheel bases around a point to its left.
+    x, y, theta = robot.pose
+    radius = 1.5 * WHEEL_BASE
+    np.testing.assert_allclose(theta, 0.05 * (20.0 - LAG) / WHEEL_BASE, rtol=1e-9)
+    np.testing.assert_allclose(math.hypot(x, y - radius), radius, rtol=1e-3)
+
+
+def test_gain_dead_band_and_wheel():
+    params = KheperaParams.ideal(
+        gain=np.array([1.1, 1.0]), dead_band=np.array([0.0, 0.012]), wheel=np.array([1.0, 2.0])
+    )
+    robot = body(params)
+    robot.set_speeds(10, 1)
+    robot.advance(1.0 + LAG)
+    left, right = robot.counts()
+    assert left == pytest.approx(1100, abs=1)
+    assert right == 0
+    robot.set_speeds(0, 10)
+    robot.advance(9.0)
+    robot.set_counts(0, 0)
+    x, y, _ = robot.pose
+    robot.advance(10.0)
+    np.testing.assert_allclose(robot.counts(), (0, 880), atol=1)
+    # One wheel stands, the other goes twice its nominal way around it.
+    assert 2 * 0.088 > math.dist(robot.pose[:2], (x, y)) > 0.0
+
+
+def test_pieces_of_time_do_not_matter():
+    params = KheperaParams.drawn(3)
+    one, many = body(params), body(params)
+    for robot in (one, many):
+        robot.set_speeds(7, 9)
+    one.advance(1.0)
+    for time in np.linspace(0.0, 1.0, 137):
+        many.advance(float(time))
+    np.testing.assert_array_equal(one.pose, many.pose)
+
+
+def test_positions_are_reached_and_held():
+    robot = body(KheperaParams.drawn(2))
+    robot.set_positions(1000, 500, (20, 20))
+    robot.advance(6.0)
+    np.testing.assert_allclose(robot.counts(), (1000, 500), atol=3)
+
+
+def test_slip_has_its_spread():
+    params = KheperaParams.ideal(slip=0.02)
+    ways = []
+    for seed in range(200):
+        robot = body(params, seed=seed)
+        robot.set_speeds(10, 10)
+        robot.advance(4.0)
+        ways.append(robot.pose[0])
+    # A mean over T of a process with correlation time t has the variance 2 t / T of its own;
+    # that of the robot is half a wheel's.
+    assert np.std(ways) / 0.4 == pytest.approx(0.02 * math.sqrt(0.3 / 4.0), rel=0.2)
+
+
+def test_against_a_wall_the_encoders_count_on():
+    arena = LabArena(((0.1, -1.0, 0.1, 1.0),))
+    robot = body(arena=arena)
+    robot.set_speeds(10, 10)
+    robot.advance(5.0)
+    np.testing.assert_allclose(robot.pose, [0.1 - RADIUS, 0.0, 0.0], atol=1e-6)
+    np.testing.assert_allclose(robot.counts(), 4960, atol=1)
+    assert robot.touches > 1000
+
+
+def test_along_a_wall_it_slides_and_friction_holds_it_back():
+    ways = {}
+    for friction in (0.0, 0.3):
+        arena = LabArena(((-5.0, 0.05, 5.0, 0.05),))
+        robot = body(KheperaParams.ideal(friction=friction), arena, (0.0, 0.0, math.pi / 4))
+        robot.set_speeds(10, 10)
+        robot.advance(3.0)
+        x, y, _ = robot.pose
+        assert y == pytest.approx(0.05 - RADIUS, abs=1e-6)
+        ways[friction] = x
+    along = 0.1 * (3.0 - LAG) / math.sqrt(2.0)
+    assert ways[0.0] == pytest.approx(along, rel=1e-3)
+    assert ways[0.3] < 0.8 * along
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.integers(0, 1000),
+    st.lists(st.tuples(st.integers(-127, 127), st.integers(-127, 127)), min_size=1, max_size=8),
+)
+def test_it_never_stands_in_anything(seed, commands):
+    arena = LabArena.paper()
+    robot = body(KheperaParams.drawn(seed), arena, (-0.22, 0.0, 0.3), seed)
+    for index, (left, right) in enumerate(commands):
+        robot.set_speeds(left, right)
+        for part in range(10):
+            robot.advance(0.5 * index + 0.05 * (part + 1))
+            assert robot.depth(*robot.pose[:2]) <= 2e-9
+            assert abs(robot.pose[0]) < 0.3
+            assert abs(robot.pose[1]) < 0.175
+
+
+def test_light_falls_with_the_square_of_the_way():
+    wall = LabArena(FAR_WALL)
+    near = light(wall, (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
+    far = light(wall, (-0.10 - RADIUS + physics.DEPTH, 0.0, 0.0))
+    assert near / far == pytest.approx(4.0, rel=1e-6)
+
+
+def test_light_of_a_wall_by_a_fine_sum():
+    # cos^4 weights; a ray at angle a goes d / cos a and meets the wall at cos a.
+    a = np.linspace(-physics.HALF_CONE, physics.HALF_CONE, 20001)
+    weight = np.cos(a) ** 4
+    expected = (weight * np.cos(a) * np.cos(a) ** 2 / 0.05**2).sum() / weight.sum()
+    found = light(LabArena(FAR_WALL), (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+def test_a_round_obstacle_gives_less_than_a_wall_and_what_is_behind_does_not_count():
+    pose = (-0.02 - RADIUS, 0.0, 0.0)
+    wall = LabArena(FAR_WALL)
+    round_one = LabArena((), ((0.0275, 0.0, 0.0275),))
+    assert 0.3 < light(round_one, pose) / light(wall, pose) < 0.95
+    both = LabArena(((0.01, -1.0, 0.01, 1.0), (0.03, -1.0, 0.03, 1.0)))
+    assert light(both, pose) == light(LabArena(both.walls[:1]), pose)
+    assert light(wall, pose, math.pi) == 0.0
+
+
+def test_before_their_gains_left_and_right_sensors_are_alike():
+    arena = LabArena(FAR_WALL, ((-0.03, 0.06, 0.02), (-0.03, -0.06, 0.02)))
+    values = read(IDEAL, arena, (-0.05, 0.0, 0.0))
+    np.testing.assert_array_equal(values[:6], values[:6][::-1])
+    assert values[6] == values[7]
+    assert values[2] > values[1] > 0
+
+
+def test_readings_have_the_range_and_reach_of_a_khepera():
+    wall = LabArena(FAR_WALL)
+    front = [read(IDEAL, wall, (-RADIUS - d / 1000, 0.0, 0.0))[2] for d in (5, 15, 20, 30, 45)]
+    assert front[0] >= 1020
+    assert front[1] > 950
+    assert 1000 > front[2] > 600
+    assert 200 > front[3] > 20
+    assert front[4] == 0
+
+
+def test_a_lab_in_the_light_reads_less():
+    pose = (-RADIUS - 0.022, 0.0, 0.0)
+    assert (
+        read(IDEAL, LabArena(FAR_WALL), pose, drift=20.0)[2]
+        < read(IDEAL, LabArena(FAR_WALL), pose)[2]
+    )
+
+
+def test_robots_differ_and_the_same_number_is_the_same_robot():
+    pose, arena = (-0.05, 0.0, 0.0), LabArena(FAR_WALL)
+    one, again, other = (read(KheperaParams.drawn(seed), arena, pose) for seed in (1, 1, 2))
+    np.testing.assert_array_equal(one, again)
+    assert (one != other).any()
+
+
+def test_noise_is_within_ten_bits_and_centred():
+    robot = body(KheperaParams.drawn(1), LabArena(FAR_WALL), (-RADIUS - 0.022, 0.0, 0.0))
+    values = np.array([robot.proximity() for _ in range(2000)])
+    assert values.min() >= 0
+    assert values.max() <= 1023
+    assert 2.0 < values[:, 0].std() < 60.0
+    assert values[:, 2].std() > 5.0
+
+
+def test_sensors_show_where_the_robot_was_at_the_last_scan():
+    robot = body(arena=LabArena(FAR_WALL), pose=(-0.2, 0.0, 0.0))
+    robot.set_speeds(100, 100)
+    robot.advance(0.159)
+    # The scan before was at 0.140 s.
+    expected = -0.2 + 1.0 * (0.140 - LAG * (1 - math.exp(-0.140 / LAG)))
+    np.testing.assert_array_equal(
+        robot.proximity(), read(IDEAL, LabArena(FAR_WALL), (expected, 0.0, 0.0))
+    )
+
+
+def test_ambient_light_drifts_within_its_spread():
+    robot = body(KheperaParams.ideal(drift=8.0, drift_time=2.0))
+    values = []
+    for time in range(1, 2000):
+        robot.advance(float(time))
+        values.append(robot.ambient()[0])
+    assert np.mean(values) == pytest.approx(480.0, abs=1.5)
+    assert np.std(values) == pytest.approx(8.0, rel=0.15)
+
+
+def test_a_robot_is_put_down_only_where_there_is_room():
+    lab = KheperaLab(IDEAL, LabArena.paper(), start=(-0.22, 0.0, 0.0))
+    with pytest.raises(UserError, match=r"x 0.0 cm, y 0.0 cm.*obstacle"):
+        lab.place(0.0, 0.0, 0.0)
+    lab.place(-0.271, 0.0, 1.0, placing=(0.01, 0.1))
+    assert lab.body.depth(*lab.pose[:2]) <= 0.0
+    assert abs(lab.pose[2] - 1.0) > 1e-6

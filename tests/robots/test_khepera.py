@@ -1,0 +1,372 @@
+"""The driver against scripted bytes: what a robot, a broken one, and something else answer."""
+
+import errno
+import math
+import os
+import threading
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import serial
+from hypothesis import given
+from hypothesis import strategies as st
+
+from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.robots import Robot, open_robot
+from neurosim.robots.khepera import Khepera, _numbers
+
+pytestmark = pytest.mark.skipif(os.name != "posix", reason="this system has no pseudo-terminals")
+
+WELL = {
+    b"B": b"b,5.02,5.02\r\n",
+    b"D": b"d\r\n",
+    b"G": b"g\r\n",
+    b"H": b"h,120,-7\r\n",
+    b"L": b"l\r\n",
+    b"N": b"n,0,1,2,3,4,5,6,1023\r\n",
+    b"O": b"o,500,501,502,503,504,505,506,507\r\n",
+}
+BANNER = b"\r\nROM of minirobot KHEPERA, version 3\r\n"
+
+
+class Scripted:
+    """Answers commands on a pseudo-terminal; ``script`` holds what to say in place of WELL."""
+
+    def __init__(self, master):
+        self.master, self.heard, self.script, self.table = master, [], [], WELL
+
+    def run(self):
+        buffer = b""
+        while True:
+            try:
+                data = os.read(self.master, 256)
+            except OSError:
+                return
+            if not data or data == b"\x04":
+                return
+            buffer += data
+            while b"\r" in buffer:
+                command, _, buffer = buffer.partition(b"\r")
+                if command:
+                    self.heard.append(command.decode())
+                    answer = self.script.pop(0) if self.script else None
+                    os.write(
+                        self.master, self.table.get(command[:1], b"") if answer is None else answer
+                    )
+
+    def say(self, data):
+        os.write(self.master, data)
+
+
+@contextmanager
+def scripted():
+    import tty
+
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    robot = Scripted(master)
+    thread = threading.Thread(target=robot.run, daemon=True)
+    thread.start()
+    try:
+        yield robot, os.ttyname(slave)
+    finally:
+        os.write(slave, b"\x04")
+        thread.join(5.0)
+        os.close(slave)
+        os.close(master)
+
+
+@pytest.fixture
+def line():
+    with scripted() as found:
+        yield found
+
+
+@pytest.fixture
+def robot(line):
+    script, path = line
+    with Khepera(path, timeout=0.3) as driver:
+        script.heard.clear()
+        yield driver
+
+
+def test_it_is_a_robot_and_says_which(line):
+    script, path = line
+    driver = open_robot("khepera", port=path, timeout=0.3)
+    assert isinstance(driver, Robot)
+    about = driver.describe()
+    assert (about["version"], about["baud"], about["dialect"]) == ("5.02,5.02", 9600, "khepera")
+    driver.close()
+    assert script.heard == ["B", "D,0,0", "D,0,0"]
+
+
+def test_every_command(line, robot):
+    script, _ = line
+    robot.drive(100, -54)
+    robot.set_speeds(3, 127)
+    np.testing.assert_array_equal(robot.read_proximity(), [0, 1, 2, 3, 4, 5, 6, 1023])
+    np.testing.assert_array_equal(robot.read_ambient(), np.arange(500, 508))
+    assert robot.read_counts() == (120, -7)
+    robot.set_counts(5, -5)
+    robot.lamp(True)
+    robot.stop()
+    assert script.heard == ["D,10,-5", "D,3,127", "N", "O", "H", "G,5,-5", "L,0,1", "D,0,0"]
+    assert robot.read_sensors()["proximity_7"] == 1.0
+    assert robot.read_sensors()["proximity_1"] == pytest.approx(1 / 1023)
+    assert math.isnan(robot.battery())
+
+
+def test_driving_and_reading_at_once(line, robot):
+    script, _ = line
+    np.testing.assert_allclose(robot.drive_and_read(50, 50)[6:], [6 / 1023, 1.0])
+    assert script.heard == ["D,5,5", "N"]
+    script.script = [b"z,Protocol error\r\n"]
+    np.testing.assert_allclose(robot.drive_and_read(60, 50)[6:], [6 / 1023, 1.0])
+    assert script.heard[2:4] == ["D,6,5", "N"]
+    assert "D,6,5" in script.heard[4:]
+
+
+@pytest.mark.parametrize(("left", "right"), [(101, 0), (0, -100.5), (math.nan, 0), (0, math.inf)])
+def test_no_such_speed(robot, left, right):
+    with pytest.raises(UserError, match="is not a speed"):
+        robot.drive(left, right)
+
+
+def test_no_such_speed_of_its_own(robot):
+    with pytest.raises(UserError, match=r"left wheel: 128.*up to 127"):
+        robot.set_speeds(128, 0)
+    with pytest.raises(UserError, match=r"right wheel: 1.5"):
+        robot.set_speeds(0, 1.5)
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        b"n,0,1,2,3\r\n",
+        b"n,0,1,2,3,4,5,6,x\r\n",
+        b"z,Command not found\r\n",
+        b"n,0,1,2",
+        b"",
+    ],
+)
+def test_half_answers_and_errors_are_asked_again(line, robot, bad):
+    script, _ = line
+    script.script = [bad]
+    np.testing.assert_array_equal(robot.read_proximity(), [0, 1, 2, 3, 4, 5, 6, 1023])
+    assert script.heard == ["N", "N"]
+
+
+def test_garbage_before_an_answer_is_passed_over(line, robot):
+    script, _ = line
+    script.script = [b"\xff\xfe\x00?\r\n,,\r\nh,1,2\r\nn,0,1,2,3,4,5,6,1023\r\n"]
+    np.testing.assert_array_equal(robot.read_proximity(), [0, 1, 2, 3, 4, 5, 6, 1023])
+    assert script.heard == ["N"]
+
+
+def test_a_late_answer_is_not_taken_for_the_next(line, robot):
+    script, _ = line
+    script.say(b"h,1,1\r\n")
+    threading.Event().wait(0.05)
+    assert robot.read_counts() == (120, -7)
+
+
+def test_a_robot_that_reboots_is_set_to_what_it_was(line, robot):
+    script, _ = line
+    robot.set_speeds(7, 8)
+    robot.read_counts()
+    script.heard.clear()
+    script.say(BANNER)
+    threading.Event().wait(0.05)
+    robot.read_proximity()
+    assert script.heard == ["G,120,-7", "D,7,8", "N"]
+    assert robot.reboots == 1
+    assert robot.describe()["reboots"] == 1
+
+
+def test_a_reboot_in_the_middle_of_an_answer(line, robot):
+    script, _ = line
+    robot.set_speeds(7, 8)
+    script.heard.clear()
+    script.script = [b"n,0,1" + BANNER]
+    np.testing.assert_array_equal(robot.read_proximity(), [0, 1, 2, 3, 4, 5, 6, 1023])
+    assert script.heard in (["N", "D,7,8", "N"], ["N", "N", "D,7,8", "N"], ["N", "N"])
+    robot.read_proximity()
+    assert "D,7,8" in script.heard
+    assert robot.reboots == 1
+
+
+def test_silence_is_a_lost_link(line, robot):
+    script, path = line
+    script.table = {}
+    with pytest.raises(LinkLost, match=rf"{path} stopped answering.*'N' within 0.3 s, 3 times"):
+        robot.read_proximity()
+    assert script.heard == ["N", "N", "N"]
+    with pytest.raises(RobotError, match="not open"):
+        robot.read_proximity()
+
+
+def test_a_command_refused_each_time_is_told(line, robot):
+    script, _ = line
+    script.script = [b"z,Command not found\r\n"] * 3
+    with pytest.raises(RobotError, match=r"does not carry out 'O'.*z,Command not found"):
+        robot.read_ambient()
+
+
+def test_nothing_answers(line):
+    script, path = line
+    script.table = {}
+    with pytest.raises(RobotError, match=rf"nothing answers on {path} at 9600 baud"):
+        Khepera(path, timeout=0.05).connect()
+
+
+def test_something_else_answers(line):
+    script, path = line
+    script.table = {b"B": b"\x80\x91gibberish\r\n"}
+    with pytest.raises(RobotError, match=r"is no Khepera.*gibberish.*its speed"):
+        Khepera(path, timeout=0.05).connect()
+
+
+def test_a_terminal_is_no_robot():
+    with pytest.raises(RobotError, match="sends back its own input"):
+        Khepera("loop://", timeout=0.05).connect()
+
+
+def test_a_port_in_use(line):
+    _, path = line
+    with (
+        serial.serial_for_url(path, exclusive=True),
+        pytest.raises(RobotError, match=rf"cannot open the serial port {path}: it is busy"),
+    ):
+        Khepera(path).connect()
+
+
+@pytest.mark.parametrize(
+    ("port", "why"),
+    [
+        ("/dev/no-such-port", "there is no such port"),
+        ("COM333", "there is no such port"),
+        ("nonsense://x", "nonsense"),
+        ("socket://127.0.0.1:1", "nothing listens there"),
+    ],
+)
+def test_ports_that_do_not_open(port, why):
+    with pytest.raises(RobotError, match=rf"cannot open the serial port .*{why}"):
+        Khepera(port, timeout=0.1).connect()
+
+
+def test_a_file_is_no_port(tmp_path):
+    path = tmp_path / "file"
+    path.write_text("x")
+    with pytest.raises(RobotError, match="cannot open the serial port"):
+        Khepera(str(path)).connect()
+
+
+def test_no_right_to_a_port(monkeypatch):
+    def refuse(*_, **__):
+        raise serial.SerialException(errno.EACCES, "could not open port: Permission denied")
+
+    monkeypatch.setattr(serial, "serial_for_url", refuse)
+    with pytest.raises(RobotError, match=r"you may not open it.*dialout"):
+        Khepera("/dev/ttyUSB0").connect()
+
+
+def test_the_line_goes_away():
+    with scripted() as (script, path):
+        driver = Khepera(path, timeout=0.3)
+        driver.connect()
+        script.table = {}
+        driver._line._serial.close()
+        with pytest.raises(LinkLost, match=f"the line {path} is gone"):
+            driver.read_proximity()
+        driver.close()
+
+
+def test_a_spy_on_the_line(line, tmp_path):
+    _, path = line
+    with Khepera(f"spy://{path}?file={tmp_path / 'log'}", timeout=0.3) as driver:
+        assert driver.read_counts() == (120, -7)
+    assert "H" in (tmp_path / "log").read_text()
+
+
+def test_the_khepera_iii_has_other_letters_prefixes_and_sensors(line):
+    script, path = line
+    answer = b"n," + b",".join(b"%d" % (100 * i) for i in range(11)) + b",4711\r\n"
+    script.table = {b"B": b"b,3,0\r\n", b"D": b"d\r\n", b"N": answer, b"I": b"i\r\n"}
+    script.table |= {b"R": b"r,l10,-20\r\n"}
+    with Khepera(path, dialect="khepera3", timeout=0.3) as driver:
+        script.heard.clear()
+        driver.drive(100, -100)
+        driver.set_counts(0, 5)
+        assert driver.read_counts() == (10, -20)
+        # Its answer begins behind to the left; ours ends there.
+        np.testing.assert_array_equal(
+            driver.read_proximity(), [100, 200, 300, 400, 500, 600, 700, 0]
+        )
+        assert script.heard == ["D,l14401,l-14401", "I,l0,l5", "R", "N"]
+        with pytest.raises(RobotError, match="no lamp"):
+            driver.lamp(True)
+
+
+def test_the_e_puck_has_other_letters_and_its_own_order(line):
+    script, path = line
+    script.table = {
+        b"V": b"v,Version 1.1.3 September 2006\r\n",
+        b"D": b"d\r\n",
+        b"N": b"n,4095,-3,0,0,0,0,0,0\r\n",
+        b"Q": b"q,77,-77\r\n",
+        b"P": b"p\r\n",
+        b"B": b"b\r\n",
+    }
+    with Khepera(path, dialect="epuck", timeout=0.3) as driver:
+        script.heard.clear()
+        assert driver.describe()["version"] == "Version 1.1.3 September 2006"
+        driver.drive(50, 100)
+        driver.lamp(True)
+        driver.set_counts(1, 2)
+        assert driver.read_counts() == (77, -77)
+        assert driver.read_sensors()["proximity_0"] == 1.0
+        assert driver.read_sensors()["proximity_1"] == 0.0
+        # Sensor 0 looks to the right.
+        assert driver.angles[0] < 0
+        assert script.heard[:4] == ["D,500,1000", "B,1", "P,1,2", "Q"]
+
+
+def test_an_e_puck_that_reboots(line):
+    script, path = line
+    script.table = {b"V": b"v,x\r\n", b"D": b"d\r\n", b"N": b"n,0,0,0,0,0,0,0,0\r\n"}
+    with Khepera(path, dialect="epuck", timeout=0.3) as driver:
+        driver.set_speeds(100, 200)
+        script.heard.clear()
+        script.say(b"\f\aWELCOME to the SerCom protocol on e-Puck\r\nthe EPFL education robot\r\n")
+        threading.Event().wait(0.05)
+        driver.read_proximity()
+        assert script.heard == ["D,100,200", "N"]
+
+
+@pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        (
+            {"dialect": "roomba"},
+            "'roomba' is not known; there are khepera, khepera3, epuck",
+        ),
+        ({"full_speed": 0}, "full speed 0"),
+        ({"full_speed": 128}, "use 1 to 127"),
+        ({"baud": -1}, "-1 is not a baud rate"),
+    ],
+)
+def test_options_that_make_no_sense(options, why):
+    with pytest.raises(UserError, match=why):
+        Khepera("/dev/ttyUSB0", **options)
+
+
+@given(st.text(max_size=40))
+def test_any_line_is_an_answer_or_none(text):
+    values = _numbers(text, "n")
+    assert values is None or all(isinstance(value, int) for value in values)
+
+
+@given(st.lists(st.integers(-(2**31), 2**31 - 1)))
+def test_numbers_are_read_as_they_were_written(values):
+    assert _numbers(",".join(["h", *map(str, values)]), "h") == values
