@@ -41,10 +41,11 @@ from neurosim.cli.tables import arena_option, noise_option
     type=click.Choice(["default", "paper"]),
     default="default",
     show_default=True,
-    help="Both are Table 1; with paper null commands come back where they are: stuck more often.",
+    help="paper is Table 1: a tournament of 50, and null commands come back where they are. It "
+    "gets stuck twice as often.",
 )
 @click.option("--population", type=click.IntRange(min=2), help="[250; obstacle avoidance: 100]")
-@click.option("--tournament", type=click.IntRange(min=1), help="[50]")
+@click.option("--tournament", type=click.IntRange(min=1), help="[5; paper: 50]")
 @click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [0.8]")
 @click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [0.05]")
 @click.option("--eta", type=click.FloatRange(min=0), help="Of the crossover.  [15]")
@@ -124,6 +125,7 @@ def evolve(
             as_json=as_json,
         )
         return
+    from neurosim.evolution import GeneticSettings
     from neurosim.tasks.evolve import evolve as evolve_
     from neurosim.tasks.planning import DEFAULT_GENETIC, PlanSettings, RobustSettings
 
@@ -133,7 +135,7 @@ def evolve(
         runs=runs,
         max_speed=max_speed,
         durations=durations,
-        genetic=replace(DEFAULT_GENETIC, **given),
+        genetic=replace(GeneticSettings() if preset == "paper" else DEFAULT_GENETIC, **given),
         insertion=preset != "paper",
         robust=robust and RobustSettings(robust, robust_generations, draws),
         placing=(placing[0] / 1000.0, math.radians(placing[1])),

@@ -26,9 +26,9 @@ from neurosim.tasks.base import Evaluation, Task
 from neurosim.tasks.breeding import GENES, PlanPopulation, decode, encode, pairing_keys
 from neurosim.tasks.rollouts import PLACING, Rollouts, rollouts
 
-#: The genetic algorithm of plans: the paper's own. What keeps runs from getting stuck is where
-#: null commands come back (``PlanSettings.insertion``), more than any rate.
-DEFAULT_GENETIC = GeneticSettings()
+#: The genetic algorithm of plans: the paper's but for its tournament of 50, which leaves a run
+#: with one plan and its likes before the course is found.
+DEFAULT_GENETIC = GeneticSettings(tournament=5)
 #: Of robust evolution: the way is known, it is to be smoothed without losing variety.
 ROBUST_GENETIC = GeneticSettings(tournament=5, mutation=0.1, eta=2.0, mutation_scale=0.03)
 #: A generation of fewer commands than this takes a core about a millisecond.
