@@ -381,7 +381,8 @@ class Session:
 
     def _check_battery(self) -> None:
         volts, limit = self._robot.battery(), self._settings.battery_limit
-        if volts >= limit:
+        # A robot that cannot tell says NaN.
+        if not volts < limit:
             return
         self._write("stop", 0, 0)
         self._write("pause")

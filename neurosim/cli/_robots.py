@@ -15,12 +15,29 @@ from click.core import ParameterSource
 from neurosim.base.errors import UserError
 from neurosim.cli._common import Size
 
+_KHEPERA_OPTIONS = [
+    click.option(
+        "--port",
+        "serial_port",
+        help="Khepera: its serial port, such as /dev/ttyUSB0 or COM3, or a URL of pyserial.",
+    ),
+    click.option(
+        "--dialect",
+        type=click.Choice(["khepera", "khepera3", "epuck"]),
+        help="Khepera I or II, Khepera III or e-puck.  [khepera]",
+    ),
+    click.option(
+        "--baud",
+        type=click.IntRange(min=1),
+        help="Khepera: speed of its line.  [9600; khepera3, epuck: 115200]",
+    ),
+]
 _OPTIONS = [
     click.option(
         "--robot",
         default="virtual",
         show_default=True,
-        help="virtual (the lab in software), nxt, or a driver that a package added.",
+        help="virtual (the lab in software), nxt, khepera, or a driver that a package added.",
     ),
     click.option("--host", help="NXT over Bluetooth: its address, such as 00:16:53:01:02:03."),
     click.option("--device", help="NXT over a device file, such as /dev/rfcomm0."),
@@ -42,6 +59,7 @@ _OPTIONS = [
         "--light-right", default="2", show_default=True, help="Right light sensor's port, or none."
     ),
     click.option("--invert", is_flag=True, help="The motors are mounted the other way round."),
+    *_KHEPERA_OPTIONS,
     click.option(
         "--camera",
         default=None,
@@ -65,6 +83,29 @@ def robot_options(command: Callable) -> Callable:
     for option in reversed(_OPTIONS):
         command = option(command)
     return command
+
+
+def khepera_options(command: Callable) -> Callable:
+    """Add the options that say where a Khepera is."""
+    for option in reversed(_KHEPERA_OPTIONS):
+        command = option(command)
+    return command
+
+
+def khepera(options: dict[str, Any]) -> Any:
+    """Make the driver that the options of :func:`khepera_options` stand for, not connected.
+
+    Raises:
+        UserError: without a port.
+    """
+    from neurosim.robots import Khepera
+
+    port, dialect, baud = (options[name] for name in ("serial_port", "dialect", "baud"))
+    if port is None:
+        raise UserError(
+            "a Khepera is reached by its serial port: give --port, such as /dev/ttyUSB0 or COM3"
+        )
+    return Khepera(port, dialect=dialect or "khepera", baud=baud)
 
 
 @dataclass
@@ -125,7 +166,11 @@ _HARDWARE = {
     "light_left": "--light-left",
     "light_right": "--light-right",
     "invert": "--invert",
+    "serial_port": "--port",
+    "dialect": "--dialect",
+    "baud": "--baud",
 }
+_OF_KHEPERA = ("serial_port", "dialect", "baud")
 
 
 def _refuse_hardware(camera: str | None) -> None:
@@ -148,12 +193,20 @@ def _robot(kind: str, options: dict[str, Any]) -> Any:
     from neurosim.robots import robot_factory
 
     factory = robot_factory(kind)
+    for name, option in {**_HARDWARE, "lamp": "--lamp"}.items():
+        if _is_given(name) and kind in ("nxt", "khepera"):
+            theirs = "khepera" if name in _OF_KHEPERA else "nxt"
+            if theirs != kind:
+                raise UserError(f"{option} is for --robot {theirs}, not for --robot {kind}")
+    if kind == "khepera":
+        return khepera(options)
     wanted = _driver_options(options)
     if kind != "nxt":
         # A driver from elsewhere has options of its own: it gets those that were given.
         wanted = {name: value for name, (value, given) in wanted.items() if given}
     else:
-        wanted = {name: value for name, (value, _) in wanted.items()}
+        theirs = ("port", "dialect", "baud")
+        wanted = {name: value for name, (value, _) in wanted.items() if name not in theirs}
     try:
         inspect.signature(factory).bind(**wanted)
     except TypeError as error:
@@ -172,6 +225,9 @@ def _driver_options(options: dict[str, Any]) -> dict[str, tuple[Any, bool]]:
         found["server_host"] = (name or "localhost", True)
         found["server_port"] = (int(port), True)
     for keyword, option in (
+        ("port", "serial_port"),
+        ("dialect", "dialect"),
+        ("baud", "baud"),
         ("host", "host"),
         ("filename", "device"),
         ("left", "left_port"),

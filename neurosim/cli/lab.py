@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
+from typing import Any
 
 import click
 
 from neurosim.cli._common import PATH, Size, emit, json_option, next_step, seed_option
 
+_socket_option = click.option(
+    "--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device."
+)
+_port_option = click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Of the socket; 0: any."
+)
+_seconds_option = click.option(
+    "--seconds", type=float, help="Stop by itself after so long.  [default: Ctrl-C]"
+)
+
 
 @click.group()
 def lab() -> None:
-    """The virtual lab by itself: a brick for other programs, photographs for calibration."""
+    """The virtual lab by itself: robots for other programs, photographs for calibration."""
 
 
 @lab.command()
-@click.option("--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device.")
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Of the socket; 0: any.")
-@click.option("--seconds", type=float, help="Stop by itself after so long.  [default: Ctrl-C]")
+@_socket_option
+@_port_option
+@_seconds_option
 @seed_option
 @json_option
 def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
@@ -36,12 +47,82 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
                 as_json,
                 f"A virtual NXT runs in real time. Reach it with:\n{how}\nCtrl-C ends it.",
             )
-            end = time.monotonic() + seconds if seconds is not None else float("inf")
-            try:
-                while time.monotonic() < end and rig.alive:
-                    time.sleep(0.1)
-            except KeyboardInterrupt:
-                pass
+            _stay(rig, seconds)
+
+
+@lab.command()
+@click.option(
+    "--arena", "arena_path", type=PATH, help="JSON of the arena.  [60 x 35 cm, three obstacles]"
+)
+@click.option(
+    "--start",
+    type=(float, float, float),
+    help="Where the robot stands at first: x and y in cm, heading in degrees.  "
+    "[the arena's own; in the default arena -22 0 0]",
+)
+@_socket_option
+@_port_option
+@click.option(
+    "--baud", type=click.IntRange(min=300), default=9600, show_default=True, help="Of the line."
+)
+@_seconds_option
+@seed_option
+@json_option
+def khepera(
+    arena_path: Path | None,
+    start: tuple[float, float, float] | None,
+    by_socket: bool,
+    port: int,
+    baud: int,
+    seconds: float | None,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Keep a virtual Khepera running in real time, for any program that speaks its protocol."""
+    import math
+
+    from neurosim.lab import LabArena, VirtualKheperaRig
+    from neurosim.lab.khepera_params import RADIUS
+    from neurosim.lab.khepera_rig import START
+    from neurosim.lab.world import Pacer
+    from neurosim.simulators.arena import Arena, paper_arena
+
+    arena = paper_arena() if arena_path is None else Arena.read(arena_path)
+    if start is not None:
+        pose = (start[0] / 100, start[1] / 100, math.radians(start[2]))
+    else:
+        pose = arena.start or (START if arena_path is None else (0.0, 0.0, 0.0))
+    arena.check_start(pose, RADIUS)
+    with VirtualKheperaRig(
+        seed,
+        arena=LabArena.of(arena),
+        start=pose,
+        device="socket" if by_socket else None,
+        port=port,
+        baud=baud,
+        real_time=True,
+    ) as rig:
+        result = {"port": rig.address, "baud": baud}
+        with Pacer(rig.lab):
+            emit(
+                result,
+                as_json,
+                f"A virtual Khepera runs in real time, at {baud} baud. Reach it with:\n"
+                f"  python -m serial.tools.miniterm {rig.address} {baud} --eol CR\n"
+                f"  neurosim record OUT --robot khepera --port {rig.address} --camera none\n"
+                "Ctrl-C ends it.",
+            )
+            _stay(rig, seconds)
+
+
+def _stay(rig: Any, seconds: float | None) -> None:
+    """Return when time is up, the line is gone, or with Ctrl-C."""
+    end = time.monotonic() + seconds if seconds is not None else float("inf")
+    try:
+        while time.monotonic() < end and rig.alive:
+            time.sleep(0.1)
+    except KeyboardInterrupt:
+        pass
 
 
 def _ways(address: dict[str, str | int]) -> tuple[dict, str]:

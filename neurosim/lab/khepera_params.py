@@ -92,7 +92,7 @@ class KheperaParams:
     slip_time: float = 0.3
     friction: float = 0.3
     angle: NDArray[np.float64] = field(default_factory=lambda: np.radians(SENSOR_ANGLES))
-    reach: NDArray[np.float64] = field(default_factory=lambda: _eight(1.05e-3))
+    reach: NDArray[np.float64] = field(default_factory=lambda: _eight(1.20e-3))
     threshold: NDArray[np.float64] = field(default_factory=lambda: _eight(0.6))
     offset: NDArray[np.float64] = field(default_factory=lambda: _eight(0.0))
     noise: float = 0.0
@@ -119,7 +119,7 @@ class KheperaParams:
             slip=0.01,
             friction=float(rng.uniform(0.2, 0.4)),
             angle=np.radians(np.array(SENSOR_ANGLES) + 2.0 * normal(8)),
-            reach=1.05e-3 * np.exp(0.15 * normal(8)),
+            reach=1.20e-3 * np.exp(0.15 * normal(8)),
             threshold=0.6 * np.exp(0.08 * normal(8)),
             offset=rng.uniform(0.0, 3.0, 8),
             noise=4.0,

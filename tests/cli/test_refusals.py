@@ -131,6 +131,22 @@ def test_a_real_robots_option_without_a_real_robot(refused):
 
 
 @pytest.mark.parametrize(
+    ("options", "why"),
+    [
+        ("--robot khepera", "give --port"),
+        ("--robot khepera --port /dev/no-such-port", "there is no such port"),
+        ("--robot khepera --port socket://127.0.0.1:1", "nothing listens there"),
+        ("--robot khepera --port x --lamp A", "--lamp is for --robot nxt"),
+        ("--robot khepera --port x --host 00", "--host is for --robot nxt"),
+        ("--robot nxt --baud 9600", "--baud is for --robot khepera"),
+        ("--port x", "--port is for a real robot"),
+    ],
+)
+def test_a_khepera_that_is_not_reached(refused, options, why):
+    assert why in refused("record", "new", *options.split(), "--camera", "none")
+
+
+@pytest.mark.parametrize(
     ("options", "names"),
     [
         (["--lab-seed", "1"], "virtual_lab.robot_seed"),

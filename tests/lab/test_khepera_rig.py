@@ -1,0 +1,201 @@
+"""The virtual Khepera put together: through the driver, through others' clients, when it breaks."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+import serial
+
+from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.lab import KheperaParams, LabArena, Pacer, VirtualKheperaRig
+from neurosim.lab.khepera_params import RADIUS
+from neurosim.robots import Khepera
+from neurosim.simulators.arena import Arena, paper_arena
+
+DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]
+
+
+def drive(rig, robot, steps=60):
+    """Drive around on what the sensors say; return the way."""
+    way = []
+    begin = robot.clock.now()
+    activations = robot.drive_and_read(60, 50)
+    for step in range(1, steps + 1):
+        robot.clock.sleep_until(begin + 0.1 * step)
+        left, right = 60 - 120 * activations[2:5].max(), 60 - 60 * activations[:2].max()
+        activations = robot.drive_and_read(left, right)
+        way.append([*rig.lab.pose, *activations])
+    return np.array(way)
+
+
+def driven(seed=1, noise=3, **options):
+    with VirtualKheperaRig(seed, noise_seed=noise, **options) as rig, rig.robot as robot:
+        return drive(rig, robot)
+
+
+def test_the_same_numbers_give_the_same_drive_over_any_line():
+    first = driven(device=DEVICES[-1])
+    np.testing.assert_array_equal(first, driven(device=DEVICES[-1]))
+    np.testing.assert_array_equal(first, driven(device="socket"))
+    assert np.abs(first - driven(noise=4)).max() > 1e-6
+    assert np.abs(first - driven(seed=2)).max() > 1e-3
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_the_driver_drives_and_reads_it(device):
+    arena = LabArena(((0.1, -1.0, 0.1, 1.0),))
+    with (
+        VirtualKheperaRig(
+            0, arena=arena, start=(0.0, 0.0, 0.0), device=device, params=KheperaParams.ideal()
+        ) as rig,
+        rig.robot as robot,
+    ):
+        robot.set_counts(0, 0)
+        begin = rig.lab.pose[0]
+        robot.drive(100, 100)
+        robot.clock.sleep_until(robot.clock.now() + 0.5)
+        robot.stop()
+        robot.clock.sleep_until(robot.clock.now() + 0.5)
+        left, right = robot.read_counts()
+        assert left == right
+        assert left / robot.pulses_per_metre == pytest.approx(rig.lab.pose[0] - begin, abs=2e-4)
+        rig.lab.place(0.1 - RADIUS - 0.02, 0.0, 0.0)
+        ahead = robot.read_proximity()
+        rig.lab.place(0.1 - RADIUS - 0.02, 0.0, math.pi)
+        behind = robot.read_proximity()
+        assert ahead[2] > 500 > behind[2]
+        assert behind[6] > 500 > ahead[6]
+        # The wall to its right: it looks along +y.
+        rig.lab.place(0.1 - RADIUS - 0.015, 0.0, math.pi / 2)
+        assert robot.read_proximity()[5] > 500 > robot.read_proximity()[0]
+        np.testing.assert_array_equal(robot.read_ambient(), 480)
+
+
+def test_the_line_takes_its_time():
+    times = {}
+    for baud in (9600, 38400):
+        with VirtualKheperaRig(0, baud=baud) as rig, rig.robot as robot:
+            robot.stop()
+            begin = rig.lab.time
+            robot.stop()
+            times[baud] = rig.lab.time - begin
+    # "D,0,0" and CR, then "d" and CR LF: 9 bytes of 11 bits.
+    assert times[9600] == pytest.approx(9 * 11 / 9600)
+    assert times[38400] == pytest.approx(9 * 11 / 38400)
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_client_to_the_manuals_letter(device):
+    with VirtualKheperaRig(0, device=device, real_time=True) as rig, Pacer(rig.lab):
+        for _ in range(2):  # The second comes after the first has gone.
+            with serial.serial_for_url(
+                rig.address, baudrate=9600, bytesize=8, parity="N", stopbits=2, timeout=5
+            ) as port:
+                port.write(b"B\r")
+                assert port.readline() == b"b,5.02,5.02\r\n"
+                port.write(b"D,5,-5\n")
+                assert port.readline() == b"d\r\n"
+                port.write(b"G,0,0\r\n")
+                assert port.readline() == b"g\r\n"
+                time.sleep(0.3)
+                port.write(b"H\n")
+                name, left, right = port.readline().strip().split(b",")
+                assert (name, int(left) > 20, int(right) < -20) == (b"h", True, True)
+                port.write(b"D,0,0\nE\n")
+                assert port.readline() == b"d\r\n"
+                assert port.readline().startswith(b"e,")
+                port.write(b"N\n")
+                values = port.readline().strip().split(b",")
+                assert (values[0], len(values)) == (b"n", 9)
+                assert all(0 <= int(value) <= 1023 for value in values[1:])
+                port.write(b"X\nD,1\n")
+                assert port.readline() == b"z,Command not found\r\n"
+                assert port.readline() == b"z,Protocol error\r\n"
+                port.write(b"restart\n")
+                assert b"ROM of minirobot KHEPERA" in port.readline() + port.readline()
+                port.readline()
+
+
+@pytest.mark.parametrize("device", DEVICES)
+def test_a_reboot_is_survived(device):
+    with VirtualKheperaRig(1, device=device) as rig, rig.robot as robot:
+        robot.set_speeds(3, 3)
+        robot.set_counts(1000, 1000)
+        rig.reboot()
+        threading.Event().wait(0.05)
+        robot.read_proximity()
+        robot.clock.sleep_until(robot.clock.now() + 1.0)
+        assert robot.reboots == 1
+        assert rig.firmware.feed(b"K\r").startswith(b"k,")
+        assert min(robot.read_counts()) > 1200
+
+
+def test_a_robot_switched_off_is_lost():
+    with VirtualKheperaRig(1) as rig:
+        robot = Khepera(rig.address, timeout=0.05, clock=rig.lab.clock)
+        with robot:
+            rig.switch_off()
+            with pytest.raises(LinkLost, match="stopped answering"):
+                robot.read_proximity()
+
+
+def test_a_line_taken_down_is_lost():
+    with VirtualKheperaRig(1) as rig:
+        robot = Khepera(rig.address, timeout=0.05, clock=rig.lab.clock)
+        robot.connect()
+        rig.close()
+        with pytest.raises(RobotError):
+            robot.read_proximity()
+        robot.close()
+
+
+def test_no_room_at_the_start():
+    with pytest.raises(UserError, match="obstacle"):
+        VirtualKheperaRig(0, start=(0.0, 0.0, 0.0))
+
+
+def test_a_simulators_arena_in_the_lab():
+    arena = LabArena.of(paper_arena())
+    assert (len(arena.walls), len(arena.cylinders)) == (4, 3)
+    assert arena == LabArena.paper()
+
+
+def run(*arguments, **options):
+    command = [sys.executable, "-m", "neurosim", *map(str, arguments)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def test_from_the_command_line(tmp_path):
+    arena = tmp_path / "arena.json"
+    Arena.rectangle(1.0, 1.0).write(arena)
+    process = run(
+        "lab", "khepera", "--arena", arena, "--socket", "--seconds", 20, "--start", 10, 0, 90,
+        "--json",
+    )  # fmt: skip
+    try:
+        text = "".join(process.stdout.readline().decode() for _ in range(4))
+        told = json.loads(text)
+        assert told["baud"] == 9600
+        with Khepera(told["port"], timeout=2.0) as robot:
+            robot.set_speeds(5, 5)
+            time.sleep(0.5)
+            robot.stop()
+            assert max(robot.read_proximity()) < 60
+            assert robot.read_counts()[0] > 100
+    finally:
+        process.terminate()
+        process.communicate(timeout=10)
+
+
+def test_a_start_outside_the_arena():
+    process = run("lab", "khepera", "--start", 50, 0, 0, "--seconds", 1)
+    _, error = process.communicate(timeout=60)
+    assert process.returncode == 1
+    assert b"outside the arena" in error
+    assert b"Traceback" not in error
