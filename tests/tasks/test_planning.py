@@ -95,7 +95,7 @@ def test_the_same_seed_gives_the_same_plans():
 
 
 def test_a_course_is_found():
-    settings = PlanSettings(runs=4, generations=300, final_draws=64)
+    settings = PlanSettings(runs=4, generations=800, final_draws=64)
     results = evolve_plan(IdealWheels(), TASK, settings, seed=2, progress=False)
     best = results[0]
     assert best.completes
