@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.errors import UserError
 from neurosim.simulators.arena import Arena, paper_arena
 
 #: Of the body: radius and distance between the wheels (m).
@@ -27,11 +29,22 @@ class LabArena:
         walls: (x1, y1, x2, y2), m; they need not close.
         cylinders: (x, y, radius), m.
         albedo: share of infra-red light that they throw back.
+
+    Raises:
+        UserError: for a wall without length or an obstacle without radius.
     """
 
     walls: tuple[tuple[float, float, float, float], ...] = ()
     cylinders: tuple[tuple[float, float, float], ...] = ()
     albedo: float = WHITE
+
+    def __post_init__(self) -> None:
+        for index, (x1, y1, x2, y2) in enumerate(self.walls):
+            if math.dist((x1, y1), (x2, y2)) <= 0.0:
+                raise UserError(f"wall {index} has no length")
+        for index, (_, _, radius) in enumerate(self.cylinders):
+            if radius <= 0.0:
+                raise UserError(f"obstacle {index} has a radius of {radius:g} m")
 
     @classmethod
     def paper(cls) -> LabArena:

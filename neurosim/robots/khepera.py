@@ -39,6 +39,7 @@ class Khepera:
     Attributes:
         geometry: radius and wheel base, m.
         pulses_per_metre: of the position counters.
+        speed_unit: the wheel speed that a speed of 1 stands for, m/s.
         angles: where the sensors look, [S] rad counter-clockwise from straight ahead, in the
             order of :meth:`read_proximity`.
         reboots: how often the robot was seen to start anew.
@@ -70,6 +71,10 @@ class Khepera:
             raise UserError(f"{baud} is not a baud rate")
         self.geometry: Geometry = self.dialect.geometry
         self.pulses_per_metre = float(pulses_per_metre or self.dialect.pulses_per_metre)
+        # A speed is a number of pulses in a time, so that it goes with the size of a pulse.
+        self.speed_unit = (
+            self.dialect.speed_unit * self.dialect.pulses_per_metre / self.pulses_per_metre
+        )
         self.angles = np.radians(self.dialect.angles)
         self.reboots = 0
         self._timeout = timeout
@@ -200,7 +205,7 @@ class Khepera:
             "baud": self._line.baud,
             "version": self._version,
             "full_speed": self.full_speed,
-            "speed_unit": self.dialect.speed_unit,
+            "speed_unit": self.speed_unit,
             "pulses_per_metre": self.pulses_per_metre,
             "reboots": self.reboots,
         }

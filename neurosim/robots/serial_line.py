@@ -15,6 +15,8 @@ from neurosim.base.errors import LinkLost, RobotError
 
 #: Seconds that a single read waits; deadlines are kept by the caller.
 _SLICE = 0.1
+#: Reads after which what has come already is taken to have come.
+_AT_MOST = 64
 #: No answer is longer (an e-puck's help comes in lines); what is, is garbage.
 LONGEST = 512
 
@@ -101,7 +103,10 @@ class SerialLine:
         """Return the whole lines that have come already; a rest without an end is dropped."""
         port, lines = self._connected(), []
         try:
-            while count := port.in_waiting:
+            # Bounded: what floods the line must not keep us here for ever.
+            for _ in range(_AT_MOST):
+                if not (count := port.in_waiting):
+                    break
                 self._buffer += port.read(count).replace(b"\r", b"\n")
                 while (line := self._cut()) is not None:
                     lines.append(line)

@@ -263,3 +263,15 @@ def test_a_robot_is_put_down_only_where_there_is_room():
     lab.place(-0.271, 0.0, 1.0, placing=(0.01, 0.1))
     assert lab.body.depth(*lab.pose[:2]) <= 0.0
     assert abs(lab.pose[2] - 1.0) > 1e-6
+
+
+@pytest.mark.parametrize(
+    ("arena", "why"),
+    [
+        ({"walls": ((1.0, 1.0, 1.0, 1.0),)}, "wall 0 has no length"),
+        ({"cylinders": ((0.0, 0.0, 0.0),)}, "obstacle 0 has a radius of 0 m"),
+    ],
+)
+def test_arenas_that_cannot_be(arena, why):
+    with pytest.raises(UserError, match=why):
+        LabArena(**arena)

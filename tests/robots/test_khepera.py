@@ -9,7 +9,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import serial
-from hypothesis import given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
@@ -359,6 +359,55 @@ def test_an_e_puck_that_reboots(line):
 def test_options_that_make_no_sense(options, why):
     with pytest.raises(UserError, match=why):
         Khepera("/dev/ttyUSB0", **options)
+
+
+class Noisy:
+    """A port in memory: garbage and an answer to the first command, the answer to the next."""
+
+    def __init__(self, garbage, answer):
+        self.answers, self.waiting = [garbage + answer, answer, answer], b""
+
+    @property
+    def in_waiting(self):
+        return len(self.waiting)
+
+    def read(self, count):
+        found, self.waiting = self.waiting[:count], self.waiting[count:]
+        return found
+
+    def write(self, data):
+        if data.startswith(b"H"):
+            self.waiting += self.answers.pop(0)
+
+    def close(self):
+        pass
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.binary(max_size=700))
+def test_whatever_comes_before_an_answer(garbage):
+    assume(b"h,12" not in garbage and b"ROM of" not in garbage)
+    driver = Khepera("memory", timeout=0.01)
+    driver._line._serial = Noisy(garbage.replace(b"h", b"").replace(b"z", b""), b"h,12,-3\r\n")
+    assert driver.read_counts() == (12, -3)
+
+
+def test_a_flood_is_no_answer():
+    class Flood(Noisy):
+        in_waiting = 100
+
+        def read(self, count):
+            return b"flood\r\n" * 20
+
+    driver = Khepera("memory", timeout=0.05)
+    driver._line._serial = Flood(b"", b"")
+    with pytest.raises(LinkLost, match="stopped answering"):
+        driver.read_counts()
+
+
+def test_the_manuals_pulses_make_a_slower_unit():
+    assert Khepera("x").speed_unit == pytest.approx(0.010)
+    assert Khepera("x", pulses_per_metre=12_500).speed_unit == pytest.approx(0.008)
 
 
 @given(st.text(max_size=40))
