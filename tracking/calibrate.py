@@ -1,9 +1,7 @@
-"""Camera calibration: lens from a chessboard, pose over the board from marked points.
+"""Camera calibration: the lens from a chessboard, with how uncertain it is.
 
 The lens follows Zhang (2000) as OpenCV implements it, on the inner corners of a chessboard in
-photographs or in a video. The pose over the board comes from points whose place in the image
-and on the board are both known: a homography first, refined by least squares of the
-reprojection error.
+photographs or in a video. For the pose over the board see :mod:`tracking.board`.
 """
 
 from __future__ import annotations
@@ -18,8 +16,16 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import number, read_csv
 from neurosim.base.progress import Progress
+from tracking.board import (
+    MARKER_HEIGHT,
+    camera_over_board,
+    click_spread,
+    corner_points,
+    locate,
+    over_the_board,
+    read_points,
+)
 from tracking.camera_model import CameraModel
 from tracking.targets import Charuco, Chessboard, Target, View
 from tracking.video import Video
@@ -32,12 +38,6 @@ FEWEST_PHOTOGRAPHS = 3
 MOST_FRAMES = 40
 
 _GREY = cv2.COLOR_BGR2GRAY
-
-#: The height over the board at which a calibration says how sure a position is, m: that of the
-#: paper's markers.
-MARKER_HEIGHT = 0.10
-#: A marked point is off by at least this (standard deviation, px), however well four points fit.
-LEAST_CLICK = 0.3
 
 
 def calibrate(
@@ -78,7 +78,7 @@ def calibrate(
     model = _lens(views, size)
     others = _without_one(views, size)
     if points is not None:
-        rows = _read_points(points)
+        rows = read_points(points)
         model = locate(model, rows)
         return replace(model, uncertainty=_uncertainty(model, others, rows))
     return replace(model, uncertainty=_uncertainty(model, others, None))
@@ -115,43 +115,12 @@ def _uncertainty(
         "distortion": distortion,
     }
     if points is not None:
-        pixels = _over_the_board(model, points)
+        pixels = over_the_board(model, points)
         lens = spread(np.array([locate(m, points).to_board(pixels, MARKER_HEIGHT) for m in others]))
         clicks = click_spread(model, points)
         stated["board_m"] = float(np.sqrt((lens**2 + clicks**2).sum(-1).mean()))
         stated["height_m"] = MARKER_HEIGHT
     return stated
-
-
-def click_spread(model: CameraModel, points: NDArray) -> NDArray:
-    """Return the standard deviation [N, 2] (m) of positions over the board that clicks leave.
-
-    The clicks' own error is what the points miss by, with the degrees of freedom that the pose
-    takes, and at least 0.3 px; each coordinate of each point is moved by it in turn.
-
-    Args:
-        model: located by ``points``.
-        points: [N, 4] u, v, x, y.
-    """
-    flat = np.column_stack([points[:, 2:], np.zeros(len(points))])
-    misses = model.to_pixels(flat) - points[:, :2]
-    error = max(LEAST_CLICK, float(np.sqrt((misses**2).sum() / (2 * len(points) - 6))))
-    pixels = _over_the_board(model, points)
-    here = model.to_board(pixels, MARKER_HEIGHT)
-    square = np.zeros_like(here)
-    for row in range(len(points)):
-        for column in range(2):
-            moved = points.copy()
-            moved[row, column] += error
-            square += (locate(model, moved).to_board(pixels, MARKER_HEIGHT) - here) ** 2
-    return np.sqrt(square)
-
-
-def _over_the_board(model: CameraModel, points: NDArray) -> NDArray:
-    """Return the pixels [25, 2] of a grid, at the markers' height, between the marked points."""
-    x, y = (np.linspace(points[:, i].min(), points[:, i].max(), 5) for i in (2, 3))
-    grid = np.stack([*np.meshgrid(x, y), np.full((5, 5), MARKER_HEIGHT)], axis=-1)
-    return model.to_pixels(grid.reshape(-1, 3))
 
 
 def _lens_numbers(model: CameraModel) -> NDArray:
@@ -160,104 +129,20 @@ def _lens_numbers(model: CameraModel) -> NDArray:
 
 
 def from_corners(
-    picture: str | Path | tuple[int, int], corners: ArrayLike, board: tuple[float, float]
+    picture: str | Path, corners: ArrayLike, board: tuple[float, float]
 ) -> CameraModel:
     """Return a camera from the four corners of the board alone, for those who print nothing.
 
-    The lens is taken for a usual one: a pinhole with its axis through the picture's middle and a
-    focal length of 0.9 of the picture's width. What is stated as uncertain is what lenses on the
-    market differ by: 15 % of the focal length (standard deviation) and 0.1 of k1, which bends a
-    picture by a few per cent at its corners.
-
     Args:
-        picture: a photograph of the board, or a video, for its size; or the size in pixels.
-        corners: [4, 2] pixels, from the top left one clockwise as seen.
-        board: its length and width, m; the length runs from left to right.
+        picture: a photograph of the board, or a video, for its size.
+        corners, board: as in :func:`tracking.board.corner_points`.
 
     Raises:
-        UserError: if the picture cannot be read, or the corners are crossed, in one line, outside
-            of the picture or in another order.
+        UserError: if the picture cannot be read, and as ``corner_points`` does.
     """
-    if isinstance(picture, tuple):
-        size = picture
-    else:
-        image = next(iter(_pictures(picture)))[1]
-        size = (image.shape[1], image.shape[0])
-    pixels = np.asarray(corners, float)
-    if (pixels < -0.5).any() or (pixels > np.array(size) - 0.5).any():
-        raise UserError(f"a corner is outside of the picture of {size[0]} x {size[1]} pixels")
-    sides = np.roll(pixels, -1, axis=0) - pixels
-    turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
-    if not (turns > 0).all():
-        raise UserError(
-            "the four corners do not go round the board: name them clockwise as seen, from the "
-            "top left one"
-        )
-    x, y = board[0] / 2, board[1] / 2
-    rows = np.column_stack([pixels, [(-x, y), (x, y), (x, -y), (-x, -y)]])
-    focal = 0.9 * size[0]
-    middle = ((size[0] - 1) / 2, (size[1] - 1) / 2)
-
-    def camera(focal: float, k1: float) -> CameraModel:
-        matrix = [[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1]]
-        return locate(CameraModel(size, matrix, [k1, 0, 0, 0, 0]), rows)
-
-    model = camera(focal, 0.0)
-    seen = _over_the_board(model, rows)
-    here = model.to_board(seen, MARKER_HEIGHT)
-    square = click_spread(model, rows) ** 2
-    for other in (camera(1.15 * focal, 0.0), camera(focal, -0.1)):
-        square += (other.to_board(seen, MARKER_HEIGHT) - here) ** 2
-    stated = {
-        "method": "spread of usual lenses",
-        "fx": 0.15 * focal,
-        "fy": 0.15 * focal,
-        "cx": 0.02 * size[0],
-        "cy": 0.02 * size[1],
-        "distortion": [0.1, 0.0, 0.0, 0.0, 0.0],
-        "board_m": float(np.sqrt(square.sum(-1).mean())),
-        "height_m": MARKER_HEIGHT,
-    }
-    return replace(model, uncertainty=stated)
-
-
-def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
-    """Return ``model`` with its pose over the board, from at least 4 marked points.
-
-    Args:
-        model: a camera whose lens is known.
-        points: as in :func:`calibrate`.
-
-    Raises:
-        UserError: if there are fewer than 4 points, they lie on a line, or they are mirrored.
-    """
-    rows = _read_points(points)
-    pixels, board = rows[:, :2], rows[:, 2:]
-    _check_spread(pixels, "in the image")
-    _check_spread(board, "on the board")
-    rays = model.undistort(pixels)
-    homography, _ = cv2.findHomography(board, rays)
-    if homography is None:
-        raise UserError("the marked points do not fix the board's place; mark others")
-    rotation, translation = _pose_of(homography)
-    above = np.column_stack([board, np.zeros(len(board))])
-    turn, translation = cv2.solvePnPRefineLM(
-        above,
-        pixels,
-        model.camera_matrix,
-        model.distortion,
-        cv2.Rodrigues(rotation)[0],
-        translation.reshape(3, 1),
-        (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 200, 1e-12),
-    )
-    model = replace(model, rotation=cv2.Rodrigues(turn)[0], translation=translation.ravel())
-    if model.position[2] <= 0:
-        raise UserError(
-            "by the marked points the camera would look at the board from below: one axis is "
-            "mirrored; with x to the right in the image, y on the board goes up"
-        )
-    misses = model.to_board(pixels) - board
-    return replace(model, board_rms_m=float(np.sqrt((misses**2).sum(1).mean())))
+    image = next(iter(_pictures(picture)))[1]
+    size = (image.shape[1], image.shape[0])
+    return camera_over_board(size, corner_points(size, corners, board))
 
 
 def _pictures(source: str | Path | Sequence[str | Path]) -> Iterator[tuple[str, NDArray]]:
@@ -366,50 +251,3 @@ def _lens(views: list[View], size: tuple[int, int]) -> CameraModel:
         rms_px=float(rms),
         photographs=len(images),
     )
-
-
-def _read_points(points: str | Path | ArrayLike) -> NDArray:
-    if isinstance(points, str | Path):
-        table = read_csv(points, dict.fromkeys(("u", "v", "x", "y"), number))
-        rows, where = np.column_stack([table[name] for name in ("u", "v", "x", "y")]), f"{points}: "
-    else:
-        rows, where = np.asarray(points, float), ""
-        if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():
-            raise UserError("each marked point needs four numbers: u, v in pixels, x, y in metres")
-    if len(rows) < 4:
-        raise UserError(f"{where}{len(rows)} points are marked; at least 4 are needed")
-    return rows
-
-
-def _check_spread(points: NDArray, where: str) -> None:
-    centred = points - points.mean(0)
-    spread = np.linalg.svd(centred, compute_uv=False)
-    # Four points of which three stand on one line leave a homography open as well.
-    doubtful = spread[1] < 0.01 * spread[0] or (
-        len(points) == 4 and _flattest_triangle(points) < 0.005 * spread[0] ** 2
-    )
-    if doubtful:
-        raise UserError(
-            f"the marked points lie on one line {where}; mark some away from it, "
-            "best the board's four corners"
-        )
-
-
-def _flattest_triangle(points: NDArray) -> float:
-    areas = []
-    for left_out in range(len(points)):
-        a, b, c = np.delete(points, left_out, axis=0)
-        (p, q), (r, s) = b - a, c - a
-        areas.append(abs(p * s - q * r) / 2)
-    return min(areas)
-
-
-def _pose_of(homography: NDArray) -> tuple[NDArray, NDArray]:
-    """Split a homography (board metres to normalised image) into rotation and translation."""
-    scale = 2.0 / (np.linalg.norm(homography[:, 0]) + np.linalg.norm(homography[:, 1]))
-    columns = homography * scale
-    if columns[2, 2] < 0:  # the board is before the camera
-        columns = -columns
-    rotation = np.column_stack([columns[:, 0], columns[:, 1], np.cross(*columns[:, :2].T)])
-    u, _, vt = np.linalg.svd(rotation)
-    return u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt, columns[:, 2]

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from tracking.calibrate import from_corners
+from tracking.board import camera_over_board, corner_points
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour
 from tracking.live import Seen
 from tracking.pointing import (
     Pointed,
-    camera_over_board,
     colour_around,
     colour_at,
     told_apart,
@@ -302,15 +301,9 @@ class Viewer:
         if missing:
             return f"next: the {missing[0]} corner"
         length, width = self._board["length"], self._board["width"]
-        if self._lens is None and self._height is None:
-            clicked = [self._corners[name] for name in CORNERS]
-            camera = from_corners(self.size, clicked, (length, width))
-        else:
-            points = [
-                (*self._corners[name], a * length / 2, b * width / 2)
-                for name, (a, b) in CORNERS.items()
-            ]
-            camera = camera_over_board(self.size, points, self._lens, self._height)
+        clicked = [self._corners[name] for name in CORNERS]
+        points = corner_points(self.size, clicked, (length, width))
+        camera = camera_over_board(self.size, points, self._lens, self._height)
         with self._change:
             self._camera = camera
             self._saved.discard("calibration")
@@ -320,7 +313,8 @@ class Viewer:
             f"{1000 * (camera.board_rms_m or 0.0):.1f} mm"
         )
         if self._lens is None:
-            says += ", but the lens is not known: positions may be off by some centimetres"
+            sure = 1000 * camera.uncertainty["board_m"]
+            says += f", but the lens is not known: positions may be off by {sure:.0f} mm"
         return f"{says}. Does the grid lie on the board?"
 
     def _start_afresh(self) -> None:

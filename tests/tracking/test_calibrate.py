@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
+from tracking.board import locate
 from tracking.calibrate import (
     _lens,
     _spread,
@@ -13,7 +14,6 @@ from tracking.calibrate import (
     _without_one,
     calibrate,
     from_corners,
-    locate,
 )
 from tracking.camera_model import CameraModel
 from tracking.targets import Charuco, Chessboard, View
