@@ -48,6 +48,9 @@ LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
 #: Answers are put together over this long before the next ones are predicted from them, s.
 STRETCH = 60.0
 
+#: Flashes and motion may differ by this, s: a radio takes some of it.
+MOST_APART = 0.06
+
 
 class MotorLine(Protocol):
     """A line of a command log that changes the motors' speeds (percent); see ``CommandLine``."""
@@ -92,10 +95,40 @@ def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine])
 
     Returns:
         The delay, within 0.15 s of the commands' times; None if too few commands changed the
-        speeds to tell.
+        speeds to tell, or the answers lie beyond what is looked for.
     """
     answers = _answers(*_signals(times, poses), _changes(lines))
-    return None if answers is None else _delay(answers)
+    found = None if answers is None else _delay(answers)
+    return None if found is None or abs(found.delay) >= REACH - STEP else found
+
+
+def disagreement(
+    clock: ClockFit, times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]
+) -> str | None:
+    """Say by how much the clock of the flashes and that of the motion differ, if they do.
+
+    A radio's delay is within what is let pass: 60 ms, and four standard deviations.
+
+    Args:
+        clock: by the flashes.
+        times, poses, lines: as :func:`fit_clock_to_motion` takes them.
+    """
+    try:
+        motion = fit_clock_to_motion(times, poses, lines)
+    except UserError:
+        return None
+    first = float(np.asarray(times, float)[0])
+    begin, moved = (
+        (lines[0].time - fit.offset) / (1 + fit.drift) - first for fit in (clock, motion)
+    )
+    apart = moved - begin
+    if abs(apart) <= max(MOST_APART, 4 * math.hypot(clock.sd, motion.sd)):
+        return None
+    return (
+        f"the flashes say that the first command was sent {begin:.2f} s into the video, the "
+        f"motion says {moved:.2f} s, {1000 * abs(apart):.0f} ms "
+        f"{'later' if apart > 0 else 'earlier'}; use --sync motion if the flashes are mistaken"
+    )
 
 
 def _signals(times: ArrayLike, poses: ArrayLike) -> tuple[NDArray, NDArray]:

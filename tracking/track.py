@@ -17,7 +17,7 @@ from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
 from neurosim.base.progress import Progress
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour, parse_colour
-from tracking.motion import Delay, fit_clock_to_motion, motion_delay
+from tracking.motion import Delay, disagreement, fit_clock_to_motion, motion_delay
 from tracking.overlay import Overlay
 from tracking.pointing import colour_at
 from tracking.recordings import Poses, Recording
@@ -210,11 +210,13 @@ def track(
         poses = board_poses(seen, markers, camera)
         own = [line for line in lines if line.session == session]
         driven = [line for line in own if line.is_motor]
+        warning = None
         try:
             if sync == "motion":
                 clock = fit_clock_to_motion(seen.time, poses, driven)
             else:
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
+                warning = disagreement(clock, seen.time, poses, driven)
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
         delay = motion_delay(clock.to_robot(seen.time), poses, driven)
@@ -228,6 +230,7 @@ def track(
             {
                 **_session_summary(session, path, seen, clock, delay),
                 "frames_missing": max(missing, 0),
+                "warning": warning,
             }
         )
     if not parts:

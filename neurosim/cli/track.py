@@ -85,6 +85,9 @@ def track(
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
         result = track_(recording, pair, calibration, overlay, videos, partial=partial, sync=sync)
+        for session in result["sessions"]:
+            if session.get("warning"):
+                click.echo(f"session {session['session']}: {session['warning']}", err=True)
         where, then = recording, "\n" + next_step("dataset", recording, "-o", "DATASET")
     emit(
         result,

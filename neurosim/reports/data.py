@@ -20,6 +20,7 @@ def section(artefacts: Artefacts) -> Section:
     blocks: list[Block] = []
     for place, (artefact, dataset) in enumerate(artefacts.datasets):
         blocks += _rows(artefact, dataset)
+        blocks += _timing(artefact)
         blocks.append(_histograms(artefact, dataset, f"d{place}"))
         if artefact.meta.get("cutting"):
             blocks += _cutting(artefact.name, artefact.meta["cutting"])
@@ -76,6 +77,35 @@ def _histograms(artefact: Artefact, dataset: Dataset, prefix: str) -> Row:
         svg = charts.histogram(readable, AXES[name], words, f"{prefix}{name}")
         pictures.append(Picture(svg, f"{artefact.name}: {words}."))
     return Row(pictures)
+
+
+def _timing(artefact: Artefact) -> list[Block]:
+    """Write how the clocks were joined and how late the motors answered, session by session."""
+    sessions: dict[tuple[str, int], dict[str, Mapping[str, Any]]] = {}
+    for kind in ("clocks", "motor_delays"):
+        for entry in artefact.meta.get(kind, ()):
+            sessions.setdefault((entry["recording"], entry["session"]), {})[kind] = entry
+    if not sessions:
+        return []
+    rows = []
+    for (recording, session), known in sessions.items():
+        clock, delay = known.get("clocks"), known.get("motor_delays")
+        joined = drift = late = lag = corrected = "not known"
+        if clock is not None:
+            by = f"{len(clock['flashes'])} flashes" if clock["flashes"] else "the motion"
+            joined = f"{by}, +- {1000 * clock.get('sd', 0.0):.1f} ms"
+            drift = f"{1e6 * clock['drift']:.0f} +- {1e6 * clock.get('drift_sd', 0.0):.0f} ppm"
+        if delay is not None:
+            late = f"{1000 * delay['delay']:.0f} +- {1000 * delay['sd']:.0f} ms"
+            lag = f"{1000 * delay['lag']:.0f} ms"
+            corrected = "yes" if delay["corrected"] else "no"
+        rows.append([f"{recording}, {session}", joined, drift, late, lag, corrected])
+    head = ["session", "clock by", "drift", "motors answered after", "their lag", "corrected"]
+    note = (
+        "Standard deviations. The delay is from a command's time on the robot's clock until the "
+        "wheels began to answer; where corrected, displacements count from there."
+    )
+    return [Table(f"{artefact.name}: clocks and delays", head, rows, note=note)]
 
 
 def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:

@@ -64,6 +64,28 @@ def make_dataset(folder, rows=150, seed=1, virtual=True):
         settings={"timing": 0.15},
         reasons={"cut": "cut short at a line"},
         cutting=dataset.cutting(sent),
+        clocks=[
+            {
+                "recording": "rec",
+                "session": 1,
+                "flashes": [1.0, 90.0],
+                "sd": 0.0012,
+                "drift": 2.1e-5,
+                "drift_sd": 1.3e-5,
+            },
+            {"recording": "rec", "session": 2, "flashes": [], "sd": 0.003, "drift": 0.0},
+        ],
+        motor_delays=[
+            {
+                "recording": "rec",
+                "session": 1,
+                "delay": 0.0213,
+                "sd": 0.0034,
+                "lag": 0.104,
+                "answers": 40,
+                "corrected": True,
+            },
+        ],
         robots=[{"kind": "nxt", "virtual": virtual}],
     ).write(folder)
     return folder

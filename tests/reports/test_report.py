@@ -197,6 +197,13 @@ def test_dataset_counts(whole):
     ]
 
 
+def test_clocks_and_delays(whole):
+    assert whole[3].table(["session", "clock by"])[1:] == [
+        ["rec, 1", "2 flashes, +- 1.2 ms", "21 +- 13 ppm", "21 +- 3 ms", "104 ms", "yes"],
+        ["rec, 2", "the motion, +- 3.0 ms", "0 +- 0 ppm", *["not known"] * 3],
+    ]
+
+
 def test_provenance_names_every_file_with_its_sum(whole):
     folders, _, _, page = whole
     rows = {row[0]: row[2] for row in page.table(["file"])[1:]}

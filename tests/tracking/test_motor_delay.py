@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
 from tracking.displacements import displacements
-from tracking.motion import fit_clock_to_motion, motion_delay
+from tracking.motion import disagreement, fit_clock_to_motion, motion_delay
 from tracking.recordings import Poses, Recording
+from tracking.sync import ClockFit
 
 LAG = 0.11
 
@@ -82,6 +83,22 @@ def test_the_clock_is_found_without_a_flash(offset, drift, seed):
     assert fit.drift == pytest.approx(drift, abs=2e-4)
     assert 0 < fit.sd < 0.01
     assert fit.flashes == ()
+
+
+@pytest.mark.parametrize(("off", "says"), [(0.1, "100 ms later"), (-3.0, "3000 ms earlier")])
+def test_flashes_that_are_mistaken_are_noticed(off, says):
+    lines = commands(30, 7)
+    times, poses = drive(lines, 0.0, 7)
+    camera = times + 12.0
+    right = ClockFit(-12.0, 0.0, 0.0, (12.5,), 0.001)
+    assert disagreement(right, camera, poses, lines) is None
+    said = disagreement(ClockFit(-12.0 + off, 0.0, 0.0, (12.5,), 0.001), camera, poses, lines)
+    assert "--sync motion" in said
+    number, side = says.split(" ms ")
+    assert side in said
+    assert float(said.split(" ms ")[0].split()[-1]) == pytest.approx(float(number), abs=8)
+    # A delay beyond what is looked for is none that may be corrected.
+    assert motion_delay(times + 0.2, poses, lines) is None
 
 
 def test_motion_that_does_not_follow_the_commands():
