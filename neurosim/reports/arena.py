@@ -112,7 +112,7 @@ def picture(
     axes = figure.add_subplot(grid[0])
     margin = 0.03 * max(x2 - x1, y2 - y1)
     axes.set(xlim=(x1 - margin, x2 + margin), ylim=(y1 - margin, y2 + margin), aspect="equal")
-    _objects(axes, arena)
+    draw_objects(axes, arena)
     _path(axes, path)
     _robot(axes, path[-1], None if readings is None else np.asarray(readings, float), radius)
     _labels(axes, "x, cm", "y, cm")
@@ -121,7 +121,8 @@ def picture(
     return figure
 
 
-def _objects(axes: Axes, arena: Arena) -> None:
+def draw_objects(axes: Axes, arena: Arena) -> None:
+    """Draw walls and obstacles, in cm."""
     corners = [(100 * wall[0], 100 * wall[1]) for wall in arena.outline]
     axes.add_patch(Polygon(corners, fc=INK["board"], ec=INK["ink"], lw=2.2, joinstyle="miter"))
     walls = 100 * np.array(arena.inner).reshape(-1, 2, 2)

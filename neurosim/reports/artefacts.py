@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
-from neurosim.controllers import Plan
+from neurosim.controllers import NetworkController, Plan
+from neurosim.controllers.network import KIND as NETWORK
+from neurosim.simulators import TableSimulator
 from tracking.dataset import Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
@@ -33,6 +35,11 @@ _FIELDS: dict[str, dict[str, type | tuple]] = {
     "dataset": {"rows": int, "sources": list, "left_out": dict},
     "simulator": {"inputs": list, "outputs": list},
     "controller": {"commands": list, "task": dict, "predicted": dict},
+}
+#: What else lies in the files of simulators and controllers of these kinds, in place of the above.
+_OTHER_FIELDS: dict[str, dict[str, type | tuple]] = {
+    TableSimulator.kind: {"sensors": dict, "motors": dict},
+    NETWORK: {"task": dict, "predicted": dict, "evolution": dict},
 }
 #: The newest version of each that this page reads.
 _VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
@@ -96,13 +103,17 @@ class Artefacts:
     datasets: list[tuple[Artefact, Dataset]] = field(default_factory=list)
     simulators: list[Artefact] = field(default_factory=list)
     controllers: list[Artefact] = field(default_factory=list)
+    tables: list[tuple[Artefact, TableSimulator]] = field(default_factory=list)
+    networks: list[Artefact] = field(default_factory=list)
 
     @property
     def everything(self) -> list[Artefact]:
         """Every folder, along the road from recording to trial."""
         datasets = [artefact for artefact, _ in self.datasets]
+        tables = [artefact for artefact, _ in self.tables]
         return [
-            *self.recordings, *datasets, *self.simulators, *self.controllers, *self.trials
+            *self.recordings, *datasets, *self.simulators, *tables, *self.controllers,
+            *self.networks, *self.trials,
         ]  # fmt: skip
 
     @property
@@ -127,8 +138,15 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         seen.add(path.resolve())
         kind = _kind(path)
-        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FIELDS[kind])
-        if kind == "trial":
+        json, named = path / f"{kind}.json", (f"neurosim-{kind}", _VERSIONS[kind])
+        other = read_json(json, *named).get("kind")
+        fields = _OTHER_FIELDS.get(other) if isinstance(other, str) else None
+        meta = read_json(json, *named, fields or _FIELDS[kind])
+        if kind == "simulator" and other == TableSimulator.kind:
+            found.tables.append((Artefact(kind, path, meta), TableSimulator.read(path)))
+        elif kind == "controller" and other == NETWORK:
+            found.networks.append(_network(path, meta))
+        elif kind == "trial":
             found.trials.append(_trial(path, meta))
         elif kind == "dataset":
             found.datasets.append((Artefact(kind, path, meta), Dataset.read(path)))
@@ -150,6 +168,18 @@ def _kind(path: Path) -> str:
             return kind
     names = ", ".join(f"{kind}.json" for kind in KINDS)
     raise FileError(path, f"is no folder that a report can show: it has none of {names}")
+
+
+def _network(path: Path, meta: dict[str, Any]) -> Artefact:
+    NetworkController.read(path)
+    fitness = meta["predicted"].get("fitness")
+    if isinstance(fitness, bool) or not isinstance(fitness, int | float):
+        raise FileError(
+            path / "controller.json",
+            f"expected a number, found {fitness!r:.60}",
+            field="predicted.fitness",
+        )
+    return Artefact("controller", path, meta)
 
 
 def _trial(path: Path, meta: dict[str, Any]) -> Trial:

@@ -12,7 +12,7 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import write_text
-from neurosim.reports import accuracy, certainty, data, plans, provenance, reality
+from neurosim.reports import accuracy, certainty, data, plans, provenance, reality, tables
 from neurosim.reports.artefacts import Artefacts, gather
 from neurosim.reports.page import Page
 from neurosim.reports.predictions import UNITS, HeldOut
@@ -32,7 +32,8 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         if nothing says so), and what there is of ``trials``, ``completed``,
         ``mean_position_error`` (m, over all commands), ``final_position_error`` (m, median over
         trials, after the last command), ``mean_heading_error``, ``final_heading_error`` (rad),
-        and ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
+        ``network_fitness`` and ``change_at_transfer`` (a share; means over networks), and
+        ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
 
     Raises:
         UserError: if nothing is named, or ``out`` is a folder.
@@ -45,9 +46,11 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
     tests = accuracy.test(artefacts)
     summary = summarise(artefacts, tests)
     sections = [
-        reality.courses(artefacts),
-        reality.growth(artefacts),
-        accuracy.section(artefacts, tests),
+        tables.networks(artefacts),
+        tables.samples(artefacts),
+        reality.courses(artefacts) if _has_course(artefacts) else None,
+        reality.growth(artefacts) if _has_course(artefacts) else None,
+        accuracy.section(artefacts, tests) if _has_course(artefacts) else None,
         certainty.section(artefacts, tests),
         accuracy.learning(artefacts),
         plans.section(artefacts),
@@ -88,12 +91,27 @@ def summarise(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> dict[str, A
         summary["test"] = {
             artefacts.simulators[place].name: test.errors() for place, test in tests.items()
         }
+    if artefacts.networks:
+        fitness = [one.meta["predicted"]["fitness"] for one in artefacts.networks]
+        summary["network_fitness"] = float(np.mean(fitness))
+        changes = [tables.change_at_transfer(one) for one in artefacts.networks]
+        told = [change for change in changes if change is not None]
+        if told:
+            summary["change_at_transfer"] = float(np.mean(told))
     summary["verdict"] = _verdict(artefacts, summary)
     return summary
 
 
+def _has_course(artefacts: Artefacts) -> bool:
+    """Return whether there is anything but simulators of tables and networks."""
+    others = len(artefacts.tables) + len(artefacts.networks)
+    return len(artefacts.everything) > others
+
+
 def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
-    if artefacts.trials:
+    if not _has_course(artefacts):
+        text = tables.verdict(artefacts) if artefacts.networks else "No network was given."
+    elif artefacts.trials:
         text = f"{_completed(artefacts)} {_distance(summary, artefacts)}"
     elif "test" in summary:
         name, errors = next(iter(summary["test"].items()))
@@ -148,11 +166,18 @@ def _title(artefacts: Artefacts) -> str:
         count = len(artefacts.trials)
         return f"From a robot to a plan: {name}, {count} trial{'s' * (count != 1)}"
     kinds = dict.fromkeys(artefact.kind for artefact in artefacts.everything)
+    if not _has_course(artefacts):
+        return f"A robot's own samples: {', '.join(kinds)}"
     return f"From a robot to a plan: {', '.join(kinds)}"
 
 
 def _key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     figures = []
+    if "network_fitness" in summary:
+        figures.append((f"{summary['network_fitness']:.0f}", "fitness in the simulator, mean"))
+    if "change_at_transfer" in summary:
+        change = f"{100 * summary['change_at_transfer']:+.1f} %"
+        figures.append((change, "change of the best at the transfer, mean"))
     if "trials" in summary:
         figures.append((f"{summary['completed']} of {summary['trials']}", "trials completed"))
     several = ", median" if summary.get("trials", 0) > 1 else ""

@@ -1,0 +1,90 @@
+"""The page of simulators of tables and of networks: what was sampled, Figures 3 and 4."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import FileError
+from neurosim.controllers import NetworkController
+from neurosim.reports import write_report
+from neurosim.simulators import TableSimulator
+from neurosim.simulators.arena import paper_arena
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
+from khepera_data import made_up
+from test_report import Page
+
+
+def simulator(folder):
+    folder.mkdir()
+    TableSimulator(made_up(3, 0.01)).write(folder)
+    return folder
+
+
+def network(folder, best, mean, **evolution):
+    history = {"best": best, "mean": mean}
+    if "transfer" in evolution:
+        history["transfer"] = evolution.pop("transfer")
+    NetworkController(
+        np.zeros((2, 9)),
+        {"name": "obstacle-avoidance", "settings": {"steps": 500}},
+        {"fitness": best[-1], "spread": 4.0, "starts": 50},
+        {},
+        {"arena": paper_arena().to_json(), "history": history, **evolution},
+    ).write(folder)
+    return folder
+
+
+def test_samples(tmp_path):
+    out = tmp_path / "page.html"
+    write_report([simulator(tmp_path / "sim")], out)
+    page = Page(out)
+    assert {"samples", "provenance"} <= set(page.ids)
+    assert "plans" not in page.ids
+    sensors, motors = page.tables[:2]
+    # The third sensor of the made-up table looks 10 degrees to the left, as a wall 8 / 10 as
+    # bright stands there; the spread is that of the noise.
+    assert sensors[3][0] == "sensor 2"
+    assert float(sensors[3][2]) == pytest.approx(0.82, abs=0.03)
+    assert sensors[3][3] == "+10"
+    assert float(sensors[3][-1]) == pytest.approx(0.01, abs=0.003)
+    assert motors[1][:2] == ["both forward at 100 %", "100.0"]
+    assert float(motors[3][3]) == pytest.approx(np.degrees(0.2 / 0.053), abs=0.06)
+
+
+def test_networks_with_transfer_and_trajectories(tmp_path):
+    along = np.linspace(0, 0.1, 11)
+    simulated = np.column_stack([along - 0.2, 0 * along, 0 * along])
+    robot = simulated + np.array([0.0, 0.02, 0.0])
+    drives = [{"simulated": simulated.tolist(), "robot": robot.tolist()}]
+    folders = [
+        network(tmp_path / "a", [100, 200, 190], [50, 90, 80], transfer=2, trajectories=drives),
+        network(tmp_path / "b", [100, 300, 300], [50, 90, 100], transfer=2),
+    ]
+    out = tmp_path / "page.html"
+    summary = write_report(folders, out)
+    assert summary["network_fitness"] == pytest.approx(245)
+    assert summary["change_at_transfer"] == pytest.approx(-0.025)
+    assert "-2.5 % of its fitness on average" in summary["verdict"]
+    assert "2 networks reach a fitness of 245 of 500" in summary["verdict"]
+    page = Page(out)
+    text = out.read_text()
+    assert "from generation 3 on the robot (Figure 3)" in text
+    assert "2.0 cm apart, median" in text
+    assert page.tables[0][1] == ["a", "190.0", "4.0", "3", "90.0, 80.0"]
+
+
+@pytest.mark.parametrize(
+    ("evolution", "field"),
+    [
+        ({"transfer": 9}, "evolution.history"),
+        ({"trajectories": [{"simulated": [[0, 0, 0]]}]}, "evolution.trajectories"),
+    ],
+)
+def test_what_is_wrong_in_a_network_is_named(tmp_path, evolution, field):
+    network(tmp_path / "a", [1.0, 2.0], [0.5, 1.0], **evolution)
+    with pytest.raises(FileError, match=field):
+        write_report([tmp_path / "a"], tmp_path / "page.html")
+    assert not (tmp_path / "page.html").exists()
