@@ -81,7 +81,7 @@ class CameraModel:
         inverse = np.linalg.inv(plane)
         return inverse / inverse[2, 2]
 
-    @property
+    @cached_property
     def position(self) -> NDArray:
         """[3] where the camera stands in the board frame, in metres."""
         self._need_board()
@@ -108,7 +108,7 @@ class CameraModel:
         """
         self._need_board()
         points = self.undistort(pixels)
-        rays = np.column_stack([points, np.ones(len(points))]) @ self.rotation
+        rays = points @ self.rotation[:2] + self.rotation[2]
         reach = (height - self.position[2]) / rays[:, 2]
         return self.position[:2] + reach[:, None] * rays[:, :2]
 
