@@ -18,6 +18,7 @@ FLOORS = {
     "neurosim.homing": 2,
     "neurosim.perimeter": 2,
     "neurosim.record": 2,
+    "neurosim.sampling": 2,
     "neurosim.session": 2,
     "neurosim.spotter": 2,
     "neurosim.simulators": 2,

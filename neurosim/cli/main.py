@@ -19,6 +19,7 @@ from neurosim.cli.plan_check import plan_check
 from neurosim.cli.record import record
 from neurosim.cli.report import report
 from neurosim.cli.run import run
+from neurosim.cli.sample import sample
 from neurosim.cli.tables import tables
 from neurosim.cli.track import track
 from neurosim.cli.train import evaluate, train
@@ -52,6 +53,7 @@ for verb in (
     dataset,
     train,
     evaluate,
+    sample,
     tables,
     evolve,
     view,

@@ -4,7 +4,7 @@ They are reached as real ones are: by a serial line, and by the frames of a came
 """
 
 from neurosim.lab.khepera_params import KheperaParams, LabArena
-from neurosim.lab.khepera_rig import VirtualKheperaRig
+from neurosim.lab.khepera_rig import VirtualKheperaRig, sampling_places
 from neurosim.lab.params import CameraParams, LabParams
 from neurosim.lab.rig import VirtualRig
 from neurosim.lab.world import Lab, Pacer, Truth, read_truth
@@ -20,4 +20,5 @@ __all__ = [
     "VirtualKheperaRig",
     "VirtualRig",
     "read_truth",
+    "sampling_places",
 ]

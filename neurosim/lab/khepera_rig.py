@@ -11,7 +11,7 @@ import numpy as np
 from neurosim.base.errors import RobotError
 from neurosim.lab.khepera_body import KheperaLab
 from neurosim.lab.khepera_firmware import KheperaFirmware
-from neurosim.lab.khepera_params import KheperaParams, LabArena
+from neurosim.lab.khepera_params import RADIUS, KheperaParams, LabArena
 from neurosim.lab.server import PtyEnd, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 from neurosim.robots.khepera import Khepera
@@ -20,6 +20,22 @@ from neurosim.robots.khepera import Khepera
 START = (-0.22, 0.0, 0.0)
 #: Bits that a byte takes on the line: a start bit, 8 data bits, 2 stop bits.
 BITS = 11
+
+
+def sampling_places() -> tuple[LabArena, dict[str, tuple[float, float, float]]]:
+    """Return a lab to sample in, and where the robot is put down there (m, m, rad).
+
+    It faces a long ``wall`` and a ``cylinder`` of the paper's size and all but touches them;
+    ``open`` is open floor.
+    """
+    touching = -RADIUS - 0.0002
+    arena = LabArena(((0.0, -1.0, 0.0, 1.0),), ((0.0275, 3.0, 0.0275),))
+    places = {
+        "wall": (touching, 0.0, 0.0),
+        "cylinder": (touching, 3.0, 0.0),
+        "open": (-2.0, 1.5, 0.0),
+    }
+    return arena, places
 
 
 class SerialCable:

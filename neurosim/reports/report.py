@@ -54,7 +54,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         certainty.section(artefacts, tests),
         accuracy.learning(artefacts),
         plans.section(artefacts),
-        data.section(artefacts),
+        data.section(artefacts) if _has_course(artefacts) else None,
         provenance.section(artefacts),
     ]
     page = Page(

@@ -237,14 +237,16 @@ def _summary(simulator: TableSimulator) -> Table:
         row = [f"sensor {sensor}", f"{sensors.ambient[sensor]:.3f}"]
         for kind in range(len(OBJECTS)):
             turn = sensors.mean[kind, 0, :, sensor]
-            at = -360.0 * int(turn.argmax()) / len(turn)
-            row += [f"{turn.max():.3f}", f"{(at + 180) % 360 - 180:+.0f}"]
+            # The middle of what it sees: a near object saturates over a wide angle.
+            seen = np.maximum(turn - sensors.ambient[sensor], 0.0)
+            to = (seen * np.exp(-2j * np.pi * np.arange(len(turn)) / len(turn))).sum()
+            row += [f"{turn.max():.3f}", f"{np.degrees(np.angle(to)):+.0f}"]
         spread = sensors.spread
         row.append("not repeated" if spread is None else f"{spread[..., sensor].mean():.3f}")
         rows.append(row)
     return Table(
-        f"Sensors: their highest reading at {1000 * sensors.first_distance:g} mm, and the bearing "
-        "of the object there",
+        f"Sensors: their highest reading at {1000 * sensors.first_distance:g} mm, and the mean "
+        "bearing at which they see the object there",
         ["", "ambient", *(w for name in OBJECTS for w in (name, "at, deg")), "spread, mean"],
         rows,
     )

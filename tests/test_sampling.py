@@ -1,0 +1,174 @@
+"""A virtual Khepera samples itself: against what stands in the lab, which it is not told."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from neurosim.base.errors import FileError, RobotError, UserError
+from neurosim.cli.main import cli
+from neurosim.lab import VirtualKheperaRig, sampling_places
+from neurosim.lab import khepera_physics as physics
+from neurosim.lab.khepera_params import WHEEL_BASE
+from neurosim.sampling import SampleSettings, full_turn, sample
+from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.samples import Samples
+
+#: A line far faster than a Khepera's, so that the lab's time does not go into waiting for it.
+BAUD = 115200
+SETTINGS = SampleSettings(angles=36, distances=2, step=0.01, grid=3, held_out=4, duration=0.5)
+
+
+class Interrupted(Exception):
+    pass
+
+
+def sampled(out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0):
+    """Sample robot 1; with ``stop_at`` the person walks away when asked for that."""
+    arena, poses = sampling_places()
+    asked = []
+    with (
+        VirtualKheperaRig(
+            1, noise_seed=noise_seed, arena=arena, start=poses["open"], baud=BAUD
+        ) as rig,
+        rig.robot as robot,
+    ):
+
+        def place(where):
+            asked.append(where)
+            if where == stop_at:
+                raise Interrupted
+            rig.lab.place(*poses[where])
+
+        result = sample(out, robot, settings, place, resume=resume, progress=False)
+        return result, asked, rig.lab.body.params, arena
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    out = tmp_path_factory.mktemp("sampling") / "out"
+    return out, *sampled(out)
+
+
+def test_samples_are_what_the_sensors_see_there(whole):
+    out, result, asked, params, arena = whole
+    assert asked == ["wall", "cylinder", "open"]
+    assert result["samples"] == ["wall.sample", "cylinder.sample"]
+    rng = np.random.default_rng(0)
+    for name, y in (("wall", 0.0), ("cylinder", 3.0)):
+        found = Samples.read(out / f"{name}.sample")
+        assert found.activations.shape == (2, 36, 8)
+        truth = np.empty_like(found.activations)
+        for distance, away in enumerate((0.005, 0.015)):
+            for angle in range(36):
+                pose = np.array([-0.0275 - away, y, math.radians(10 * angle)])
+                truth[distance, angle] = physics.proximity(
+                    pose, params.angle, params.reach, params.threshold, params.offset,
+                    (0.0, 0.0), 0.0, arena.wall_rows, arena.cylinder_rows, arena.albedo, rng,
+                ) / 1023  # fmt: skip
+        off = np.abs(found.activations - truth)
+        assert np.median(off) < 0.01
+        assert off.mean() < 0.03
+        assert truth.std() > 0.2
+
+
+def test_the_wheel_base_is_measured(whole):
+    _, result, _, params, _ = whole
+    # What the counters see of a turn: the distance in the nominal way of the wheels.
+    seen = WHEEL_BASE / np.mean(params.wheel)
+    assert result["wheel_base"] == pytest.approx(seen, rel=0.008)
+
+
+def test_motors(whole):
+    out, result, _, _, _ = whole
+    motors = MotorTable.read_csv(out / "motors.csv")
+    assert motors.levels.tolist() == [-100, 0, 100]
+    forward = motors.twist[2, 2]
+    assert 0.06 < forward[0] < 0.1
+    assert motors.twist[0, 2, 2] > 2.0  # left backward, right forward: to the left
+    assert np.abs(motors.twist[1, 1]).max() == 0
+    cost = result["interpolation"]
+    assert cost["settings"] == 4
+    assert 0 < cost["forward"]["median"] <= cost["forward"]["max"] < 0.02
+    assert json.loads((out / "sampling.json").read_text())["result"] == result
+
+
+def test_interrupted_sampling_goes_on(tmp_path, whole):
+    out = tmp_path / "out"
+    with pytest.raises(Interrupted):
+        sampled(out, stop_at="cylinder")
+    before = (out / "sensors.csv").read_bytes()
+    # A kill in the middle of a turn and of a line: both are passed over.
+    torn = b"cylinder,1,0,9,0,1.0,0,0" + b",0.5" * 8 + b"\ncylinder,1,0,9,0,1.1,0"
+    (out / "sensors.csv").write_bytes(before + torn)
+    with pytest.raises(FileError, match="other settings"):
+        sampled(out, SampleSettings(angles=20), resume=True)
+    with pytest.raises(UserError, match="not empty"):
+        sampled(out)
+    result, asked, _, _ = sampled(out, resume=True)
+    assert asked == ["cylinder", "open"]
+    assert (out / "sensors.csv").read_bytes().startswith(before)
+    assert Samples.read(out / "cylinder.sample").activations.shape == (2, 36, 8)
+    assert result["wheel_base"] == pytest.approx(whole[1]["wheel_base"], rel=0.01)
+    again, asked, _, _ = sampled(out, resume=True)
+    assert asked == []
+    assert again == result
+
+
+def test_full_turn_is_where_the_sensors_repeat():
+    turned = np.linspace(0, 900, 400)
+    angle = 2 * np.pi * turned / 790
+    rows = np.column_stack([turned, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
+    assert full_turn({("wall", 1, 0): rows}) == pytest.approx(790, rel=1e-3)
+
+
+def test_a_robot_that_is_held_is_reported(tmp_path):
+    class Held:
+        full_speed, pulses_per_metre, speed_unit = 10, 10_000.0, 0.008
+        geometry = type("Geometry", (), {"wheel_base": 0.053, "radius": 0.0275})
+        stopped = 0
+
+        class clock:
+            time = 0.0
+
+            @classmethod
+            def now(cls):
+                cls.time += 0.02
+                return cls.time
+
+        def describe(self):
+            return {}
+
+        def set_counts(self, left, right):
+            pass
+
+        set_speeds = set_counts
+
+        def read_counts(self):
+            return 0, 0
+
+        def stop(self):
+            self.stopped += 1
+
+    robot = Held()
+    with pytest.raises(RobotError, match="wheels do not turn"):
+        sample(tmp_path / "out", robot, SETTINGS, lambda where: None, progress=False)
+    assert robot.stopped
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--grid", "4"], "a grid of 4 does not fall on the robot's 21 whole speeds"),
+        (["--robot", "khepera"], "give --port"),
+        (["--port", "COM3"], "--port is for a real robot"),
+        (["--step", "0"], "distances must be above 0"),
+    ],
+)
+def test_refusals(tmp_path, words, message):
+    out = tmp_path / "out"
+    with pytest.raises(UserError, match=message):
+        CliRunner().invoke(cli, ["sample", str(out), *words], catch_exceptions=False)
+    assert not out.exists()
