@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -36,6 +37,24 @@ def test_tracked_poses_are_where_the_robot_was(road):
     error[:, 2] = np.remainder(error[:, 2] + np.pi, 2 * np.pi) - np.pi
     assert np.sqrt(np.mean(error[:, :2] ** 2)) < 0.004
     assert np.sqrt(np.mean(error[:, 2] ** 2)) < np.radians(0.3)
+
+
+def test_without_the_flashes_the_motion_gives_the_clock(road, tmp_path):
+    """Commands count as answered at once: the clock is behind by the radio's 20 ms, no more."""
+    recording = tmp_path / "recording"
+    shutil.copytree(road / "recording", recording)
+    said = neurosim("track", recording, "--sync", "motion", "--json", cwd=tmp_path).stdout
+    clock = json.loads(said)["sessions"][0]["clock"]
+    assert clock["flashes"] == []
+    poses, truth = Recording(recording).poses(), read_truth(recording)
+    seen = poses.quality > 0
+    late = np.arange(-0.03, 0.08, 0.002)
+    misfit = [
+        np.median(np.hypot(*(poses.pose - truth.pose_at(poses.time + each))[seen, :2].T))
+        for each in late
+    ]
+    assert late[np.argmin(misfit)] == pytest.approx(0.02, abs=0.01)
+    assert road.printed["track"]["sessions"][0]["warning"] is None
 
 
 def test_a_row_is_the_displacement_that_truly_happened(road):

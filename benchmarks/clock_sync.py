@@ -1,0 +1,188 @@
+"""How well the camera's clock and the robot's are joined, by flashes and by motion alone.
+
+    python benchmarks/clock_sync.py             about 2 minutes
+    python benchmarks/clock_sync.py --quick     half a minute, fewer robots
+
+Everything is held against the lab's clock. The lab's radio carries a telegram for 20 ms on average
+(standard deviation 4 ms), and its lamp follows with a lag of 4 ms.
+
+  - motion: robots of the lab drive 40 commands of Pretorius et al. (2009), section 5.1; their true
+    path is looked at 30 times a second by a camera whose clock drifts, with the tracker's errors
+    and dropped frames. What is given: the motors' delay, found on the true clock, less the radio's
+    20 ms, and over its stated standard deviation; the clock that the motion alone gives (``--sync
+    motion``), less the same 20 ms, where it is furthest off between the first frame and the last.
+  - rendered: recordings of 15 commands in the lab, filmed, tracked as ``neurosim track`` does. The
+    time of each flash less when its light changed in the lab (the mean over its edges), and the
+    clock by motion less the radio's 20 ms.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.commands import RandomCommands
+from neurosim.lab import VirtualRig, read_truth
+from neurosim.record import RecordSettings, record
+from tracking.camera_model import CameraModel
+from tracking.motion import fit_clock_to_motion, motion_delay
+from tracking.recordings import Recording
+from tracking.sync import GROUP_GAP
+from tracking.track import track
+
+FPS, RADIO, LAMP = 30.0, 0.020, 0.004
+#: What the tracker errs by in the lab: standard deviations, m, m, rad.
+NOISE = (0.0005, 0.0005, 0.003)
+#: Name: share of frames that is dropped, and how much the clocks drift.
+CASES = {
+    "clean": (0.0, 0.0),
+    "5 % of frames dropped": (0.05, 0.0),
+    "30 % of frames dropped": (0.30, 0.0),
+    "drift of 50 ppm": (0.05, 50e-6),
+}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--robots", type=int, default=12)
+    parser.add_argument("--recordings", type=int, default=3, help="rendered ones")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if options.quick:
+        options.robots, options.recordings = 4, 1
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        drives = [drive(folder / f"drive-{seed}", seed) for seed in range(options.robots)]
+        motion = {case: summary(drives, *values) for case, values in CASES.items()}
+        rendered = [film(folder / f"film-{seed}", seed) for seed in range(options.recordings)]
+    if options.json:
+        print(json.dumps({"robots": options.robots, "motion": motion, "rendered": rendered}))
+        return
+    print(
+        f"{options.robots} robots, ms{'':14}delay: RMSE   error / sd   --sync motion: RMSE   worst"
+    )
+    for case, found in motion.items():
+        print(
+            f"{case:28}{found['delay_rmse_ms']:11.1f}{found['delay_over_sd']:13.2f}"
+            f"{found['motion_rmse_ms']:19.1f}{found['motion_worst_ms']:8.1f}"
+            + (f"   refused: {found['refused']}" if found["refused"] else "")
+        )
+    print("rendered, errors in ms   first flash, last (stated sd)   by motion (stated sd)")
+    for place, found in enumerate(rendered):
+        first, last = found["flash_ms"]
+        print(
+            f"recording {place}{first:22.1f}{last:7.1f} ({found['flash_sd_ms']:.1f})"
+            f"{found['motion_ms']:20.1f} ({found['motion_sd_ms']:.1f})"
+        )
+
+
+def drive(folder: Path, seed: int) -> Recording:
+    """Record 40 commands of a robot of the lab, without a camera."""
+    with VirtualRig(seed, noise_seed=100 + seed, camera=False) as rig:
+        return record(
+            folder, rig.robot, None, RandomCommands(seed=seed), RecordSettings(40),
+            finish=rig.write_truth, lab=rig.describe(), say=lambda message: None,
+        )  # fmt: skip
+
+
+def summary(drives: list[Recording], dropped: float, drift: float) -> dict[str, Any]:
+    """Find delay and clock of every drive, and give the errors in ms."""
+    delays, ratios, clocks, refused = [], [], [], 0
+    for place, recording in enumerate(drives):
+        lines = [line for line in recording.commands() if line.is_motor]
+        times, poses = seen(recording, dropped, np.random.default_rng(place))
+        found = motion_delay(times, poses, lines)
+        if found is not None:
+            delays.append(found.delay - RADIO)
+            ratios.append((found.delay - RADIO) / found.sd)
+        camera = 12.5 + (1 + drift) * times
+        try:
+            fit = fit_clock_to_motion(camera, poses, lines)
+        except UserError:
+            refused += 1
+            continue
+        miss = fit.to_robot(camera[[0, -1]]) - times[[0, -1]] + RADIO
+        clocks.append(miss[np.abs(miss).argmax()])
+    return {
+        "delay_rmse_ms": rms(1000 * np.array(delays)),
+        "delay_over_sd": rms(np.array(ratios)),
+        "motion_rmse_ms": rms(1000 * np.array(clocks)),
+        "motion_worst_ms": float(1000 * np.abs(clocks).max()),
+        "refused": refused,
+    }
+
+
+def seen(recording: Recording, dropped: float, rng: np.random.Generator) -> tuple[NDArray, NDArray]:
+    """Return times [N] on the lab's clock and poses [N, 3] as a camera and tracker give them."""
+    truth = read_truth(recording.path)
+    times = np.arange(truth.times[0] + rng.uniform(0, 1 / FPS), truth.times[-1], 1 / FPS)
+    times = times[rng.random(len(times)) >= dropped]
+    return times, truth.pose_at(times) + NOISE * rng.standard_normal((len(times), 3))
+
+
+class Heard:
+    """The lab's brick, and when, on the lab's clock, it heard of the lamp's motor port."""
+
+    def __init__(self, rig: VirtualRig):
+        self.rig, self.lamp = rig, []
+
+    def handle(self, telegram: bytes) -> bytes | None:
+        """Carry out one telegram; those that set an output name the port in their third byte."""
+        if telegram[1:3] == b"\x04\x00":
+            self.lamp.append(self.rig.lab.clock.now())
+        return self.rig.brick.handle(telegram)
+
+
+def film(folder: Path, seed: int) -> dict[str, Any]:
+    """Film 15 commands in the lab and track them twice; return the clocks' errors in ms."""
+    with VirtualRig(seed, noise_seed=200 + seed) as rig:
+        rig.radio.brick = heard = Heard(rig)
+        optics, params = rig.camera.optics, rig.camera.params
+        record(
+            folder, rig.robot, rig.camera, RandomCommands(seed=seed), RecordSettings(15),
+            live=False, finish=rig.write_truth, lab=rig.describe(), say=lambda message: None,
+        )  # fmt: skip
+    model = CameraModel(
+        params.size, optics.matrix, optics.distortion, optics.rotation, optics.translation
+    )
+    recording = Recording(folder)
+
+    def camera_clock(time: NDArray) -> NDArray:
+        return params.clock_offset + (1 + params.clock_drift) * time
+
+    def robot_clock(sync: str, camera: NDArray) -> tuple[NDArray, float]:
+        clock = track(folder, calibration=model, sync=sync)["sessions"][0]["clock"]
+        return clock["offset"] + (1 + clock["drift"]) * camera, clock["sd"]
+
+    sent = np.array([line.time for line in recording.commands() if line.kind.startswith("lamp")])
+    # Each edge comes when its telegram was heard, and the filament has followed.
+    lit = np.array(heard.lamp[: len(sent)]) + LAMP
+    at, flash_sd = robot_clock("flash", camera_clock(lit))
+    flashes = np.split(at - sent, 1 + np.flatnonzero(np.diff(sent) > GROUP_GAP))
+    ends = recording.frame_times(1)[[0, -1]]
+    lab = (ends - params.clock_offset) / (1 + params.clock_drift)
+    at, motion_sd = robot_clock("motion", ends)
+    miss = at - lab + RADIO
+    return {
+        "flash_ms": [float(1000 * edges.mean()) for edges in flashes],
+        "flash_sd_ms": 1000 * flash_sd,
+        "motion_ms": float(1000 * miss[np.abs(miss).argmax()]),
+        "motion_sd_ms": 1000 * motion_sd,
+    }
+
+
+def rms(values: NDArray) -> float:
+    """Return the root of the mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+if __name__ == "__main__":
+    main()
