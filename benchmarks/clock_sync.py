@@ -32,7 +32,8 @@ from neurosim.commands import RandomCommands
 from neurosim.lab import VirtualRig, read_truth
 from neurosim.record import RecordSettings, record
 from tracking.camera_model import CameraModel
-from tracking.motion import fit_clock_to_motion, motion_delay
+from tracking.motion import fit_clock_to_motion
+from tracking.motor_delay import motion_delay
 from tracking.recordings import Recording
 from tracking.sync import GROUP_GAP
 from tracking.track import track

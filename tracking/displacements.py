@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from tracking.motion import Delay, motion_delay
+from tracking.motor_delay import Delay, motion_delay
 from tracking.recordings import CommandLine, Poses, Recording
 
 #: Why a command is left out of a dataset.
@@ -83,7 +83,7 @@ class Displacements:
         sent: every command as often as it was sent, dicts with left, right, duration, attempt
             (from 1) and ``fate``: ``cut``, ``completed`` or ``other``.
         delays: of every session in which it could be found, how late the motors answered
-            (:class:`tracking.motion.Delay`).
+            (:class:`tracking.motor_delay.Delay`).
         corrected: the sessions whose displacements count from that later instant.
     """
 

@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from numpy.typing import NDArray
 
 from tracking.colours import Colour
-from tracking.tracker import Geometry, Sighting, Tracker
+from tracking.pair import Geometry, Sighting
+from tracking.tracker import Tracker
 
 #: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
 #: of the robot is never older than these.

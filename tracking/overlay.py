@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from tracking.colours import Colour
-from tracking.tracker import Sighting
+from tracking.pair import Sighting
 
 #: Frames for which the trail stays.
 TRAIL = 150

@@ -80,7 +80,7 @@ def find_colours(
     Args:
         frames: BGR [H, W, 3] uint8; a handful from anywhere in a video.
         colours: of front and rear as they are named.
-        geometry: what is known of the pair, a :class:`tracking.tracker.Geometry`.
+        geometry: what is known of the pair, a :class:`tracking.pair.Geometry`.
 
     Returns:
         Front and rear; None where no such pair is in any of the frames.

@@ -17,12 +17,14 @@ from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
 from neurosim.base.progress import Progress
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour, parse_colour
-from tracking.motion import Delay, disagreement, fit_clock_to_motion, motion_delay
+from tracking.motion import disagreement, fit_clock_to_motion
+from tracking.motor_delay import Delay, motion_delay
 from tracking.overlay import Overlay
+from tracking.pair import Geometry
 from tracking.pointing import colour_at
 from tracking.recordings import Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
-from tracking.tracker import Geometry, Tracker
+from tracking.tracker import Tracker
 from tracking.video import Video
 
 FORMAT, VERSION = "neurosim-tracking", 1

@@ -10,16 +10,14 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST, Colour, angle_between
+from tracking.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate, rivals
 from tracking.markers import (
-    LEAST_CHROMA,
     Blob,
     Look,
     Measurement,
@@ -28,6 +26,7 @@ from tracking.markers import (
     learn,
     measure,
 )
+from tracking.pair import LOST, Geometry, Learned, Motion, Sighting, angle_of, lamp_luma
 from tracking.palette import Found, found_colour
 from tracking.white import Cast, cast_of
 
@@ -36,7 +35,6 @@ AREA_RATIO = (0.70, 1.45)
 SEPARATION_TOLERANCE = 0.08
 #: The first time, with nothing learned yet.
 FIRST_AREA_RATIO = (0.4, 2.2)
-FIRST_SEPARATION_TOLERANCE = 0.12
 
 #: How far the pair may be found from where it was lost: separations, and separations a second.
 REACH, REACH_PER_SECOND = 1.0, 12.0
@@ -47,10 +45,6 @@ FORGET_AFTER = 2.0
 
 #: The image's scale is worked out anew after the pair moved by this many pixels.
 SCALE_REACH = 4.0
-#: A marker is lighter than what it lies on by this much luma at least.
-LEAST_LIGHT = 5.0
-#: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
-HUE_MARGIN = math.radians(8.0)
 #: The cast is looked at every so many frames.
 CAST_CADENCE = 8
 #: A picture has a cast worth trying to take out from this factor on.
@@ -61,100 +55,6 @@ SEEN_AREA = 20.0
 
 #: While the pair is lost every frame is searched for a while, then only every few.
 SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """What is known of the pair before the first frame.
-
-    Attributes:
-        to_plane: pixels [N, 2] to coordinates [N, 2] in which the separation is constant; board
-            metres at marker height where the camera is calibrated, the pixels themselves else.
-        separation: between the two centres, in that plane; None to learn it.
-        diameter: of a marker, likewise.
-        lamp: where the lamp is: the share of the way from the rear to the front marker, and to
-            the left of it as a share of the separation.
-    """
-
-    to_plane: Callable[[NDArray], NDArray] | None = None
-    separation: float | None = None
-    diameter: float | None = None
-    lamp: tuple[float, float] = (0.5, 0.0)
-
-    def plane(self, pixels: NDArray) -> NDArray:
-        """Return plane coordinates [N, 2] of pixels [N, 2]."""
-        return pixels if self.to_plane is None else self.to_plane(pixels)
-
-    def pixels_per_unit(self, pixel: NDArray) -> float:
-        """Return the local scale of the image."""
-        if self.to_plane is None:
-            return 1.0
-        a, b, c = self.to_plane(pixel + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
-        (p, q), (r, s) = b - a, c - a
-        return 1.0 / math.sqrt(max(abs(p * s - q * r), 1e-18))
-
-
-@dataclass(frozen=True)
-class Sighting:
-    """What the tracker saw in one frame.
-
-    Attributes:
-        front, rear: pixels [2] of the two centres, NaN where the pair was not found.
-        quality: 0 not found, up to 1 as expected.
-        lamp: mean luma where the lamp is, NaN where the pair was not found.
-    """
-
-    front: NDArray
-    rear: NDArray
-    quality: float
-    lamp: float
-
-    @property
-    def found(self) -> bool:
-        """Whether both markers were found."""
-        return self.quality > 0
-
-
-_LOST = Sighting(np.full(2, np.nan), np.full(2, np.nan), 0.0, math.nan)
-
-
-@dataclass
-class _Learned:
-    """What was learned of the pair; areas in plane units squared."""
-
-    looks: list[Look]
-    areas: list[float]
-    separation: float
-    frames: int = 0
-
-
-@dataclass
-class _Motion:
-    """Where the pair was last and how it moved, in pixels."""
-
-    time: float
-    middle: NDArray
-    axis: NDArray  # from rear to front
-    velocity: NDArray = field(default_factory=lambda: np.zeros(2))
-    turning: float = 0.0
-
-    def predict(self, time: float) -> NDArray:
-        """Return where front and rear will be, [2, 2]."""
-        # A guess far ahead is worth nothing; the pair has more likely stopped.
-        ahead = min(time - self.time, 0.2)
-        middle = self.middle + self.velocity * ahead
-        cos, sin = math.cos(self.turning * ahead), math.sin(self.turning * ahead)
-        half = np.array([[cos, -sin], [sin, cos]]) @ self.axis / 2
-        return np.stack([middle + half, middle - half])
-
-    def after(self, time: float, pixels: NDArray) -> _Motion:
-        """Return the motion with one more pair of centres."""
-        middle, axis = pixels.mean(axis=0), pixels[0] - pixels[1]
-        gap = time - self.time
-        if not 0 < gap < 0.5:
-            return _Motion(time, middle, axis)
-        turned = float(angle_between(_angle(axis), _angle(self.axis)))
-        return _Motion(time, middle, axis, (middle - self.middle) / gap, turned / gap)
 
 
 class Tracker:
@@ -178,8 +78,8 @@ class Tracker:
         self._rivals = (0.0, 0.0)
         self.colours = (front, rear)
         self.geometry = geometry or Geometry()
-        self._learned: _Learned | None = None
-        self._motion: _Motion | None = None
+        self._learned: Learned | None = None
+        self._motion: Motion | None = None
         self._cast: Cast | None = None
         self._scale: tuple[NDArray, float] | None = None
         self._frames = 0
@@ -222,17 +122,19 @@ class Tracker:
             found = self._search(frame, time)
         if found is None:
             self._lost += 1
-            return _LOST
+            return LOST
         measured, quality = found
         self._lost = 0
         pixels = np.stack([m.centre for m in measured])
         self._remember(measured, pixels, quality)
         self._motion = (
-            _Motion(time, pixels.mean(axis=0), pixels[0] - pixels[1])
+            Motion(time, pixels.mean(axis=0), pixels[0] - pixels[1])
             if self._motion is None
             else self._motion.after(time, pixels)
         )
-        return Sighting(pixels[0], pixels[1], quality, self._lamp(frame, pixels))
+        rim = max(self._radii(pixels.mean(axis=0)))
+        lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
+        return Sighting(pixels[0], pixels[1], quality, lamp)
 
     # Following
 
@@ -271,7 +173,7 @@ class Tracker:
 
         def misfit(pair: tuple[Measurement, ...]) -> float:
             pixels = np.stack([m.centre for m in pair])
-            return abs(self._separation(pixels) - self._learned.separation)
+            return abs(self.geometry.separation_of(pixels) - self._learned.separation)
 
         return list(min(itertools.product(*options), key=misfit))
 
@@ -288,7 +190,7 @@ class Tracker:
             if not low <= ratio <= high:
                 return 0.0
             misfit += (math.log(ratio) / 0.2) ** 2
-        separation = self._separation(pixels) / self._learned.separation
+        separation = self.geometry.separation_of(pixels) / self._learned.separation
         if abs(separation - 1.0) > tolerance:
             return 0.0
         misfit += ((separation - 1.0) / 0.04) ** 2
@@ -304,7 +206,7 @@ class Tracker:
         for i, measurement in enumerate(measured):
             learned.looks[i] = learned.looks[i].blend(measurement.look, share)
             learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
-        learned.separation += share * (self._separation(pixels) - learned.separation)
+        learned.separation += share * (self.geometry.separation_of(pixels) - learned.separation)
 
     def _radii(self, middle: NDArray) -> list[float]:
         scale = self._pixels_per_unit(middle)
@@ -318,10 +220,6 @@ class Tracker:
         if self._scale is None or np.abs(self._scale[0] - middle).max() > SCALE_REACH:
             self._scale = middle, self.geometry.pixels_per_unit(middle)
         return self._scale[1]
-
-    def _separation(self, pixels: NDArray) -> float:
-        front, rear = self.geometry.plane(pixels)
-        return float(np.hypot(*(front - rear)))
 
     # Searching
 
@@ -348,6 +246,7 @@ class Tracker:
 
     def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
         rated = []
+        start = self._start if self._frames == 1 else None
         whites = [NO_CAST, cast_of(frame)]
         # Where the picture has a cast, the names may mean the colours with it or without.
         for white in whites[
@@ -359,7 +258,10 @@ class Tracker:
                 seen or any(blob.area >= SEEN_AREA for blob in found)
                 for seen, found in zip(self._seen, blobs, strict=True)
             ]
-            rated += [(self._rate(pair), pair, white) for pair in itertools.product(*blobs)]
+            rated += [
+                (rate(pair, self.colours, self.geometry, start), pair, white)
+                for pair in itertools.product(*blobs)
+            ]
         rated.sort(key=lambda entry: -entry[0])
         for rating, pair, white in rated[:4]:
             if rating <= 0:
@@ -376,70 +278,26 @@ class Tracker:
                 pixels = np.stack([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
-                if found is not None and self._plausible(found[0]):
-                    self._rivals = _rivals(pair, rating, rated)
+                if found is not None and plausible(found[0], self.colours):
+                    self._rivals = rivals(pair, rating, rated)
                     return found
             self._learned = self._cast = None
         return None
 
     def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
         scale = self._pixels_per_unit(pixels.mean(axis=0))
-        self._learned = _Learned(
+        self._learned = Learned(
             looks,
             [area / scale**2 for area in areas],
-            self.geometry.separation or self._separation(pixels),
+            self.geometry.separation or self.geometry.separation_of(pixels),
         )
-
-    def _plausible(self, measured: list[Measurement]) -> bool:
-        """Return whether both look like markers of the colours that were named."""
-        for measurement, colour in zip(measured, self.colours, strict=True):
-            look = measurement.look
-            off = abs(float(angle_between(_angle(look.direction), colour.hue)))
-            if off > colour.tolerance + HUE_MARGIN or look.chroma < LEAST_CHROMA:
-                return False
-            if look.light < LEAST_LIGHT:
-                return False
-        return True
-
-    def _rate(self, pair: tuple[Blob, Blob]) -> float:
-        """Rate two patches as a pair never seen before; 0 for one that cannot be it."""
-        front, rear = pair
-        pixels = np.stack([front.centre, rear.centre])
-        apart = float(np.hypot(*(front.centre - rear.centre)))
-        rating = min(front.area, rear.area) / max(front.area, rear.area)
-        if rating < 0.3:
-            return 0.0
-        rating *= (0.1 + front.contrast) * (0.1 + rear.contrast)
-        for blob, colour in zip(pair, self.colours, strict=True):
-            off = float(angle_between(blob.hue, colour.hue)) / colour.tolerance
-            rating *= math.exp(-0.5 * off**2) * math.sqrt(blob.chroma / 255)
-        if self._start is not None and self._frames == 1:
-            for blob, place in zip(pair, self._start, strict=True):
-                rating *= math.exp(-0.5 * (math.dist(blob.centre, place) / blob.radius) ** 2)
-        if self.geometry.separation is not None:
-            off = self._separation(pixels) / self.geometry.separation - 1.0
-            if abs(off) > FIRST_SEPARATION_TOLERANCE:
-                return 0.0
-            rating *= math.exp(-0.5 * (off / 0.05) ** 2)
-        else:
-            radii = front.radius + rear.radius
-            if not 0.6 * radii < apart < 8.0 * radii:
-                return 0.0
-            rating *= math.exp(-((apart / (4.0 * radii)) ** 2))
-        if self.geometry.diameter is not None:
-            full = math.pi / 4 * self.geometry.diameter**2
-            full *= self.geometry.pixels_per_unit(pixels.mean(axis=0)) ** 2
-            for blob in pair:
-                if not 0.3 < blob.area / full < 1.8:
-                    return 0.0
-        return rating
 
     def _ranked(self, front: list[Blob], rear: list[Blob], time: float) -> list[tuple[Blob, Blob]]:
         """Return pairs that can be the lost one, the likeliest first."""
         possible = []
         for pair in itertools.product(front, rear):
             pixels = np.stack([blob.centre for blob in pair])
-            off = abs(self._separation(pixels) / self._learned.separation - 1.0)
+            off = abs(self.geometry.separation_of(pixels) / self._learned.separation - 1.0)
             if off > 2 * SEPARATION_TOLERANCE or not self._reachable(pixels, time):
                 continue
             moved = float(np.hypot(*(pixels.mean(axis=0) - self._motion.middle)))
@@ -452,43 +310,5 @@ class Tracker:
             return True
         gap = time - motion.time
         moved = np.hypot(*(pixels.mean(axis=0) - motion.middle)) / np.hypot(*motion.axis)
-        turned = abs(float(angle_between(_angle(pixels[0] - pixels[1]), _angle(motion.axis))))
+        turned = abs(float(angle_between(angle_of(pixels[0] - pixels[1]), angle_of(motion.axis))))
         return moved < REACH + REACH_PER_SECOND * gap and turned < TURN + TURN_PER_SECOND * gap
-
-    # The lamp
-
-    def _lamp(self, frame: NDArray, pixels: NDArray) -> float:
-        """Return the mean luma around the lamp, between the markers' rims."""
-        axis = pixels[0] - pixels[1]
-        apart = float(np.hypot(*axis))
-        ahead, aside = self.geometry.lamp
-        # Left of the robot is clockwise from ahead as the image's v runs down.
-        centre = pixels[1] + ahead * axis + aside * np.array([axis[1], -axis[0]])
-        rim = max(self._radii(pixels.mean(axis=0)))
-        nearest = min(float(np.hypot(*(centre - marker))) for marker in pixels)
-        reach = min(max(nearest - rim - 1.0, 0.0), 0.3 * apart)
-        if reach < 1.0:
-            return math.nan
-        left, top = np.maximum(np.floor(centre - reach).astype(int), 0)
-        right, bottom = np.ceil(centre + reach).astype(int) + 1
-        window = frame[top:bottom, left:right]
-        if window.size == 0:
-            return math.nan
-        luma = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY)
-        u = np.arange(left, left + luma.shape[1]) - centre[0]
-        v = np.arange(top, top + luma.shape[0])[:, None] - centre[1]
-        return float(luma[u**2 + v**2 <= reach**2].mean())
-
-
-def _rivals(pair: tuple[Blob, Blob], rating: float, rated: list[tuple]) -> tuple[float, float]:
-    """Return how the best pair with another front, and with another rear, compares to a pair."""
-    best = [0.0, 0.0]
-    for other, others, _ in rated:
-        for i in (0, 1):
-            if math.dist(others[i].centre, pair[i].centre) > pair[i].radius:
-                best[i] = max(best[i], other / rating)
-    return min(best[0], 1.0), min(best[1], 1.0)
-
-
-def _angle(axis: NDArray) -> float:
-    return math.atan2(axis[1], axis[0])

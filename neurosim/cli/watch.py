@@ -65,9 +65,9 @@ def watch(
     from tracking.camera_model import CameraModel
     from tracking.colours import parse_colour
     from tracking.live import LiveTracker
+    from tracking.pair import Geometry
     from tracking.recordings import DEFAULT_BOARD
     from tracking.track import marker_geometry
-    from tracking.tracker import Geometry
 
     known = marker_settings(markers, "camera")
     colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
 from tracking.displacements import displacements
-from tracking.motion import disagreement, fit_clock_to_motion, motion_delay
+from tracking.motion import disagreement, fit_clock_to_motion
+from tracking.motor_delay import motion_delay
 from tracking.recordings import Poses, Recording
 from tracking.sync import ClockFit
 

@@ -5,7 +5,8 @@ import pytest
 import tracking_scene as scene
 
 from tracking.colours import parse_colour
-from tracking.tracker import Geometry, Tracker
+from tracking.pair import Geometry
+from tracking.tracker import Tracker
 from tracking.video import Video
 
 SIZE = (320, 240)

@@ -1,0 +1,195 @@
+"""When a robot was seen to answer its commands: the dead time and the lag of its motors.
+
+A wheel that is told another speed goes on as before for a dead time d (the radio's, the
+brick's) and then approaches the new speed as exp(-t / T). The path and the heading around the
+instant of a command are therefore
+
+    a + b t + c g(t - d),    g(t) = t - T (1 - exp(-t / T)) for t > 0, else 0,
+
+with a, b, c of each command's own and d and T shared. a, b and c are linear and drop out
+(variable projection, Golub and Pereyra 1973), d and T are searched on a grid over all commands
+together. The spread of d comes from leaving out one command after the other (the jackknife),
+not from the residuals, which are far from independent.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+#: Seconds of track before and after a command that its answer is sought in.
+BEFORE, AFTER = 0.2, 0.45
+#: A change of the mean or of half the difference of the speeds below this (percent) is no
+#: event; one command must last this long (s) for the next one's answer to be told from its own.
+LEAST_CHANGE, LEAST_DURATION = 8.0, 0.45
+#: Fewer answers than this fix no delay.
+FEWEST = 5
+#: Dead times that are tried, s, and motor lags.
+REACH, STEP = 0.15, 0.002
+LAGS = tuple(0.02 * i for i in range(1, 16))
+
+#: What the shape of the answer is wrong by, s: wheels of a known dead time and lag come out 1 to
+#: 2 ms off however many commands there are.
+SYSTEMATIC = 0.002
+
+
+class MotorLine(Protocol):
+    """A line of a command log that changes the motors' speeds (percent); see ``CommandLine``."""
+
+    time: float
+    left: float
+    right: float
+
+
+@dataclass(frozen=True)
+class Delay:
+    """How long after a command's time, on the clock of the track, the motors answered.
+
+    Attributes:
+        delay: dead time in seconds, before the motors' own lag begins.
+        sd: its standard deviation, from leaving out one answer after the other.
+        lag: of the motors, time constant in seconds.
+        answers: how many changes of speed it rests on.
+    """
+
+    delay: float
+    sd: float
+    lag: float
+    answers: int
+
+
+@dataclass(frozen=True)
+class Answers:
+    """Misfits [K, D, T] of K answers at every dead time and lag; their times [K]."""
+
+    misfit: NDArray
+    times: NDArray
+
+
+def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine]) -> Delay | None:
+    """Find how late the motors answered their commands.
+
+    Args:
+        times: [N] of the poses, on the clock of the commands, s.
+        poses: [N, 3], m, m, unwrapped rad; NaN where the robot was not seen.
+        lines: what was sent to the motors, in order.
+
+    Returns:
+        The delay, within 0.15 s of the commands' times; None if too few commands changed the
+        speeds to tell, or the answers lie beyond what is looked for.
+    """
+    answers = answers_to(*signals_of(times, poses), changes_of(lines))
+    found = None if answers is None else delay_of(answers)
+    return None if found is None or abs(found.delay) >= REACH - STEP else found
+
+
+def signals_of(times: ArrayLike, poses: ArrayLike) -> tuple[NDArray, NDArray]:
+    """Return the times [N] and the signed path (m) and heading (rad) [N, 2] where seen."""
+    times, poses = np.asarray(times, float), np.asarray(poses, float)
+    seen = np.isfinite(poses).all(axis=1)
+    times, poses = times[seen], poses[seen]
+    if len(times) == 0:
+        return times, np.empty((0, 2))
+    steps = np.diff(poses, axis=0)
+    heading = (poses[1:, 2] + poses[:-1, 2]) / 2
+    along = steps[:, 0] * np.cos(heading) + steps[:, 1] * np.sin(heading)
+    return times, np.column_stack([np.concatenate([[0.0], np.cumsum(along)]), poses[:, 2]])
+
+
+def changes_of(lines: Iterable[MotorLine]) -> NDArray:
+    """Return [K, 4]: time of each change of speed, change of mean and half difference, room.
+
+    The room is the time until the next line; a change right after another one has none.
+    """
+    rows = [(line.time, line.left, line.right) for line in lines]
+    if not rows:
+        return np.empty((0, 4))
+    table = np.array(rows, float)
+    before = np.vstack([[0.0, 0.0], table[:-1, 1:]])
+    change = table[:, 1:] - before
+    length = np.append(np.diff(table[:, 0]), np.inf)
+    room = np.where(np.append(np.inf, length[:-1]) < LEAST_DURATION, 0.0, length)
+    mean, half = change.mean(axis=1), (change[:, 1] - change[:, 0]) / 2
+    return np.column_stack([table[:, 0], mean, half, room])
+
+
+def answers_to(times: NDArray, signals: NDArray, changes: NDArray) -> Answers | None:
+    """Return the misfit of every answer that is seen, over dead times and lags."""
+    if len(times) < 2:
+        return None
+    interval = float(np.median(np.diff(times)))
+    delays = np.arange(-REACH, REACH + STEP / 2, STEP)
+    misfits, when = [], []
+    for time, *sizes, room in changes:
+        if room < LEAST_DURATION:
+            continue
+        rows = slice(*np.searchsorted(times, [time - BEFORE, time + AFTER]))
+        around = times[rows] - time
+        # A dropped frame or two do no harm; a robot that is out of sight does.
+        expected = (BEFORE + AFTER) / interval
+        if len(around) < max(6, 0.7 * expected) or np.diff(around).max() > 0.25 * BEFORE + AFTER:
+            continue
+        line = np.linalg.qr(np.column_stack([np.ones_like(around), around]))[0]
+        late = around - delays[:, None]
+        for signal, size in enumerate(sizes):
+            if abs(size) < LEAST_CHANGE:
+                continue
+            seen = signals[rows, signal]
+            rest = seen - line @ (line.T @ seen)
+            total = float(rest @ rest)
+            misfit = np.empty((len(delays), len(LAGS)))
+            for i, lag in enumerate(LAGS):
+                shape = np.where(late > 0, late - lag * -np.expm1(-np.maximum(late, 0) / lag), 0)
+                shape = shape - (shape @ line) @ line.T
+                power = np.maximum((shape**2).sum(axis=1), 1e-12)
+                misfit[:, i] = total - (shape @ rest) ** 2 / power
+            # In units of the signal that there was to explain, so that a small one counts less.
+            noise = max(misfit.min() / max(len(around) - 5, 1), 1e-12)
+            misfits.append(misfit / noise)
+            when.append(time)
+    if not misfits:
+        return None
+    return Answers(np.array(misfits), np.array(when))
+
+
+def delay_of(answers: Answers) -> Delay | None:
+    """Return dead time and lag of all answers together, or None where they are too few."""
+    count = len(answers.misfit)
+    if count < FEWEST:
+        return None
+    total = answers.misfit.sum(axis=0)
+    delay, lag = _least(total)
+    without = np.array([_least(total - one)[0] for one in answers.misfit])
+    sd = float(np.sqrt((count - 1) / count * ((without - without.mean()) ** 2).sum()))
+    return Delay(delay, math.hypot(sd, SYSTEMATIC), lag, count)
+
+
+def _least(misfit: NDArray) -> tuple[float, float]:
+    """Return dead time and lag of the least misfit [D, T], both to a part of their steps."""
+    column = int(misfit.min(axis=0).argmin())
+    column = min(max(column, 1), misfit.shape[1] - 2)
+    rows, least = zip(*(_dip(misfit[:, c]) for c in (column - 1, column, column + 1)), strict=True)
+    # The dead time bends with the lag: a parabola through the three best ones.
+    aside = _vertex(*least)
+    place = rows[1] + aside * (rows[2] - rows[0]) / 2
+    place += aside**2 * (rows[2] - 2 * rows[1] + rows[0]) / 2
+    return -REACH + STEP * place, LAGS[0] * (column + 1 + aside)
+
+
+def _dip(values: NDArray) -> tuple[float, float]:
+    """Return place and value of the least of some values, by the parabola through three."""
+    place = min(max(int(values.argmin()), 1), len(values) - 2)
+    low, middle, high = (float(v) for v in values[place - 1 : place + 2])
+    aside = _vertex(low, middle, high)
+    return place + aside, middle - aside * (low - high) / 4
+
+
+def _vertex(low: float, middle: float, high: float) -> float:
+    """Return where, in steps from the middle one, the parabola through three values is least."""
+    bend = low - 2 * middle + high
+    return float(np.clip(0.5 * (low - high) / bend, -1.0, 1.0)) if bend > 0 else 0.0
