@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import click
+import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, next_step
@@ -22,6 +26,7 @@ def evolve_network(
     genetic: dict[str, Any],
     seed: int,
     as_json: bool,
+    robot: dict[str, Any],
 ) -> None:
     """Evolve a network in a simulator of tables, write it and say how good it is.
 
@@ -34,6 +39,7 @@ def evolve_network(
         genetic: settings of the evolution that were given.
         seed: of all that is drawn.
         as_json: whether to print JSON.
+        robot: options of the generations on a robot.
     """
     from neurosim.simulators import TableSimulator, read_simulator
     from neurosim.simulators.arena import Arena
@@ -54,20 +60,18 @@ def evolve_network(
         found = found.changed(arena=Arena.read(arena))
     if noise is not None:
         found = found.changed(noise=noise)
-    made = evolve_networks(
-        found,
-        out,
-        make_task("obstacle-avoidance", **task),
-        NetworkSettings(**genetic),
-        source=simulator,
-        seed=seed,
-    )
+    wanted = make_task("obstacle-avoidance", **task)
+    with _on_robot(robot, found.arena, wanted, seed) as then:
+        made = evolve_networks(
+            found, out, wanted, NetworkSettings(**genetic), source=simulator, seed=seed, **then
+        )
     history, steps = made.evolution["history"], made.task["settings"]["steps"]
     result = {
         "controllers": [str(out)],
         "fitness": made.predicted["fitness"],
         "spread": made.predicted["spread"],
         "generations": len(history["best"]),
+        "transfer": history.get("transfer"),
         "best": history["best"],
         "mean": history["mean"],
     }
@@ -83,3 +87,61 @@ def evolve_network(
     if made.evolution["interrupted"]:
         click.echo("neurosim: interrupted; the best network so far is kept", err=True)
         click.get_current_context().exit(130)
+
+
+#: Figure 4 compares this many seconds, from so many starts.
+_SECONDS, _STARTS = 10.0, 2
+
+
+@contextmanager
+def _on_robot(options: dict[str, Any], arena: Any, task: Any, seed: int) -> Iterator[dict]:
+    """Give what evolve_networks needs to go on on a robot; nothing where it is not to."""
+    options = dict(options)
+    generations, kind = options.pop("then_on_robot"), options.pop("robot")
+    lab_seed = options.pop("lab_seed")
+    if not generations:
+        yield {}
+        return
+    from neurosim.tasks.robot_trials import RobotTrials, odometry
+
+    def settings(robot: Any, place: Callable, pose: Callable) -> dict[str, Any]:
+        trials = RobotTrials(robot, task)
+
+        def compare(genes: Any, simulated: Any) -> list[dict[str, list]]:
+            steps = round(_SECONDS / task.duration)
+            rng = np.random.default_rng([seed, 2])
+            starts = arena.free_poses(_STARTS, simulated.simulator.radius, rng)
+            paths = simulated.drive(genes[None], starts, steps=steps).poses[0]
+            drives = []
+            for start, path in zip(starts, paths, strict=True):
+                place(start)
+                real = trials.drive(genes, steps, pose(start))
+                robot.stop()
+                drives.append({"simulated": path.tolist(), "robot": real.poses.tolist()})
+            return drives
+
+        return {"on_robot": trials, "robot_generations": generations, "compare": compare}
+
+    if kind == "khepera":
+        from neurosim.cli._robots import khepera
+
+        with khepera(options) as robot:
+            yield settings(robot, _ask, lambda start: odometry(robot, start))
+        return
+    from neurosim.lab import LabArena, VirtualKheperaRig
+
+    start = tuple(arena.free_poses(1, 0.03, np.random.default_rng(seed))[0])
+    with (
+        VirtualKheperaRig(lab_seed, noise_seed=seed, arena=LabArena.of(arena), start=start) as rig,
+        rig.robot as robot,
+    ):
+        yield settings(robot, lambda p: rig.lab.place(*p), lambda _: lambda: rig.lab.pose)
+
+
+def _ask(start: Any) -> None:
+    x, y, theta = 100 * start[0], 100 * start[1], math.degrees(start[2])
+    where = f"x {x:.1f} cm, y {y:.1f} cm, heading {theta:.0f} degrees"
+    click.prompt(
+        f"Put the robot at {where}, and press Enter",
+        default="", show_default=False, err=True,
+    )  # fmt: skip

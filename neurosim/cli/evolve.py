@@ -19,6 +19,7 @@ from neurosim.cli._common import (
     seed_option,
 )
 from neurosim.cli._networks import evolve_network
+from neurosim.cli._robots import khepera_options
 from neurosim.cli.tables import arena_option, noise_option
 
 
@@ -79,6 +80,21 @@ from neurosim.cli.tables import arena_option, noise_option
 )
 @arena_option
 @noise_option
+@click.option(
+    "--then-on-robot",
+    type=click.IntRange(min=0),
+    default=0,
+    help="Obstacle avoidance: generations more, on the robot, which is left to itself.",
+)
+@click.option(
+    "--robot",
+    type=click.Choice(["virtual", "khepera"]),
+    default="virtual",
+    show_default=True,
+    help="Of --then-on-robot.",
+)
+@khepera_options
+@click.option("--lab-seed", type=click.IntRange(min=0), default=0, help="Which virtual robot.  [0]")
 @click.option("--all", "keep_all", is_flag=True, help="Keep every run's plan: OUT-01, OUT-02, ...")
 @seed_option
 @json_option
@@ -101,6 +117,12 @@ def evolve(
     starts: int | None,
     arena_path: Path | None,
     noise: str | None,
+    then_on_robot: int,
+    robot: str,
+    serial_port: str | None,
+    dialect: str | None,
+    baud: int | None,
+    lab_seed: int,
     keep_all: bool,
     seed: int,
     as_json: bool,
@@ -123,6 +145,14 @@ def evolve(
             genetic=given if generations is None else {**given, "generations": generations},
             seed=seed,
             as_json=as_json,
+            robot={
+                "then_on_robot": then_on_robot,
+                "robot": robot,
+                "serial_port": serial_port,
+                "dialect": dialect,
+                "baud": baud,
+                "lab_seed": lab_seed,
+            },
         )
         return
     from neurosim.evolution import GeneticSettings

@@ -29,6 +29,9 @@ GENES = 2 * (SENSORS + 1)
 #: Tries networks: genes [P, 18] and the generation's random numbers -> fitness [P].
 Trials = Callable[[NDArray[np.float64], np.random.Generator], NDArray[np.float64]]
 
+#: Drives a network [18] in the simulator of some trials and in reality: see the report's Figure 4.
+Compare = Callable[[NDArray[np.float64], "TableTrials"], list[dict[str, list]]]
+
 
 @dataclass(frozen=True)
 class NetworkSettings:
@@ -164,11 +167,15 @@ def evolve_networks(
     source: str | Path | None = None,
     seed: int = 0,
     progress: bool = True,
+    on_robot: Trials | None = None,
+    robot_generations: int = 0,
+    compare: Compare | None = None,
 ) -> NetworkController:
     """Evolve a network for a task in a simulator and write the best of the last population.
 
     The best is found by trying all of the last population from many more starts: what was best
-    in its own generation may have been lucky.
+    in its own generation may have been lucky. After generations on a robot it is the best of
+    the last of them.
 
     Args:
         simulator: with its arena and noise.
@@ -178,6 +185,10 @@ def evolve_networks(
         source: the simulator's folder, to be named in the controller.
         seed: of all that is drawn.
         progress: whether to show progress on stderr.
+        on_robot: tries networks on the robot, for ``robot_generations`` after the simulator's.
+        robot_generations: how many; the history says where they began (``transfer``).
+        compare: drives the chosen network in simulator and reality, for
+            ``evolution["trajectories"]``.
 
     Raises:
         UserError: if something stands at ``out`` or the robot does not fit into the arena.
@@ -186,11 +197,14 @@ def evolve_networks(
     settings = settings or NetworkSettings()
     trials, evolution = TableTrials(simulator, task), NetworkEvolution(settings, seed)
     interrupted = False
-    bar = Progress("evolve", settings.generations, "generations") if progress else None
+    total = settings.generations + robot_generations
+    bar = Progress("evolve", total, "generations") if progress else None
     try:
-        for _ in range(settings.generations):
-            tried = evolution.population.copy()
-            evolution.generation(trials)
+        for number in range(total):
+            population = evolution.population.copy()
+            transferred = on_robot is not None and number >= settings.generations
+            fitness = evolution.generation(on_robot if transferred else trials)
+            tried = population[[fitness.argmax()]] if transferred else population
             if bar is not None:
                 bar.advance(note=f"best {evolution.best[-1]:.1f}")
     except KeyboardInterrupt:
@@ -201,6 +215,10 @@ def evolve_networks(
         if bar is not None:
             bar.close()
     genes, fitness, spread = choose(trials, tried, seed)
+    history = {"best": evolution.best, "mean": evolution.mean}
+    if len(evolution.best) > settings.generations:
+        history["transfer"] = settings.generations
+    driven = {} if compare is None or interrupted else {"trajectories": compare(genes, trials)}
     controller = NetworkController(
         weights=genes.reshape(2, -1),
         task=task.describe(),
@@ -214,7 +232,8 @@ def evolve_networks(
             "noise": {"kind": simulator.noise, "level": simulator.noise_level},
             "arena": simulator.arena.to_json(),
             "interrupted": interrupted,
-            "history": {"best": evolution.best, "mean": evolution.mean},
+            "history": history,
+            **driven,
         },
     )
     controller.write(out)

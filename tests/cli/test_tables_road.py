@@ -55,6 +55,28 @@ def test_simulator_and_network(folder):
     assert network.evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
 
 
+def test_generations_on_a_robot(folder):
+    done = call(
+        "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "driven",
+        "--generations", 3, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
+        "--starts", 2, "--then-on-robot", 2, "--lab-seed", 1, "--json",
+    )  # fmt: skip
+    result = json.loads(done.output)
+    assert result["transfer"] == 3
+    assert len(result["best"]) == len(result["mean"]) == 5
+    assert all(0 < best <= 20 for best in result["best"])
+    made = read_controller(folder / "driven")
+    for drive in made.evolution["trajectories"]:
+        simulated, robot = (np.array(drive[name]) for name in ("simulated", "robot"))
+        assert simulated.shape == robot.shape == (101, 3)
+        assert robot[0] == pytest.approx(simulated[0], abs=1e-3)
+        assert np.abs(np.diff(robot[:, :2], axis=0)).max() < 0.012
+        assert np.ptp(robot, axis=0).max() > 0.01
+    call("report", folder / "driven", "-o", folder / "page.html")
+    assert "from generation 4 on the robot (Figure 3)" in (folder / "page.html").read_text()
+    assert "(Figure 4)" in (folder / "page.html").read_text()
+
+
 def test_view(folder):
     out = folder / "path.png"
     done = call(
@@ -110,6 +132,21 @@ def test_view_of_a_plan(folder):
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--steps", 7],
             "7 steps cannot be shared out evenly among 5 starts",
+        ),
+        (
+            [
+                "evolve",
+                "sim",
+                "--task",
+                "obstacle-avoidance",
+                "-o",
+                "x",
+                "--fitness",
+                "cells",
+                "--then-on-robot",
+                1,
+            ],
+            "needs the robot's poses",
         ),
         (["evolve", "sim", "--task", "flying", "-o", "x"], "there is no task 'flying'"),
         (["evaluate", "sim", "dataset"], "is no motion network"),
