@@ -1,12 +1,12 @@
 import numpy as np
 import pytest
 import torch
+from synthetic_robot import synthetic
 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData
 from neurosim.training.readout import Readout
-from tests.training.conftest import synthetic
 
 INPUTS = [
     {"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right", "duration")
