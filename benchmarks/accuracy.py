@@ -33,6 +33,7 @@ import torch
 from neurosim.base import files
 from neurosim.networks import ProductSummationNetwork
 from neurosim.training.base import TrainingData
+from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.evaluate import errors
 from neurosim.training.train import training_data
 from neurosim.training.trainers import TRAINERS
@@ -63,8 +64,12 @@ def trainer(name: str, generations: int | None = None) -> Learner:
     def learn(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         data: TrainingData = training_data(rows)
         network = ProductSummationNetwork(len(rows.inputs), *kind.default_hidden)
-        learner = kind(data, network, kind.settings_type(), seed, "cpu")
-        for _ in range(generations or kind.default_generations):
+        each = generations or kind.default_generations
+        settings = kind.settings_type()
+        learner = EnsembleTrainer(
+            kind, data, network, settings, seed, "cpu", members=1, generations=each, noise=False
+        )
+        for _ in range(learner.generations):
             learner.advance()
         simulator = learner.result()
         return lambda x: simulator.displacement(torch.tensor(x)).numpy()

@@ -49,6 +49,7 @@ from neurosim.lab.physics import (
     slip_field,
 )
 from neurosim.networks import ProductSummationNetwork
+from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.guided import Committee, Place, choose, motor_data
 from neurosim.training.trainers import DEFAULT, TRAINERS
 
@@ -180,8 +181,18 @@ def learned(x: NDArray, y: NDArray, seed: int) -> Callable[[NDArray], NDArray]:
     """Return what the default trainer predicts from these rows."""
     kind = TRAINERS[DEFAULT]
     network = ProductSummationNetwork(x.shape[1], *kind.default_hidden)
-    trainer = kind(motor_data(x, y), network, kind.settings_type(), seed, "cpu")
-    for _ in range(kind.default_generations):
+    trainer = EnsembleTrainer(
+        kind,
+        motor_data(x, y),
+        network,
+        kind.settings_type(),
+        seed,
+        "cpu",
+        members=1,
+        generations=kind.default_generations,
+        noise=False,
+    )
+    for _ in range(trainer.generations):
         trainer.advance()
     simulator = trainer.result()
     return lambda inputs: simulator.displacement(torch.tensor(inputs)).numpy()

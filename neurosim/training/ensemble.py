@@ -2,6 +2,8 @@
 
 What a simulator of few rows does not know shows where networks that learned from other rows
 disagree. The mean is a network of its own, searched for on all rows: it costs no more than one.
+With few rows it is the average of several such searches, which then differ (Breiman 1996, bagging
+without the resampling: what is averaged out is the luck of the search, not of the rows).
 Each member is a search of its own on a random half of the rows: what a search may find or miss is
 part of what is not known, and an estimate from half of the rows strays from that of all as far as
 that strays from the truth (Shao and Tu 1995, the delete-half jackknife). Its read-out is then
@@ -28,6 +30,7 @@ from torch import Tensor
 
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.training.averaging import average, widened
 from neurosim.training.base import PursuitSettings, Trainer, TrainingData
 from neurosim.training.exponents import ExponentsSettings
 from neurosim.training.noise import fit_noise, search_optimism
@@ -35,6 +38,10 @@ from neurosim.training.readout import Readout
 
 #: Of read-outs, where the trainer has none of its own.
 RIDGE = 1e-6
+
+#: A search of its own is worth its time up to this many rows; of half as many, two are, and so on,
+#: up to :data:`MOST_SEARCHES`.
+SEARCH_ROWS, MOST_SEARCHES = 2000, 8
 
 #: Stretches of time that rows are drawn in, and folds that read-outs are cross-validated in.
 STRETCHES, FOLDS = 40, 5
@@ -100,9 +107,12 @@ class EnsembleTrainer:
         # A single network needs searches on both halves for its noise alone.
         halves = members if members > 1 else 2 * int(noise and network.linear)
         self._seen = _halves(self._stretch, halves, generator)
+        #: How many searches see all rows.
+        self._whole = 0
         if network.linear or not halves:
-            everything = torch.ones_like(self._stretch, dtype=torch.bool)
-            self._seen = torch.cat([everything.unsqueeze(0), self._seen])
+            self._whole = searches(len(data.x)) if isinstance(settings, PursuitSettings) else 1
+            everything = torch.ones(self._whole, len(data.x), dtype=torch.bool)
+            self._seen = torch.cat([everything, self._seen])
         self._weights = _random_weights(self._stretch, members, generator)
         self._finished: list[dict[str, Tensor]] = []
         self._done = 0
@@ -115,13 +125,13 @@ class EnsembleTrainer:
 
     def _begin(self, search: int) -> Trainer:
         seen, data, settings = self._seen[search], self._data, self._settings
-        if seen.all():
-            return self._make(data, settings, self._seed)
         if isinstance(settings, ExponentsSettings) and self._finished:
             # The first search, of all rows, has found it.
             zone = tuple(self._finished[0]["dead_zone"].tolist())
             settings = replace(settings, dead_zone=zone)
         # Searches differ by seed too, for all that is drawn in them.
+        if seen.all():
+            return self._make(data, settings, self._seed + search)
         share = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
         return self._make(share, settings, self._seed + search)
 
@@ -145,7 +155,8 @@ class EnsembleTrainer:
         return self._refitted(found) if self._network.linear else self._averaged(found)
 
     def _refitted(self, found: list[MotionNetwork]) -> MotionNetwork:
-        simulator, *searched = found
+        whole, searched = found[: self._whole], found[self._whole :]
+        simulator = average(whole)
         if self._members > 1:
             members = []
             for member, weights in zip(searched, self._weights, strict=True):
@@ -153,9 +164,11 @@ class EnsembleTrainer:
                 members.append(readout.simulator(readout.genes(weights)))
             simulator = _together([simulator, *members], central=True)
         if self._noise:
-            said, *by_halves = [self._cross_validated(network) for network in found]
+            said = torch.stack([self._cross_validated(network) for network in whole]).mean(0)
+            by_halves = [self._cross_validated(network) for network in searched]
             noise = fit_noise(simulator, self._data, said)
-            widening = search_optimism(simulator, self._data, by_halves, self._seen[1:])
+            seen = self._seen[self._whole :]
+            widening = search_optimism(simulator, self._data, by_halves, seen)
             simulator.noise = noise.widened(widening)
         return simulator
 
@@ -203,12 +216,23 @@ class EnsembleTrainer:
         self._search.load(part("search."))
 
 
+def searches(rows: int) -> int:
+    """Return how many searches of all rows the mean is the average of."""
+    return min(max(SEARCH_ROWS // rows, 1), MOST_SEARCHES)
+
+
 def _together(found: list[MotionNetwork], central: bool) -> MotionNetwork:
     first = found[0]
+    genes = [simulator.genes for simulator in found]
+    network = first.network
+    if isinstance(network, ProductSummationNetwork):
+        products = max(simulator.network.products for simulator in found)
+        network = replace(network, products=products)
+        genes = [widened(n.network, n.genes, products) for n in found]
     return MotionNetwork(
         first.inputs,
-        first.network,
-        torch.cat([member.genes for member in found]),
+        network,
+        torch.cat(genes),
         first.input_scale,
         torch.cat([member.output_scale for member in found]),
         first.coordinates,

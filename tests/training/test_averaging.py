@@ -1,0 +1,64 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.training.averaging import average, widened
+from neurosim.training.ensemble import searches
+
+INPUTS = [{"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right")]
+
+
+def simulators(count, phases, seed, silent):
+    generator = torch.Generator().manual_seed(seed)
+    network = ProductSummationNetwork(inputs=4, products=3, summations=2, phases=phases)
+    found = []
+    for _ in range(count):
+        genes = 0.5 * torch.randn(5, network.genes, generator=generator, dtype=torch.float64)
+        weights = network.split(genes).product_weights  # views
+        weights[torch.rand(weights.shape, generator=generator) < silent] = 0.0
+        scale = 0.5 + torch.rand(5, generator=generator, dtype=torch.float64)
+        found.append(
+            MotionNetwork(INPUTS, network, genes, torch.ones(4), scale, coordinates="twist-offset")
+        )
+    return found
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    count=st.integers(1, 4),
+    phases=st.booleans(),
+    seed=st.integers(0, 1000),
+    silent=st.sampled_from([0.0, 0.5, 1.0]),
+)
+def test_the_averages_outputs_are_the_average_outputs(count, phases, seed, silent):
+    found = simulators(count, phases, seed, silent)
+    x = 2.0 * torch.rand(20, 4, dtype=torch.float64) - 1.0
+    x[:3] = 0.0
+    mean = torch.stack([simulator.outputs(x) for simulator in found]).mean(0)
+    one = average(found)
+    torch.testing.assert_close(one.outputs(x), mean, rtol=1e-9, atol=1e-9)
+    assert 3 <= one.network.products <= 3 * count
+
+
+def test_units_that_count_for_nothing_take_no_room():
+    found = simulators(4, True, 0, 1.0)
+    assert average(found).network.products == 3
+
+
+def test_wider_networks_say_the_same():
+    simulator = simulators(1, True, 5, 0.0)[0]
+    genes = widened(simulator.network, simulator.genes, 7)
+    network = ProductSummationNetwork(inputs=4, products=7, summations=2, phases=True)
+    wide = MotionNetwork(
+        INPUTS, network, genes, torch.ones(4), simulator.output_scale, coordinates="twist-offset"
+    )
+    x = torch.rand(10, 4, dtype=torch.float64) - 0.5
+    assert torch.allclose(wide.outputs(x), simulator.outputs(x))
+
+
+@pytest.mark.parametrize(("rows", "count"), [(5000, 1), (2000, 1), (1000, 2), (400, 5), (30, 8)])
+def test_fewer_rows_are_searched_more_often(rows, count):
+    assert searches(rows) == count
