@@ -33,7 +33,8 @@ import torch
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
-from neurosim.tasks.planning import Course, Evolution, PlanSettings
+from neurosim.tasks.plan_course import Course
+from neurosim.tasks.planning import Evolution, PlanSettings
 from neurosim.tasks.rollouts import SteppedRollouts, rollouts
 from neurosim.training.train import train
 

@@ -9,6 +9,10 @@ against what happened, Brier score against always saying the base rate.
 
     python benchmarks/robust_plans.py                    30 plans of each length
     python benchmarks/robust_plans.py --quick            6 plans of each length, 2 for the bound
+    python benchmarks/robust_plans.py --kept FILE        go on where FILE ends; keep each set there
+    python benchmarks/robust_plans.py --tell FILE FILE   the tables of what such files hold
+
+With --kept the work can be shared out: --first-plan 15 --plans 15 is another process's half.
 
 Drives are of the lab's physics itself; the first drive of every plan is made once more the long
 way, through brick, radio and driver (--brick 0 leaves that out).
@@ -60,10 +64,13 @@ def main() -> None:
     parser.add_argument("--dataset", type=Path, default=REFERENCE)
     parser.add_argument("--lengths", default="10,13", help="commands in a plan")
     parser.add_argument("--plans", type=int, default=30, help="of each length")
+    parser.add_argument("--first-plan", type=int, default=0, help="number of the first")
+    parser.add_argument("--kept", type=Path, help="a file that each plan is added to when driven")
+    parser.add_argument("--tell", type=Path, nargs="+", help="such files; nothing is evolved")
     parser.add_argument("--runs", type=int, default=4, help="of evolution, for each plan")
     parser.add_argument("--generations", type=int, default=1000)
     parser.add_argument("--robust-generations", type=int, default=200)
-    parser.add_argument("--bound-plans", type=int, default=10, help="of each length")
+    parser.add_argument("--bound-every", type=int, default=3, help="plans, one for the bound too")
     parser.add_argument("--bound-generations", type=int, default=40)
     parser.add_argument("--drives", type=int, default=20, help="of each plan")
     parser.add_argument("--brick", type=int, default=1, help="of these again through the brick")
@@ -72,19 +79,8 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.quick:
-        options.plans, options.bound_plans = min(options.plans, 6), min(options.bound_plans, 2)
-    simulator = learned(options)
-    plans = []
-    for length in map(int, options.lengths.split(",")):
-        for number in range(options.plans):
-            began = time.perf_counter()
-            plans += one_set(simulator, length, number, options)
-            print(
-                f"{length} commands, plan {number + 1} of {options.plans}: "
-                f"{time.perf_counter() - began:.1f} s",
-                file=sys.stderr,
-                flush=True,
-            )
+        options.plans = min(options.plans, 6)
+    plans = gather(options) if options.tell is None else kept(options.tell)
     result = {
         "settings": {key: str(value) for key, value in vars(options).items()},
         "completed": [
@@ -99,6 +95,35 @@ def main() -> None:
         print(json.dumps(result))
     else:
         print_tables(result)
+
+
+def gather(options: argparse.Namespace) -> list[dict]:
+    """Evolve and drive all plans but those that are kept already; return all of them."""
+    plans = kept([options.kept] if options.kept else [])
+    there = {(plan["length"], plan["number"]) for plan in plans}
+    simulator = learned(options)
+    lengths = [int(length) for length in options.lengths.split(",")]
+    for number in range(options.first_plan, options.first_plan + options.plans):
+        for length in lengths:
+            if (length, number) in there:
+                continue
+            began = time.perf_counter()
+            found = one_set(simulator, length, number, options)
+            plans += found
+            if options.kept:
+                with open(options.kept, "a", encoding="utf-8") as file:
+                    file.write(json.dumps(found) + "\n")
+            seconds = time.perf_counter() - began
+            say = f"{length} commands, plan {number}: {seconds:.1f} s"
+            print(say, file=sys.stderr, flush=True)
+    return plans
+
+
+def kept(paths: list[Path]) -> list[dict]:
+    """Return the plans that files hold, a set of plans in each whole line."""
+    texts = [path.read_text("utf-8") for path in paths if path.exists()]
+    lines = [line for text in texts for line in text.splitlines(keepends=True)]
+    return [plan for line in lines if line.endswith("\n") for plan in json.loads(line)]
 
 
 def learned(options: argparse.Namespace):
@@ -119,10 +144,10 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
     for kind, how in (("robust", robust), ("halfway", half)):
         found[kind] = improve_plans(simulator, TASK, start, how, seed=seed, progress=False)
     found["lesser runs"] = found["without noise"][1:3] + found["robust"][1:3]
-    if number < options.bound_plans:
+    if number % options.bound_every == 0:
         found["bound"] = bound(found["robust"][:1], length, seed, options)
     return [
-        driven(simulator, plan, kind, length, seed, options)
+        {"number": number, **driven(simulator, plan, kind, length, seed, options)}
         for kind, results in found.items()
         for plan in (results if kind == "lesser runs" else results[:1])
         if any(plan.commands)

@@ -15,6 +15,9 @@ from numba import njit
 from neurosim.networks.product_units import LOG_LIMIT
 from neurosim.simulators.noise import HEAVIEST
 
+#: Numbers that the size of the noise is, see :func:`spread`.
+SIZES = 13
+
 
 class Arrays(NamedTuple):
     """A simulator's numbers: C-contiguous, float64 but for the places, which are int64."""
@@ -29,10 +32,13 @@ class Arrays(NamedTuple):
     twist: bool  #: whether the first three outputs are a body twist; two more: an offset
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
-    noise_unit: np.ndarray  #: [3], this and the next three as in NoiseModel
+    noise_unit: np.ndarray  #: [3], this and the next six as in NoiseModel
     noise_log_scale: np.ndarray  #: [3, F]
     noise_coupling: np.ndarray  #: [3, F]
     noise_tail: np.ndarray  #: [F]
+    noise_motion: np.ndarray  #: [3, F]
+    noise_lasting: np.ndarray  #: [3]
+    noise_memory: np.ndarray  #: [1]
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
@@ -102,10 +108,10 @@ def disturb(a, inputs, mean, z, out):
         a: :class:`Arrays` of a simulator with a noise model.
         inputs: [I], in the dataset's units.
         mean: [3], of :func:`displacement`.
-        z: [4], of :meth:`NoiseModel.draw`.
+        z: [7], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
-    size = np.empty(7)
+    size = np.empty(SIZES)
     spread(a, inputs, mean, size)
     shake(mean, size, z, out)
 
@@ -116,7 +122,9 @@ def spread(a, inputs, mean, out):
 
     Args:
         a, inputs, mean: as in :func:`disturb`.
-        out: [7], written: s_t (rad), s_f, s_s (m), the couplings c_1, c_2, c_3, and tau.
+        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the couplings c_1, c_2, c_3,
+            r^2 of the three, tau, and what lasts by its share of this motion: turn, forward, bend
+            (rad, m, rad).
     """
     duration = 1.0
     if a.duration >= 0:
@@ -141,7 +149,7 @@ def spread(a, inputs, mean, out):
     turning, going = t / math.sqrt(t * t + 0.05), f / math.sqrt(f * f + 0.05)
     for j in range(3):
         w, c = a.noise_log_scale[j], a.noise_coupling[j]
-        out[j] = math.exp(
+        log_s = (
             w[0]
             + w[1] * log_travel
             + w[2] * log_travel * log_travel
@@ -151,9 +159,16 @@ def spread(a, inputs, mean, out):
             + w[6] * root
             + w[7] * log_time
         )
+        out[j] = math.exp(2.0 * log_s)
         out[3 + j] = c[0] + c[1] * product + c[2] * turning + c[3] * going
+        r = a.noise_motion[j]
+        out[6 + j] = r[0] + r[1] * t * t + r[2] * f * f
+    ahead = cos * mean[0] + sin * mean[1]
     tail = a.noise_tail
-    out[6] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
+    out[9] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
+    out[10] = a.noise_lasting[0] * mean[2]
+    out[11] = a.noise_lasting[1] * ahead
+    out[12] = a.noise_lasting[2] * ahead
 
 
 @njit(cache=True, error_model="numpy")
@@ -162,15 +177,17 @@ def shake(mean, size, z, out):
 
     Args:
         mean: [3], of :func:`displacement`.
-        size: [7], of :func:`spread`.
-        z: [4], of :meth:`NoiseModel.draw`.
+        size: [SIZES], of :func:`spread`.
+        z: [7], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
-    width = math.exp(size[6] * z[3])
-    z_t, z_f, z_s = width * z[0], width * z[1], width * z[2]
-    e_t = size[0] * z_t
-    e_f = size[1] * (z_f + size[3] * z_t)
-    e_s = size[2] * (z_s + size[4] * z_t + size[5] * z_f)
+    width = math.exp(2.0 * size[9] * z[3])
+    s_t = math.sqrt(size[0] * width + size[6])
+    s_f = math.sqrt(size[1] * width + size[7])
+    s_s = math.sqrt(size[2] * width + size[8])
+    e_t = s_t * z[0] + size[10] * z[4] + size[12] * z[6]
+    e_f = s_f * (z[1] + size[3] * z[0]) + size[11] * z[5]
+    e_s = s_s * (z[2] + size[4] * z[0] + size[5] * z[1])
     theta = mean[2] + e_t
     cos, sin = math.cos(0.5 * e_t), math.sin(0.5 * e_t)
     x, y = cos * mean[0] - sin * mean[1], sin * mean[0] + cos * mean[1]

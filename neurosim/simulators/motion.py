@@ -12,7 +12,6 @@ members disagree where there was little to learn from, the noise is what no netw
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -20,16 +19,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurosim.base import files
-from neurosim.base.errors import FileError
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
-from neurosim.simulators.base import FORMAT, VERSION
 from neurosim.simulators.kernels import Arrays
 from neurosim.simulators.noise import (
-    COMPONENTS,
-    COUPLING_FEATURES,
-    SCALE_FEATURES,
-    TAIL_FEATURES,
+    LASTING,
     CommandFeatures,
     NoiseModel,
     disturb,
@@ -112,6 +105,8 @@ class MotionNetwork:
         self.state_names = ("x", "y", "theta", *remembered)
         if self.members > 1:
             self.state_names += ("member",)
+        if noise is not None:
+            self.state_names += tuple(f"lasting_{name}" for name in LASTING)
         given = (*remembered, *self.command_names)
         device = self.genes.device
         self._columns = CommandFeatures.of(names)
@@ -145,7 +140,8 @@ class MotionNetwork:
 
         Args:
             pose: x (m), y (m), heading (rad).
-            generator: each trajectory draws its member; without one it follows the mean.
+            generator: each trajectory draws its member, and what of the noise lasts; without
+                one it follows the mean.
             member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
         """
         pose = pose.to(self.genes)
@@ -155,6 +151,8 @@ class MotionNetwork:
             if member is None:
                 member = -1 if generator is None else self.draw_members(rows, generator)
             state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
+        if generator is not None and self.noise is not None:
+            state[:, -len(LASTING) :] = self.noise.draw(rows, 1, generator)[:, 0, 4:]
         return state
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
@@ -176,7 +174,9 @@ class MotionNetwork:
         rest = state[:, self._remembered.stop :]
         if generator is not None and self.noise is not None:
             z = self.noise.draw(len(moved), 1, generator)[:, 0]
-            moved = self.disturbed(inputs, moved, z)
+            kept, lasting = rest.split([rest.shape[1] - len(LASTING), len(LASTING)], dim=1)
+            rest = torch.cat([kept, self.noise.later(lasting, z[:, 4:])], dim=1)
+            moved = self.disturbed(inputs, moved, torch.cat([z[:, :4], lasting], dim=1))
         pose = compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], rest], dim=1)
 
@@ -218,7 +218,7 @@ class MotionNetwork:
         return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
 
     def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:
-        """Return displacements [B, 3] with noise of the draws ``z`` [B, 4].
+        """Return displacements [B, 3] with noise of the draws ``z`` [B, DRAWS].
 
         Args:
             inputs: [B, I], in the dataset's units.
@@ -270,88 +270,16 @@ class MotionNetwork:
 
     def write(self, folder: str | Path) -> None:
         """Write simulator.json and weights.safetensors into an existing folder."""
-        folder = Path(folder)
-        content = {
-            "kind": self.kind,
-            "inputs": self.inputs,
-            "outputs": [
-                {"name": name, "unit": unit}
-                for name, unit in zip(OUTPUTS, ("m", "m", "rad"), strict=True)
-            ],
-            "network": {
-                **({"kind": "perceptron"} if isinstance(self.network, Perceptron) else {}),
-                **{k: v for k, v in asdict(self.network).items() if k != "inputs"},
-            },
-            "coordinates": self.coordinates,
-            "members": self.members,
-            "central": self.central,
-            "noise": None if self.noise is None else _NOISE,
-            **self.meta,
-        }
-        tensors = {
-            name: getattr(self, name).cpu().numpy()
-            for name in ("genes", "input_scale", "output_scale", "dead_zone")
-        }
-        if self.noise is not None:
-            tensors |= {f"noise.{k}": v.numpy() for k, v in self.noise.tensors().items()}
-        files.write_tensors(folder / "weights.safetensors", tensors)
-        files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
+        from neurosim.simulators.motion_files import write_motion
+
+        write_motion(self, folder)
 
     @classmethod
     def read(cls, folder: str | Path, device: str | torch.device = "cpu") -> MotionNetwork:
-        """Read and check a motion network.
+        """Read and check a motion network; see :func:`motion_files.read_motion`."""
+        from neurosim.simulators.motion_files import read_motion
 
-        Raises:
-            FileError: naming the file and field, if something is missing, cut short, of another
-                version, of the wrong shape, or not a number.
-        """
-        path = Path(folder) / "simulator.json"
-        kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
-        if kind != cls.kind:
-            raise FileError(path, f"expected {cls.kind!r}, found {kind!r}", field="kind")
-        fields = {"kind": str, "inputs": list, "network": dict, "coordinates": str}
-        content = files.read_json(path, FORMAT, VERSION, fields)
-        inputs = content["inputs"]
-        if not all(isinstance(i, dict) and isinstance(i.get("name"), str) for i in inputs):
-            raise FileError(path, "expected a list of {name, unit}", field="inputs")
-        try:
-            shape = dict(content["network"])
-            kinds = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
-            network = kinds[shape.pop("kind", "product-summation")](len(inputs), **shape)
-        except (KeyError, TypeError, ValueError) as error:
-            raise FileError(path, f"is no network ({error})", field="network") from None
-        members, noisy = _members_and_noise(path, content)
-        if content["coordinates"] not in COORDINATES:
-            raise FileError(path, f"expected one of {', '.join(COORDINATES)}", field="coordinates")
-        central = content.get("central", False) is True
-        expected = _tensors(network, members + central, COORDINATES[content["coordinates"]])
-        if noisy:
-            expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
-        if content["version"] == 1:
-            expected |= {name: expected[name][1:] for name in ("genes", "output_scale")}
-            del expected["dead_zone"]
-        tensors = files.read_tensors(Path(folder) / "weights.safetensors", expected)
-        if (tensors["input_scale"] <= 0).any():
-            weights = Path(folder) / "weights.safetensors"
-            raise FileError(weights, "expected numbers above 0", field="input_scale")
-        loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-        described = ("format", "version", "outputs", "members", "central", "noise", *fields)
-        meta = {key: value for key, value in content.items() if key not in described}
-        try:
-            return cls(
-                inputs,
-                network,
-                loaded["genes"],
-                loaded["input_scale"],
-                loaded["output_scale"],
-                content["coordinates"],
-                meta,
-                _noise(loaded) if noisy else None,
-                loaded.get("dead_zone"),
-                central,
-            )
-        except ValueError as error:
-            raise FileError(path, f"is no motion network ({error})") from None
+        return read_motion(folder, device)
 
 
 def compose(pose: Tensor, displacement: Tensor) -> Tensor:
@@ -371,16 +299,6 @@ def exp(twist: Tensor) -> Tensor:
     return torch.stack([cos * vx - sin * vy, sin * vx + cos * vy, omega], dim=-1)
 
 
-#: What simulator.json says of a noise model; its numbers stand beside the weights.
-_NOISE = {
-    "kind": "cholesky-lognormal",
-    "components": list(COMPONENTS),
-    "scale_features": list(SCALE_FEATURES),
-    "coupling_features": list(COUPLING_FEATURES),
-    "tail_features": list(TAIL_FEATURES),
-}
-
-
 def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
     """Return the outputs [N, O] of a member, of outputs [N, M, O], or [N, 1 + M, O] if central."""
     if isinstance(member, int):
@@ -391,29 +309,3 @@ def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
     if central or not average.any():  # the mean's own network is the one before the first
         return own
     return torch.where(average.unsqueeze(-1), outputs.mean(1), own)
-
-
-def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:
-    if content["version"] == 1:
-        return 1, False
-    members, noise = content.get("members"), content.get("noise")
-    if isinstance(members, bool) or not isinstance(members, int) or members < 1:
-        raise FileError(path, f"expected a number from 1, found {members!r}", field="members")
-    if noise is not None and noise != _NOISE:
-        raise FileError(path, "is no noise model that this version reads", field="noise")
-    return members, noise is not None
-
-
-def _noise(tensors: Mapping[str, Tensor]) -> NoiseModel:
-    return NoiseModel(**{name: tensors[f"noise.{name}"] for name in NoiseModel.SHAPES})
-
-
-def _tensors(
-    network: ProductSummationNetwork | Perceptron, members: int, outputs: int
-) -> dict[str, tuple[int, ...]]:
-    return {
-        "genes": (members, outputs, network.genes),
-        "input_scale": (network.inputs,),
-        "output_scale": (members, outputs),
-        "dead_zone": (network.inputs,),
-    }

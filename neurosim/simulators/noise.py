@@ -6,17 +6,28 @@ The noise stands in the frame half way round the command's turn. With the mean d
 .. math:: \theta = \bar\theta + e_t, \qquad
           p = R(e_t / 2)\, \bar p + R(\theta / 2)\, (e_f, e_s)
 
-so that a turn that came out larger carries the robot round with it. The three are a linear map of
-three standardised draws z, a Cholesky decomposition of their covariance (Pourahmadi 1999,
-Biometrika 86), which is positive definite whatever its numbers are:
+so that a turn that came out larger carries the robot round with it. But for what
+lasts (l, below) the three are a linear map of standard normal draws z, a Cholesky decomposition of
+their covariance (Pourahmadi 1999, Biometrika 86), which is positive definite whatever its numbers:
 
-.. math:: e_t = s_t z_t, \qquad e_f = s_f (z_f + c_1 z_t), \qquad
-          e_s = s_s (z_s + c_2 z_t + c_3 z_f)
+.. math:: e_t = S_t z_t + l_t \bar\theta + l_b d, \qquad e_f = S_f (z_f + c_1 z_t) + l_f d, \qquad
+          e_s = S_s (z_s + c_2 z_t + c_3 z_f)
 
-Each ln s is linear in features of the command (how far, how much of a turn, how sudden), each c in
-others. The draws z are heavy-tailed, as if the scale itself were uncertain (Clark 1973,
-Econometrica 41): normal ones, all three times the same :math:`e^{\tau g}` with g standard normal.
-Small motions have the heavier tails: :math:`\ln \tau` is linear in features, too.
+Each c is linear in features of the command. A size S is of two parts, whose variances add up:
+
+.. math:: S^2 = s^2 e^{2 \tau g} + r^2
+
+What happens in the course of the motion, as slip does, has variance :math:`r^2`, linear in the
+squares of turn and distance. What else there is has heavy tails, as if its scale itself were
+uncertain (Clark 1973, Econometrica 41): g is standard normal, the same for all three, and ln s and
+:math:`\ln \tau` are linear in features of the command (how far, how much of a turn, how sudden).
+A product of features alone would say that a robot that goes straight ahead hardly strays, and
+plans would be looked for where it says so.
+
+What the ground of a place or the battery does lasts for longer than a command. It is a share of
+the motion, and no pull to one side: of the turn :math:`\bar\theta`, of the distance ahead d (as
+seen from half way round), and a bend, a turn for every metre ahead. The three numbers l are
+normal, and change slowly from command to command: a first-order autoregression.
 """
 
 from __future__ import annotations
@@ -30,8 +41,11 @@ from torch import Tensor
 #: The three components of the noise, in the order of every array here.
 COMPONENTS = ("turn", "forward", "sideways")
 
-#: Draws of a command: one a component, and g, on which the width of all three depends.
-DRAWS = 4
+#: What lasts from command to command: a share of the turn, one of the distance, and rad/m.
+LASTING = ("turn", "forward", "bend")
+
+#: Draws of a command: one a component; g, on which the width of all three depends; what lasts.
+DRAWS = 4 + len(LASTING)
 
 #: The heaviest tails, as :math:`\tau`.
 HEAVIEST = 1.5
@@ -39,6 +53,8 @@ HEAVIEST = 1.5
 #: What ln s is linear in, what a coupling c, and what ln tau; see :func:`features`.
 SCALE_FEATURES = ("one", "travel", "travel_squared", "turn", "forward", "jump", "reversal", "time")
 COUPLING_FEATURES = ("one", "product", "turn", "forward")
+#: What r^2 is linear in: the squares of these.
+MOTION_FEATURES = ("one", "turn", "forward")
 TAIL_FEATURES = ("one", "travel", "turn")
 
 
@@ -52,18 +68,27 @@ class NoiseModel:
         log_scale: [3, len(SCALE_FEATURES)] of ln s_t (rad), ln s_f and ln s_s (m).
         coupling: [3, len(COUPLING_FEATURES)] of c_1, c_2 and c_3.
         tail: [len(TAIL_FEATURES)] of ln tau.
+        motion: [3, len(MOTION_FEATURES)] of r_t^2 (rad^2), r_f^2 and r_s^2 (m^2).
+        lasting: [len(LASTING)] standard deviations of what lasts: 1, 1, rad/m.
+        memory: [1] correlation of what lasts from one command to the next.
     """
 
     unit: Tensor
     log_scale: Tensor
     coupling: Tensor
     tail: Tensor
+    motion: Tensor
+    lasting: Tensor
+    memory: Tensor
 
     SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {
         "unit": (3,),
         "log_scale": (3, len(SCALE_FEATURES)),
         "coupling": (3, len(COUPLING_FEATURES)),
         "tail": (len(TAIL_FEATURES),),
+        "motion": (3, len(MOTION_FEATURES)),
+        "lasting": (len(LASTING),),
+        "memory": (1,),
     }
 
     def __post_init__(self) -> None:
@@ -74,12 +99,17 @@ class NoiseModel:
             object.__setattr__(self, name, value.detach().cpu().double())
         if (self.unit <= 0).any():
             raise ValueError("noise unit must be above 0")
+        if (self.motion < 0).any() or (self.lasting < 0).any():
+            raise ValueError("noise motion and lasting must not be negative")
+        if not 0 <= self.memory <= 1:
+            raise ValueError("noise memory must lie in 0..1")
 
     def widened(self, factor: Tensor) -> NoiseModel:
-        """Return the model with each component [3] as many times as wide."""
+        """Return the model with each component [3] as many times as wide, but for what lasts."""
         log_scale = self.log_scale.clone()
         log_scale[:, 0] += factor.log()
-        return replace(self, log_scale=log_scale)
+        motion = self.motion * factor.square().unsqueeze(-1)
+        return replace(self, log_scale=log_scale, motion=motion)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the numbers by name."""
@@ -87,9 +117,17 @@ class NoiseModel:
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""
-        return torch.randn(
+        z = torch.randn(
             rows, steps, DRAWS, generator=generator, dtype=torch.float64, device=generator.device
         )
+        for step in range(1, steps):
+            z[:, step, 4:] = self.later(z[:, step - 1, 4:], z[:, step, 4:])
+        return z
+
+    def later(self, lasting: Tensor, fresh: Tensor) -> Tensor:
+        """Return what lasts [B, len(LASTING)] a command later, given standard normal draws."""
+        memory = self.memory.to(lasting)
+        return memory * lasting + (1.0 - memory.square()).sqrt() * fresh
 
 
 @dataclass(frozen=True)
@@ -173,18 +211,32 @@ def disturb(
         z: draws of :meth:`NoiseModel.draw`, [B, DRAWS].
     """
     scale, coupling, tail = features(noise.unit.to(mean), columns, inputs, mean)
-    s = (scale @ noise.log_scale.to(mean).T).exp()
     c = coupling @ noise.coupling.to(mean).T
     z = z.to(mean)
+    t, f, side = z[:, :3].unbind(-1)
     width = (heaviness(tail, noise.tail.to(mean)) * z[:, 3]).exp()
-    t, f, side = (z[:, :3] * width.unsqueeze(-1)).unbind(-1)
-    turn = s[:, 0] * t
-    forward = s[:, 1] * (f + c[:, 0] * t)
+    s = (scale @ noise.log_scale.to(mean).T).exp() * width.unsqueeze(-1)
+    s = (s.square() + in_motion(noise, mean)).sqrt()
+    lasting = z[:, 4:] * noise.lasting.to(mean)
+    ahead = half_way_frame(mean)[:, 1]
+    turn = s[:, 0] * t + lasting[:, 0] * mean[:, 2] + lasting[:, 2] * ahead
+    forward = s[:, 1] * (f + c[:, 0] * t) + lasting[:, 1] * ahead
     sideways = s[:, 2] * (side + c[:, 1] * t + c[:, 2] * f)
     theta = mean[:, 2] + turn
     a = rotate(turn / 2, mean[:, :2])
     b = rotate(theta / 2, torch.stack([forward, sideways], dim=-1))
     return torch.cat([a + b, theta.unsqueeze(-1)], dim=-1)
+
+
+def in_motion(noise: NoiseModel, mean: Tensor) -> Tensor:
+    """Return r^2 [B, 3] of mean displacements [B, 3]."""
+    return motion_features(noise.unit.to(mean), mean) @ noise.motion.to(mean).T
+
+
+def motion_features(unit: Tensor, mean: Tensor) -> Tensor:
+    """Return the squares [B, len(MOTION_FEATURES)] of mean displacements [B, 3]."""
+    turn, forward, _ = (half_way_frame(mean) / unit).square().unbind(-1)
+    return torch.stack([torch.ones_like(turn), turn, forward], dim=-1)
 
 
 def heaviness(features: Tensor, tail: Tensor) -> Tensor:
@@ -212,13 +264,26 @@ def residual(mean: Tensor, actual: Tensor) -> Tensor:
 def standardised(
     noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
 ) -> Tensor:
-    """Return the first three draws [B, 3], times their width, that make ``actual`` of ``mean``."""
-    scale, coupling, _ = features(noise.unit.to(mean), columns, inputs, mean)
-    s = (scale @ noise.log_scale.to(mean).T).exp()
+    """Return the draws [B, 3] that make ``actual`` of ``mean``, by the sizes' root mean squares.
+
+    As if nothing lasted: what does is in them.
+    """
+    _, coupling, _ = features(noise.unit.to(mean), columns, inputs, mean)
+    s = typical_size(noise, columns, inputs, mean)
     c = coupling @ noise.coupling.to(mean).T
     t, f, side = (residual(mean, actual) / s).unbind(-1)
     f = f - c[:, 0] * t
     return torch.stack([t, f, side - c[:, 1] * t - c[:, 2] * f], dim=-1)
+
+
+def typical_size(
+    noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor
+) -> Tensor:
+    """Return the root mean square [B, 3] of the sizes S."""
+    scale, _, tail = features(noise.unit.to(mean), columns, inputs, mean)
+    log_s = scale @ noise.log_scale.to(mean).T
+    tau = heaviness(tail, noise.tail.to(mean)).unsqueeze(-1)
+    return ((2.0 * (log_s + tau.square())).exp() + in_motion(noise, mean)).sqrt()
 
 
 def rotate(angle: Tensor, vector: Tensor) -> Tensor:

@@ -22,9 +22,11 @@ from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Evaluation, Task
-from neurosim.tasks.breeding import GENES, PlanPopulation, decode, encode, pairing_keys
-from neurosim.tasks.rollouts import PLACING, Rollouts, rollouts
+from neurosim.tasks.base import Task
+from neurosim.tasks.breeding import GENES, PlanPopulation, encode
+from neurosim.tasks.plan_course import Course
+from neurosim.tasks.robust import RobustEvolution
+from neurosim.tasks.rollouts import PLACING, rollouts
 
 #: The genetic algorithm of plans: the paper's but for its tournament of 50, which leaves a run
 #: with one plan and its likes before the course is found.
@@ -219,8 +221,6 @@ def improve_plans(
 def _robust(
     course: Course, first: PlanPopulation, history: list, seed: int, progress: bool
 ) -> list[PlanResult]:
-    from neurosim.tasks.robust import RobustEvolution
-
     evolution = RobustEvolution(course, first, seed)
     generations = course.settings.robust.generations
     interrupted = _run(evolution, generations, "making it robust", progress)
@@ -240,45 +240,6 @@ def is_uncertain(simulator: Simulator) -> bool:
     """Return whether a simulator's outcomes differ; of kinds not known here it is assumed."""
     members = getattr(simulator, "members", 2)
     return members > 1 or getattr(simulator, "noise", None) is not None
-
-
-class Course:
-    """A task in a simulator: what becomes of chromosomes.
-
-    Attributes:
-        settings: how plans are evolved.
-    """
-
-    def __init__(self, drives: Rollouts, task: Task, settings: PlanSettings):
-        self._drives, self._task, self.settings = drives, task, settings
-
-    def expected(self, genes: NDArray) -> tuple[Evaluation, NDArray, NDArray, NDArray]:
-        """Return evaluation, paths [B, K + 2, 3], commands and given of chromosomes [B, 4 K]."""
-        commands, given = self.decode(genes)
-        poses = self._drives.expected(commands, given)
-        return self._task.evaluate(poses, _with_rest(given)), poses, commands, given
-
-    def drawn(self, genes: NDArray, draws: Any) -> tuple[NDArray, NDArray, NDArray]:
-        """Return fitness [B, R], completes [B, R] and the keys of commands [B, K]."""
-        commands, given = self.decode(genes)
-        poses = self._drives.drawn(commands, given, draws)
-        counted = np.repeat(_with_rest(given), len(draws), axis=0)
-        judged = self._task.evaluate(poses.reshape(-1, *poses.shape[2:]), counted)
-        shape = poses.shape[:2]
-        keys = self.keys(poses[:, 0], given)
-        return judged.fitness.reshape(shape), judged.completes.reshape(shape), keys
-
-    def draw(self, count: int, seed: int) -> Any:
-        """Draw outcomes."""
-        return self._drives.draw(count, self.settings.commands, seed, self.settings.placing)
-
-    def keys(self, poses: NDArray, given: NDArray) -> NDArray[np.int64]:
-        """Return the keys [B, K] by which crossover pairs the commands of paths."""
-        return pairing_keys(self._task.region(poses[:, : given.shape[1]]), given)
-
-    def decode(self, genes: NDArray) -> tuple[NDArray, NDArray]:
-        """Return commands [B, K, 3] and given [B, K] of chromosomes [B, 4 K]."""
-        return decode(genes, self.settings.max_speed, *map(float, self.settings.durations))
 
 
 class Evolution:
@@ -394,8 +355,3 @@ def _merit(result: PlanResult, robust: RobustSettings | None) -> float:
     if robust is None:
         return result.fitness
     return result.expected_fitness if robust.objective == "fitness" else result.probability
-
-
-def _with_rest(given: NDArray) -> NDArray[np.bool_]:
-    """Return ``given`` with the segment in which the motors run down, which is no command."""
-    return np.concatenate([given, np.zeros((len(given), 1), np.bool_)], axis=1)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.tasks.breeding import PlanPopulation
-from neurosim.tasks.planning import Course
+from neurosim.tasks.plan_course import Course
 
 #: Of the last population and of those before so many plans of each run are looked at again.
 FINALISTS = 24

@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit, prange
 
 from neurosim.networks import LOG_LIMIT
-from neurosim.simulators.kernels import Arrays, shake, spread
+from neurosim.simulators.kernels import SIZES, Arrays, shake, spread
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -257,7 +257,7 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
         source, commands, given, stop: as :func:`mean_poses` takes them.
         starts: [R, 3] poses.
         member: [R] of the ensemble; below 0 in none.
-        z: [R, K + 1, 4] draws for the n-th command that is given, and the stop.
+        z: [R, K + 1, DRAWS] draws for the n-th command that is given, and the stop.
 
     Returns:
         [B, R, K + 2, 3].
@@ -268,7 +268,7 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
     for b in prange(batch):
         inputs, x, log2 = np.empty(len(source)), np.empty(len(source)), np.empty(len(source))
         units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
-        means, sizes = np.empty((e.members, 3)), np.empty((e.members, 7))
+        means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
         moved, before = np.empty(3), np.zeros(width)
         poses[b, :, 0] = starts
         sent = 0

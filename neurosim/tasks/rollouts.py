@@ -154,7 +154,7 @@ class CompiledRollouts:
         member = member[torch.randperm(count, generator=generator)].numpy()
         noise = self._simulator.noise
         if noise is None:
-            return Draws(starts, member, np.zeros((count, commands + 1, 4)))
+            return Draws(starts, member, np.zeros((count, commands + 1, 0)))
         return Draws(starts, member, noise.draw(count, commands + 1, generator).numpy())
 
     def drawn(self, commands: NDArray, given: NDArray, draws: Draws) -> NDArray[np.float64]:

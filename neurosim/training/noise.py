@@ -3,6 +3,9 @@
 Scales, couplings and tails are fitted together by maximum likelihood, with a weak pull to zero
 for what few rows say little about. The noise of the poses at both ends of a command, as the camera
 saw them, is part of what is learned: it is what is left of the noise where a robot stands still.
+
+What lasts is read off the products of the residuals of commands that were given soon after each
+other (the method of moments), and the rest of the noise then fitted anew beside it.
 """
 
 from __future__ import annotations
@@ -14,6 +17,8 @@ from torch import Tensor
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.noise import (
     COUPLING_FEATURES,
+    LASTING,
+    MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
     CommandFeatures,
@@ -21,8 +26,9 @@ from neurosim.simulators.noise import (
     features,
     half_way_frame,
     heaviness,
+    motion_features,
     residual,
-    standardised,
+    typical_size,
 )
 from neurosim.training.base import TrainingData, one_thread, root_mean_square
 
@@ -32,8 +38,17 @@ PULL = 1.0
 #: Residuals are not told apart below this, m and rad.
 FINEST = 1e-6
 
-#: The least share of the variance that is left when the members' spread is taken off.
-LEAST = 0.1
+#: The most that members and what lasts may explain of a row, in mean squares.
+MOST = 4.0
+
+#: Of r^2 where nothing is known, as the logarithm of its share in the mean square.
+LITTLE = -3.0
+
+#: Commands ahead that residuals are compared over; no residual counts as larger, in deviations.
+LAGS, OUTLYING = 12, 3.0
+
+#: What lasts is kept where it stands out as far as one in a hundred does by chance.
+CHANCE = 2.33
 
 #: Places and weights of Gauss-Hermite quadrature over a standard normal number.
 _PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
@@ -53,9 +68,10 @@ def fit_noise(simulator: MotionNetwork, data: TrainingData, outputs: Tensor) -> 
     mean = simulator.from_outputs(outputs)
     columns = CommandFeatures.of(simulator.input_names)
     inputs = simulator.scaled(data.x)
-    noise = _most_likely(columns, inputs, mean, data.y)
-    left = (1.0 - _spread(noise, columns, simulator, data)).clamp(min=LEAST).sqrt()
-    return noise.widened(left)
+    said = _spread(simulator, data, mean)
+    noise = _most_likely(columns, inputs, mean, data.y, said)
+    lasting = _lasting(noise, columns, inputs, mean, data.y)
+    return _most_likely(columns, inputs, mean, data.y, said, *lasting)
 
 
 def search_optimism(
@@ -80,63 +96,104 @@ def search_optimism(
     return (1.0 + 0.5 * (ratio - 1.0).clamp(0.0, 8.0)).sqrt()
 
 
-def _spread(
-    noise: NoiseModel, columns: CommandFeatures, simulator: MotionNetwork, data: TrainingData
-) -> Tensor:
-    """Return the variance [3] of what the members say, as a share of the noise's.
+def _spread(simulator: MotionNetwork, data: TrainingData, mean: Tensor) -> Tensor:
+    """Return the variance [N, 3] of what the members say of rows.
 
     What the rows strayed by holds it already: left in the noise, it would count twice.
     """
     if simulator.members == 1:
-        return torch.zeros(3, dtype=torch.float64)
-    inputs, mean = simulator.scaled(data.x), simulator.displacement(data.x)
-    strays = [
-        standardised(noise, columns, inputs, mean, simulator.displacement(data.x, m))
-        for m in range(simulator.members)
-    ]
-    variance = torch.stack(strays).square().sum(0) / (simulator.members - 1)
-    tau = heaviness(features(noise.unit, columns, inputs, mean)[2], noise.tail)
-    power = (2.0 * tau.square()).exp().unsqueeze(-1)
-    return (variance / power).clamp(max=1.0).mean(0)
+        return torch.zeros_like(mean)
+    own = simulator.displacement(data.x)
+    strays = [residual(own, simulator.displacement(data.x, m)) for m in range(simulator.members)]
+    return torch.stack(strays).square().sum(0) / (simulator.members - 1)
+
+
+def _lasting(
+    noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Return what lasts of the noise [len(LASTING)] and its memory [1].
+
+    Residuals e, l commands apart, of motions m have products of mean m m' v memory^l; v is fitted
+    to them by least squares, weighted by their variances.
+
+    Args:
+        noise: fitted as if nothing lasted.
+        columns, inputs, mean, actual: rows, in the order of time.
+    """
+    size = typical_size(noise, columns, inputs, mean)
+    error = (residual(mean, actual) / size)[:, [0, 1, 0]].clamp(-OUTLYING, OUTLYING)
+    turn, ahead, _ = half_way_frame(mean).unbind(-1)
+    motion = torch.stack([turn, ahead, ahead], dim=-1) / size[:, [0, 1, 0]]
+    products, squares = torch.zeros(2, LAGS, len(LASTING), dtype=torch.float64)
+    for lag in range(1, min(LAGS + 1, len(error))):
+        both = motion[lag:] * motion[:-lag]
+        products[lag - 1] = (both * error[lag:] * error[:-lag]).sum(0)
+        squares[lag - 1] = both.square().sum(0)
+    memories = torch.linspace(0.05, 0.95, 19, dtype=torch.float64).unsqueeze(-1)
+    fading = memories ** torch.arange(1, LAGS + 1)
+    information = (fading.square() @ squares).clamp(min=1e-12)
+    variance = fading @ products / information
+    # Of a variance of zero the products give as much by chance, in one of a hundred.
+    certain = variance * information.sqrt() > CHANCE
+    variance = torch.where(certain, variance, 0.0)
+    best = (variance.square() * information).sum(1).argmax()
+    return variance[best].sqrt(), memories[best]
 
 
 def _most_likely(
-    columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
+    columns: CommandFeatures,
+    inputs: Tensor,
+    mean: Tensor,
+    actual: Tensor,
+    said: Tensor,
+    lasting: Tensor | None = None,
+    memory: Tensor | None = None,
 ) -> NoiseModel:
+    """Fit the noise, beside what the members say [N, 3] and, if that is given, what lasts."""
     unit = root_mean_square(half_way_frame(mean))
     scale, coupling, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = len(error)
+    if lasting is None:
+        lasting, memory = torch.zeros(len(LASTING)), torch.zeros(1)
+    ahead = half_way_frame(mean)[:, 1]
+    besides = said.clone()
+    besides[:, 0] += (lasting[0] * mean[:, 2]).square() + (lasting[2] * ahead).square()
+    besides[:, 1] += (lasting[1] * ahead).square()
+    # A member may be wild on some row; the row itself says how far that can be believed.
+    besides = (besides / size.square()).clamp(max=MOST)
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
     c = torch.zeros(3, len(COUPLING_FEATURES), dtype=torch.float64, requires_grad=True)
     h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
     h[0] = SLIGHT
     h.requires_grad_()
+    in_motion = motion_features(unit, mean)
+    v = torch.full((3, len(MOTION_FEATURES)), LITTLE, dtype=torch.float64, requires_grad=True)
     shares = (_SHARES / _SHARES.sum()).log()
-
-    def draws() -> tuple[Tensor, Tensor]:
-        log_s, k = scale @ w.T, coupling @ c.T
-        t, f, s = (error * (-log_s).exp()).unbind(-1)
-        f = f - k[:, 0] * t
-        return torch.stack([t, f, s - k[:, 1] * t - k[:, 2] * f], dim=-1), log_s
 
     def loss() -> Tensor:
         optimiser.zero_grad()
-        z, log_s = draws()
+        k = (coupling @ c.T).unsqueeze(-1)
+        log_s = (scale @ w.T).unsqueeze(-1) + (
+            heaviness(tail, h).unsqueeze(-1) * _PLACES
+        ).unsqueeze(1)
+        rest = in_motion @ v.exp().T + besides
+        variance = (2.0 * log_s).exp() + rest.unsqueeze(-1)  # [N, 3, places]
+        t, f, s = (error.unsqueeze(-1) / variance.sqrt()).unbind(1)
+        f = f - k[:, 0] * t
+        z = torch.stack([t, f, s - k[:, 1] * t - k[:, 2] * f], dim=1)
         # As if each had been read to the finest step only: no residual is likelier than that.
-        finest = (FINEST / size * (-log_s).exp()).square()
-        log_width = heaviness(tail, h).unsqueeze(-1) * _PLACES
-        power = (z.square() + finest).sum(-1, keepdim=True) * (-2.0 * log_width).exp() / 2.0
-        likelihood = (shares - power - 3.0 * log_width).logsumexp(-1)
+        power = z.square() + (FINEST / size).square().unsqueeze(-1) / variance
+        likelihood = (shares - (power + variance.log()).sum(1) / 2.0).logsumexp(-1)
         pull = w[:, 1:].square().sum() + c.square().sum() + (h[0] - SLIGHT).square()
-        pull = pull + h[1:].square().sum()
-        value = (log_s.sum(-1) - likelihood).mean() + PULL * pull / (2 * rows)
+        pull = pull + h[1:].square().sum() + 0.1 * (v - LITTLE).square().sum()
+        value = -likelihood.mean() + PULL * pull / (2 * rows)
         value.backward()
         return value
 
-    optimiser = torch.optim.LBFGS([w, c, h], max_iter=100, line_search_fn="strong_wolfe")
+    optimiser = torch.optim.LBFGS([w, c, h, v], max_iter=100, line_search_fn="strong_wolfe")
     with one_thread("cpu"):
         optimiser.step(loss)
     w, c = w.detach(), c.detach()
@@ -146,4 +203,7 @@ def _most_likely(
         log_scale=w,
         coupling=c,
         tail=h.detach(),
+        motion=v.detach().exp() * size.square().unsqueeze(-1),
+        lasting=lasting,
+        memory=memory,
     )

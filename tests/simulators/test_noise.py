@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,16 +9,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from safetensors.numpy import load_file, save_file
 
+from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, kernels, read_simulator
 from neurosim.simulators.noise import (
+    DRAWS,
     HEAVIEST,
+    LASTING,
     CommandFeatures,
     NoiseModel,
     disturb,
     features,
     half_way_frame,
     heaviness,
+    in_motion,
     standardised,
 )
 
@@ -38,6 +43,8 @@ def noise_model(seed=0, size=-3.0):
     }
     drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
     drawn["log_scale"][:, 0] += size
+    for name in ("motion", "lasting", "memory"):
+        drawn[name] = (0.1 * drawn[name]).abs()
     return NoiseModel(**drawn)
 
 
@@ -69,7 +76,7 @@ def test_without_a_generator_the_answer_is_the_mean(seed):
     quiet, noisy = simulator(seed), simulator(seed, noise=noise_model(seed))
     start = normal(seed, 6, 3)
     states = [s.step(s.start(start), commands(seed, 6)) for s in (quiet, noisy)]
-    assert torch.equal(*states)
+    assert torch.equal(states[0], states[1][:, : -len(LASTING)])
 
 
 @settings(max_examples=20, deadline=None)
@@ -109,7 +116,7 @@ def test_draws_of_zero_are_the_mean(seed):
         torch.cat([normal(seed, 5, 2), commands(0, 5)], 1),
     )
     mean = noisy.displacement(x)
-    moved = noisy.disturbed(x, mean, torch.zeros(5, 4, dtype=torch.float64))
+    moved = noisy.disturbed(x, mean, torch.zeros(5, DRAWS, dtype=torch.float64))
     assert torch.allclose(moved, mean, rtol=0, atol=1e-12)
 
 
@@ -117,11 +124,11 @@ def test_draws_of_zero_are_the_mean(seed):
 @given(SEEDS)
 def test_draws_are_found_again_in_what_they_made(seed):
     noise, columns = noise_model(seed), CommandFeatures.of(NAMES)
-    x, mean, z = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3), normal(seed, 8, 4)
+    noise = replace(noise, tail=torch.tensor([-40.0, 0.0, 0.0]))  # no tails to speak of
+    x, mean = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3)
+    z = torch.cat([normal(seed, 8, 4), torch.zeros(8, len(LASTING))], 1)
     moved = disturb(noise, columns, x, mean, z)
-    tau = heaviness(features(noise.unit, columns, x, mean)[2], noise.tail)
-    found = standardised(noise, columns, x, mean, moved)
-    assert torch.allclose(found, z[:, :3] * (tau * z[:, 3]).exp()[:, None], atol=1e-9)
+    assert torch.allclose(standardised(noise, columns, x, mean, moved), z[:, :3], atol=1e-9)
 
 
 @settings(max_examples=20, deadline=None)
@@ -130,9 +137,10 @@ def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
     noise, columns = noise_model(seed, size), CommandFeatures.of(NAMES)
     x, mean = normal(seed, 1, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 1, 3)
     # The map from draws to noise is linear at a fixed width; its rows are those of unit draws.
-    unit = torch.cat([torch.eye(3, dtype=torch.float64), torch.zeros(3, 1)], 1)
+    unit = torch.eye(3, DRAWS, dtype=torch.float64)
     scale, coupling, _ = features(noise.unit, columns, x, mean)
-    s, c = (scale @ noise.log_scale.T).exp()[0], (coupling @ noise.coupling.T)[0]
+    s, c = (2.0 * scale @ noise.log_scale.T).exp()[0], (coupling @ noise.coupling.T)[0]
+    s = (s + in_motion(noise, mean)[0]).sqrt()
     lower = torch.diag(s)
     lower[1, 0], lower[2, 0], lower[2, 1] = s[1] * c[0], s[2] * c[1], s[2] * c[2]
     assert (torch.linalg.eigvalsh(lower @ lower.T / s.square().max()) > 0).all()
@@ -150,15 +158,58 @@ def test_noise_worked_by_hand():
     numbers["tail"][0] = math.log(0.5)
     noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
     mean = torch.tensor([[0.2, 0.0, 0.0]], dtype=torch.float64)
-    z = torch.tensor([[0.0, 1.0, -2.0, 2.0]], dtype=torch.float64)
+    z = torch.tensor([[0.0, 1.0, -2.0, 2.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
     x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
     # No turn: 0.02 ahead and 0.06 to the right, times e^(0.5 * 2).
     moved = disturb(noise, columns, x, mean, z)
     assert moved[0].tolist() == pytest.approx([0.2 + 0.02 * math.e, -0.06 * math.e, 0.0])
     # A turn that came out larger carries the robot round with it.
-    turned = disturb(noise, columns, x, mean, torch.tensor([[1.0, 0.0, 0.0, 0.0]]).double())
+    turned = disturb(noise, columns, x, mean, torch.eye(1, DRAWS).double())
     expected = [0.2 * math.cos(0.05), 0.2 * math.sin(0.05), 0.1]
     assert turned[0].tolist() == pytest.approx(expected)
+
+
+def test_what_happens_in_the_motion_and_what_lasts_worked_by_hand():
+    numbers = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
+    numbers["unit"] = torch.ones(3)
+    numbers["log_scale"][:, 0] = -40.0
+    numbers["motion"][1] = torch.tensor([0.03, 0.0, 1.0])
+    numbers["lasting"] = torch.tensor([0.02, 0.1, 0.4])
+    noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
+    x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
+    ahead = torch.tensor([[0.1, 0.0, 0.0]], dtype=torch.float64)
+    # r_f^2 = 0.03 + 0.1^2, and of what lasts a tenth of the 0.1 m, as far the other way.
+    z = torch.tensor([[0.0, 1.0, 0.0, 0.0, 5.0, -1.0, 0.0]], dtype=torch.float64)
+    assert disturb(noise, columns, x, ahead, z)[0].tolist() == pytest.approx([0.29, 0.0, 0.0])
+    # A bend of 0.4 rad/m over 0.1 m, and half of it seen in where the robot came to.
+    z = torch.eye(DRAWS, dtype=torch.float64)[6:]
+    bent = disturb(noise, columns, x, ahead, z)[0].tolist()
+    assert bent == pytest.approx([0.1 * math.cos(0.02), 0.1 * math.sin(0.02), 0.04])
+    # A turn on the spot comes out larger by its share.
+    spot = torch.tensor([[0.0, 0.0, -3.0]], dtype=torch.float64)
+    z = torch.eye(DRAWS, dtype=torch.float64)[4:5]
+    assert disturb(noise, columns, x, spot, z)[0].tolist() == pytest.approx([0.0, 0.0, -3.06])
+
+
+def test_what_lasts_fades_from_command_to_command():
+    noise = replace(noise_model(), memory=torch.tensor([0.7]))
+    z = noise.draw(20_000, 4, torch.Generator().manual_seed(0))
+    for lag in (1, 2, 3):
+        related = (z[:, 0] * z[:, lag]).mean(0)
+        assert related[4:].tolist() == pytest.approx([0.7**lag] * 3, abs=0.03)
+        assert related[:4].tolist() == pytest.approx([0.0] * 4, abs=0.03)
+    assert z[:, 3].var(0).tolist() == pytest.approx([1.0] * DRAWS, abs=0.05)
+
+
+def test_a_trajectory_carries_what_lasts():
+    noisy = simulator(noise=replace(noise_model(), memory=torch.ones(1)))
+    generator = torch.Generator().manual_seed(1)
+    first = noisy.start(normal(1, 30, 3), generator)
+    assert noisy.state_names[-3:] == ("lasting_turn", "lasting_forward", "lasting_bend")
+    assert first[:, -3:].std() > 0.5
+    later = noisy.step(first, commands(1, 30), generator)
+    assert torch.equal(later[:, -3:], first[:, -3:])
+    assert not noisy.start(normal(1, 5, 3))[:, -3:].any()
 
 
 def test_tails_have_a_limit():
@@ -171,7 +222,7 @@ def test_compiled_functions_are_the_steps_of_the_protocol(central):
     noisy = simulator(central=central, noise=noise_model())
     arrays, before = noisy.arrays(), normal(5, 12, 2) * 30.0
     x = torch.cat([before, commands(3, 12)], 1)
-    z = normal(4, 12, 4)
+    z = normal(4, 12, DRAWS)
     for member in (-1, 0, 2):
         mean = noisy.displacement(x, member)
         expected = noisy.disturbed(x, mean, z).numpy()
@@ -203,11 +254,21 @@ def test_ensembles_and_noise_are_written_and_read(tmp_path):
     assert again.central
     assert again.members == 3
     x = torch.cat([torch.zeros(5, 2), commands(1, 5)], 1).double()
-    z = normal(1, 5, 4)
+    z = normal(1, 5, DRAWS)
     for member in (-1, 2):
         mean = noisy.displacement(x, member)
         assert torch.equal(again.displacement(x, member), mean)
         assert torch.equal(again.disturbed(x, mean, z), noisy.disturbed(x, mean, z))
+
+
+def test_a_noise_model_of_another_kind_is_refused(tmp_path):
+    simulator(noise=noise_model()).write(tmp_path)
+    path = tmp_path / "simulator.json"
+    content = json.loads(path.read_text())
+    content["noise"]["kind"] = "cholesky-lognormal"
+    path.write_text(json.dumps(content))
+    with pytest.raises(FileError, match=r"'noise': is no noise model.*train the simulator anew"):
+        read_simulator(tmp_path)
 
 
 def test_folders_of_version_1_are_read(tmp_path):

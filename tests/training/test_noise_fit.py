@@ -1,0 +1,83 @@
+"""The noise that is learned, against noise that was planted."""
+
+import pytest
+import torch
+
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.simulators.noise import CommandFeatures, NoiseModel, disturb, typical_size
+from neurosim.training.base import TrainingData
+from neurosim.training.noise import fit_noise
+
+NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+
+
+def recorded(rows, seed=0, **planted):
+    """Return a simulator, rows that strayed from what it says by planted noise, and that noise."""
+    generator = torch.Generator().manual_seed(seed)
+    command = torch.rand(rows, 3, generator=generator, dtype=torch.float64) * 2.0 - 1.0
+    command[:, 2] = 0.6 + 0.4 * command[:, 2]
+    x = torch.cat([command.roll(1, 0)[:, :2], command], dim=1)
+    left, right, time = (command * torch.tensor([0.5, 0.5, 3.0])).unbind(-1)
+    mean = torch.stack([(left + right) / 2 * time, 0.0 * left, (right - left) * time / 0.13], -1)
+    numbers = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
+    numbers["unit"] = torch.tensor([3.0, 0.4, 0.05])
+    numbers["log_scale"][:, 0] = torch.tensor([0.02, 0.001, 0.0005]).log()
+    numbers["tail"][0] = -2.0
+    noise = NoiseModel(**numbers | planted)
+    z = noise.draw(1, rows, generator)[0]
+    y = disturb(noise, CommandFeatures.of(NAMES), x, mean, z)
+    entries = [{"name": name, "unit": ""} for name in NAMES]
+    network = ProductSummationNetwork(inputs=5, products=1, summations=1)
+    genes = torch.zeros(3, network.genes)
+    simulator = MotionNetwork(entries, network, genes, torch.ones(5), torch.ones(3))
+    return simulator, TrainingData(entries, x, y), mean, noise
+
+
+def test_what_lasts_is_found_again():
+    lasting, memory = torch.tensor([0.02, 0.015, 0.06]), torch.tensor([0.8])
+    simulator, data, mean, _ = recorded(6000, lasting=lasting, memory=memory)
+    found = fit_noise(simulator, data, mean)
+    assert found.lasting.tolist() == pytest.approx(lasting.tolist(), rel=0.25)
+    assert found.memory.item() == pytest.approx(0.8, abs=0.1)
+
+
+@pytest.mark.parametrize("rows", [200, 3000])
+def test_nothing_lasts_where_nothing_does(rows):
+    """By chance, one of a hundred may seem to; these are 2 x 12 of them."""
+    mistaken = [
+        (fit_noise(*recorded(rows, seed)[:3]).lasting > 0).sum().item() for seed in range(4)
+    ]
+    assert sum(mistaken) <= 2
+
+
+def test_the_size_is_found_again_in_all_its_parts():
+    motion = torch.tensor([[0.0, 0.01, 0.02], [0.0, 0.0, 4e-5], [0.0, 1e-6, 0.0]])
+    lasting, memory = torch.tensor([0.02, 0.015, 0.0]), torch.tensor([0.8])
+    simulator, data, mean, noise = recorded(6000, motion=motion, lasting=lasting, memory=memory)
+    found = fit_noise(simulator, data, mean)
+    columns = CommandFeatures.of(NAMES)
+    sizes = [typical_size(model, columns, data.x, mean) for model in (noise, found)]
+    ratio = (sizes[1] / sizes[0]).log()
+    assert ratio.square().mean(0).sqrt().max() < 0.15
+    # Straight ahead, where a product of features alone would say next to nothing.
+    ahead = (mean[:, 2].abs() < 0.1) & (mean[:, 0].abs() > 0.3)
+    assert ahead.sum() > 20
+    assert ratio[ahead].exp().median(0).values.tolist() == pytest.approx([1.0] * 3, abs=0.15)
+
+
+def test_what_members_say_is_not_said_twice():
+    simulator, data, mean, noise = recorded(3000)
+    alone = fit_noise(simulator, data, mean)
+    network = simulator.network
+    genes = torch.zeros(5, 3, network.genes)
+    # Members that differ by a turn of 0.015 rad, beside noise of 0.02.
+    genes[1:, 2, -1] = 0.015 * torch.tensor([-1.0, 1.0, -1.0, 1.0]) * 0.75**0.5
+    entries = simulator.inputs
+    several = MotionNetwork(entries, network, genes, torch.ones(5), torch.ones(3), central=True)
+    found = fit_noise(several, data, mean)
+    columns = CommandFeatures.of(NAMES)
+    turn = [typical_size(n, columns, data.x, mean)[:, 0].median().item() for n in (alone, found)]
+    assert turn[0] == pytest.approx(0.02, rel=0.1)
+    assert turn[1] == pytest.approx((0.02**2 - 0.015**2) ** 0.5, rel=0.15)
+    assert noise.unit[0] == 3.0
