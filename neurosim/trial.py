@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import sha256, write_json
+from neurosim.base.provenance import is_virtual
 from neurosim.commands import Command, FixedCommands
 from neurosim.controllers import Plan
 from neurosim.record import Guard, RecordSettings, record
@@ -120,7 +121,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     report = {
         "controller": _source(Path(controller) / "controller.json"),
         "simulator": dict(plan.simulator) or None,
-        "virtual": recording.meta.get("virtual_lab") is not None,
+        "virtual": bool(is_virtual(recording.meta)),
         "task": dict(plan.task),
         "commands": [list(command) for command in plan.given],
         "plan_length": len(plan.commands),

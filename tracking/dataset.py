@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
+from neurosim.base.provenance import is_virtual
 from tracking.displacements import REASONS, Settings, displacements
 from tracking.recordings import Recording
 
@@ -229,7 +230,7 @@ def build(
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
             for file in ("commands.csv", "poses.csv")
         ]
-        virtual = virtual or recording.meta.get("virtual_lab") is not None
+        virtual = virtual or bool(is_virtual(recording.meta))
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
     dataset = make(

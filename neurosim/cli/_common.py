@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 #: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
 PATH = click.Path(path_type=Path)
@@ -60,6 +61,55 @@ class Range(click.ParamType):
         except ValueError:
             self.fail(f"{value!r} is not a range such as 0.5..3", param, ctx)
         return low, high
+
+
+class Resumable(click.Command):
+    """A verb that, with --resume, takes options that are not given from what it goes on with.
+
+    Args:
+        begun: finds, by the verb's values, the options that what is resumed was begun with.
+    """
+
+    def __init__(
+        self, *args: Any, begun: Callable[[dict[str, Any]], dict[str, Any]], **others: Any
+    ):
+        super().__init__(*args, **others)
+        self._begun = begun
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run the verb."""
+        if ctx.params["resume"]:
+            known = {parameter.name: parameter for parameter in self.params}
+            for name, value in self._begun(ctx.params).items():
+                if name in known and not is_given(name):
+                    value = tuple(value) if isinstance(value, list) else value
+                    ctx.params[name] = known[name].type_cast_value(ctx, value)
+                    ctx.set_parameter_source(name, ParameterSource.COMMANDLINE)
+        return super().invoke(ctx)
+
+
+def given_options() -> dict[str, Any]:
+    """Return the options that were given to the verb that runs, to be kept for --resume."""
+    ctx = click.get_current_context()
+    left_out = {"json", "as_json", "resume"}
+    return {
+        parameter.name: _kept(ctx.params[parameter.name])
+        for parameter in ctx.command.params
+        if isinstance(parameter, click.Option)
+        and parameter.name in ctx.params
+        and parameter.name not in left_out
+        and is_given(parameter.name)
+    }
+
+
+def is_given(name: str) -> bool:
+    """Return whether an option was given to the verb that runs."""
+    context = click.get_current_context(silent=True)
+    return context is not None and context.get_parameter_source(name) == ParameterSource.COMMANDLINE
+
+
+def _kept(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:

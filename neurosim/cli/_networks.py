@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ import click
 import numpy as np
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import emit, next_step
+from neurosim.cli._common import emit, given_options, next_step
 
 
 def evolve_network(
@@ -27,6 +26,7 @@ def evolve_network(
     seed: int,
     as_json: bool,
     robot: dict[str, Any],
+    resume: bool,
 ) -> None:
     """Evolve a network in a simulator of tables, write it and say how good it is.
 
@@ -40,11 +40,13 @@ def evolve_network(
         seed: of all that is drawn.
         as_json: whether to print JSON.
         robot: options of the generations on a robot.
+        resume: go on with an evolution that was interrupted.
     """
     from neurosim.simulators import TableSimulator, read_simulator
     from neurosim.simulators.arena import Arena
     from neurosim.tasks.base import make_task
-    from neurosim.tasks.network_evolution import NetworkSettings, evolve_networks
+    from neurosim.tasks.evolve_networks import evolve_networks
+    from neurosim.tasks.network_evolution import NetworkSettings
 
     found = read_simulator(simulator)
     if not isinstance(found, TableSimulator):
@@ -52,10 +54,6 @@ def evolve_network(
             f"{simulator} has no sensors, which obstacle avoidance needs; make a simulator of "
             'samples with "neurosim tables"'
         )
-    known = [entry.name for entry in fields(NetworkSettings)]
-    for name in genetic:
-        if name not in known:
-            raise UserError(f"--{name.replace('_', '-')} has no meaning for obstacle avoidance")
     if arena is not None:
         found = found.changed(arena=Arena.read(arena))
     if noise is not None:
@@ -63,7 +61,15 @@ def evolve_network(
     wanted = make_task("obstacle-avoidance", **task)
     with _on_robot(robot, found.arena, wanted, seed) as then:
         made = evolve_networks(
-            found, out, wanted, NetworkSettings(**genetic), source=simulator, seed=seed, **then
+            found,
+            out,
+            wanted,
+            NetworkSettings(**genetic),
+            source=simulator,
+            seed=seed,
+            resume=resume,
+            options=given_options(),
+            **then,
         )
     history, steps = made.evolution["history"], made.task["settings"]["steps"]
     result = {
@@ -85,7 +91,9 @@ def evolve_network(
         + next_step("view", arena or simulator, "--controller", out, "-o", "path.png"),
     )
     if made.evolution["interrupted"]:
-        click.echo("neurosim: interrupted; the best network so far is kept", err=True)
+        click.echo(
+            "neurosim: interrupted; the best network so far is kept, go on with --resume", err=True
+        )
         click.get_current_context().exit(130)
 
 
@@ -120,7 +128,12 @@ def _on_robot(options: dict[str, Any], arena: Any, task: Any, seed: int) -> Iter
                 drives.append({"simulated": path.tolist(), "robot": real.poses.tolist()})
             return drives
 
-        return {"on_robot": trials, "robot_generations": generations, "compare": compare}
+        return {
+            "on_robot": trials,
+            "robot_generations": generations,
+            "robot": robot.describe(),
+            "compare": compare,
+        }
 
     if kind == "khepera":
         from neurosim.cli._robots import khepera

@@ -10,10 +10,9 @@ from pathlib import Path
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import Size
+from neurosim.cli._common import Size, is_given
 
 _KHEPERA_OPTIONS = [
     click.option(
@@ -174,7 +173,7 @@ _OF_KHEPERA = ("serial_port", "dialect", "baud")
 
 
 def _refuse_hardware(camera: str | None) -> None:
-    given = [option for name, option in _HARDWARE.items() if _is_given(name)]
+    given = [option for name, option in _HARDWARE.items() if is_given(name)]
     if camera not in (None, "none"):
         given.append("--camera")
     if given:
@@ -184,17 +183,12 @@ def _refuse_hardware(camera: str | None) -> None:
         )
 
 
-def _is_given(name: str) -> bool:
-    context = click.get_current_context(silent=True)
-    return context is not None and context.get_parameter_source(name) == ParameterSource.COMMANDLINE
-
-
 def _robot(kind: str, options: dict[str, Any]) -> Any:
     from neurosim.robots import robot_factory
 
     factory = robot_factory(kind)
     for name, option in {**_HARDWARE, "lamp": "--lamp"}.items():
-        if _is_given(name) and kind in ("nxt", "khepera"):
+        if is_given(name) and kind in ("nxt", "khepera"):
             theirs = "khepera" if name in _OF_KHEPERA else "nxt"
             if theirs != kind:
                 raise UserError(f"{option} is for --robot {theirs}, not for --robot {kind}")
@@ -240,7 +234,7 @@ def _driver_options(options: dict[str, Any]) -> dict[str, tuple[Any, bool]]:
         value = options[option]
         if option in ("lamp", "light_left", "light_right"):
             value = _or_none(value)
-        found[keyword] = (value, _is_given(option))
+        found[keyword] = (value, is_given(option))
     return found
 
 

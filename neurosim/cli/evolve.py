@@ -9,10 +9,14 @@ from typing import Any
 
 import click
 
+from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     PATH,
     Range,
+    Resumable,
     emit,
+    is_given,
     json_option,
     next_step,
     placing_option,
@@ -23,7 +27,7 @@ from neurosim.cli._robots import khepera_options
 from neurosim.cli.tables import arena_option, noise_option
 
 
-@click.command()
+@click.command(cls=Resumable, begun=lambda values: Checkpoint(values["out"], "evolution").options())
 @click.argument("simulator", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
 @click.option("--task", "task_name", default="nine-rectangles", show_default=True)
@@ -96,6 +100,11 @@ from neurosim.cli.tables import arena_option, noise_option
 @khepera_options
 @click.option("--lab-seed", type=click.IntRange(min=0), default=0, help="Which virtual robot.  [0]")
 @click.option("--all", "keep_all", is_flag=True, help="Keep every run's plan: OUT-01, OUT-02, ...")
+@click.option(
+    "--resume",
+    is_flag=True,
+    help="Obstacle avoidance: go on with an evolution that was interrupted, with its options.",
+)
 @seed_option
 @json_option
 def evolve(
@@ -124,6 +133,7 @@ def evolve(
     baud: int | None,
     lab_seed: int,
     keep_all: bool,
+    resume: bool,
     seed: int,
     as_json: bool,
     **genetic: Any,
@@ -134,6 +144,11 @@ def evolve(
     obstacle avoidance, in a simulator of tables, a network (Lund and Miglino 1996).
     """
     given = {name: value for name, value in genetic.items() if value is not None}
+    for task, names in _OF_TASKS.items():
+        if task != task_name:
+            _refuse(names, f"is for --task {task}, not for {task_name}")
+    if not then_on_robot:
+        _refuse(_OF_ROBOT, "is of the generations on a robot: add --then-on-robot GENERATIONS")
     if task_name == "obstacle-avoidance":
         task = {"fitness": fitness, "steps": steps, "starts": starts}
         evolve_network(
@@ -153,6 +168,7 @@ def evolve(
                 "baud": baud,
                 "lab_seed": lab_seed,
             },
+            resume=resume,
         )
         return
     from neurosim.evolution import GeneticSettings
@@ -198,3 +214,23 @@ def evolve(
     if best.evolution["interrupted"]:
         click.echo("neurosim: interrupted; the best plan so far is kept", err=True)
         click.get_current_context().exit(130)
+
+
+#: Options that mean something to one task alone.
+_OF_TASKS = {
+    "nine-rectangles": (
+        "commands", "runs", "preset", "tournament", "robust", "robust_generations", "draws",
+        "placing", "max_speed", "durations", "keep_all",
+    ),
+    "obstacle-avoidance": (
+        "fitness", "steps", "starts", "arena_path", "noise", "then_on_robot", "robot",
+        "serial_port", "dialect", "baud", "lab_seed", "resume",
+    ),
+}  # fmt: skip
+_OF_ROBOT = ("robot", "serial_port", "dialect", "baud", "lab_seed")
+
+
+def _refuse(names: tuple[str, ...], why: str) -> None:
+    for parameter in click.get_current_context().command.params:
+        if parameter.name in names and is_given(parameter.name):
+            raise UserError(f"{parameter.opts[0]} {why}")

@@ -60,10 +60,11 @@ def tables(
     repeats, from which the spread of readings is taken.
     """
     from neurosim.base.errors import UserError
-    from neurosim.base.files import new_folder, sha256
+    from neurosim.base.files import new_folder
     from neurosim.simulators.arena import Arena, paper_arena
     from neurosim.simulators.motor_table import MotorTable
     from neurosim.simulators.sensor_table import SensorTable
+    from neurosim.simulators.sources import sources
     from neurosim.simulators.tables import TableSimulator
 
     if min(wheel_base, full_speed) <= 0:
@@ -80,15 +81,7 @@ def tables(
         motor_table,
         paper_arena() if arena_path is None else Arena.read(arena_path),
         noise=noise or "uniform",
-        meta={
-            "source": [
-                {
-                    "path": str(path),
-                    "sha256": sha256(path / "dataset.csv" if path.is_dir() else path),
-                }
-                for path in used
-            ]
-        },
+        meta=sources(used),
     )
     with new_folder(out) as partial:
         simulator.write(partial)

@@ -7,12 +7,21 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, next_step, seed_option
+from neurosim.base.checkpoint import Checkpoint
+from neurosim.cli._common import (
+    PATH,
+    Resumable,
+    emit,
+    given_options,
+    json_option,
+    next_step,
+    seed_option,
+)
 
 _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 
 
-@click.command()
+@click.command(cls=Resumable, begun=lambda values: Checkpoint(values["out"], "training").options())
 @click.argument("dataset", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
 @click.option(
@@ -50,7 +59,9 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [ga: 0.8]")
 @click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [ga: 0.05]")
 @click.option("--device", default="cpu", show_default=True, help="As PyTorch names it.")
-@click.option("--resume", is_flag=True, help="Go on with training that was interrupted.")
+@click.option(
+    "--resume", is_flag=True, help="Go on with training that was interrupted, with its options."
+)
 @seed_option
 @json_option
 def train(
@@ -89,6 +100,7 @@ def train(
         settings={name: value for name, value in genetic.items() if value is not None},
         device=device,
         resume=resume,
+        options=given_options(),
     )
     errors = simulator.meta["test_errors"]
     coverage = simulator.meta["test_coverage"]

@@ -52,11 +52,15 @@ class NetworkController:
         sums = readings @ self.weights[:, :-1].T + self.weights[:, -1]
         return 100.0 * np.tanh(sums)
 
-    def write(self, folder: str | Path) -> None:
+    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Write the controller to a new folder, whole or not at all.
 
+        Args:
+            folder: where.
+            overwrite: whether to replace what stands there.
+
         Raises:
-            UserError: if there is something at ``folder``.
+            UserError: if there is something at ``folder`` that is not to be replaced.
         """
         sensors = self.weights.shape[1] - 1
         content = {
@@ -69,7 +73,7 @@ class NetworkController:
             "predicted": dict(self.predicted),
             "evolution": dict(self.evolution),
         }
-        with files.new_folder(folder) as partial:
+        with files.new_folder(folder, overwrite=overwrite) as partial:
             files.write_tensors(partial / "weights.safetensors", {"weights": self.weights})
             files.write_json(partial / "controller.json", FORMAT, VERSION, content)
 

@@ -16,6 +16,8 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Protocol
 
+from neurosim.robots.nxt import VIRTUAL_ADDRESS
+
 DIRECT, SYSTEM, REPLY, NO_REPLY = 0x00, 0x01, 0x02, 0x80
 ALL_PORTS = 0xFF
 OUTPUTS, INPUTS = 3, 4
@@ -133,7 +135,7 @@ class VirtualBrick:
     Args:
         hardware: the body.
         name: the brick's name, up to 14 ASCII characters.
-        address: its Bluetooth address.
+        address: its Bluetooth address; by default one by which drivers know a virtual brick.
         lock: held while a telegram is carried out; the lab hands in its own.
     """
 
@@ -146,7 +148,7 @@ class VirtualBrick:
         hardware: Hardware,
         name: str = "NXT",
         *,
-        address: str = "00:16:53:00:00:01",
+        address: str = VIRTUAL_ADDRESS + ":00:00:01",
         lock: AbstractContextManager | None = None,
     ):
         self.hardware = hardware

@@ -6,6 +6,8 @@ numbers behind commas, CR LF. What is no command is answered by ``z,Command not 
 wrong numbers by ``z,Protocol error``; the manual does not spell these two, they are what clients
 of the real robot expect. ``restart`` starts the robot anew.
 
+The version of the protocol says that the robot is virtual, so that whoever connects to it knows.
+
 Not modelled: the constants of the controllers (A, F) and the acceleration (J) are taken and have
 no effect; nothing is plugged into the extension bus, the converter's inputs or the turret's place.
 """
@@ -18,10 +20,12 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from typing import Protocol
 
+from neurosim.robots.khepera import VIRTUAL
+
 BANNER = (
     b"\r\nROM of minirobot KHEPERA, neurosim virtual lab\r\nSerial communication protocol ready\r\n"
 )
-BIOS, PROTOCOL = "5.02", "5.02"
+BIOS, PROTOCOL = "5.02", f"5.02-{VIRTUAL}"
 NOT_FOUND, WRONG = b"z,Command not found\r\n", b"z,Protocol error\r\n"
 #: A longer line is no command; the rest of it is dropped.
 LONGEST = 80

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
+from neurosim.base.provenance import is_virtual
 from neurosim.controllers import NetworkController, Plan
 from neurosim.controllers.network import KIND as NETWORK
 from neurosim.simulators import TableSimulator
@@ -119,9 +120,7 @@ class Artefacts:
     @property
     def virtual(self) -> bool | None:
         """Whether any of it is from the virtual lab; None if nothing says where it is from."""
-        answers = [is_virtual(artefact) for artefact in self.everything]
-        known = [answer for answer in answers if answer is not None]
-        return any(known) if known else None
+        return is_virtual([artefact.meta for artefact in self.everything])
 
 
 def gather(folders: Sequence[str | Path]) -> Artefacts:
@@ -206,27 +205,6 @@ def _trial(path: Path, meta: dict[str, Any]) -> Trial:
             json, "expected predicted poses [x, y, theta] and errors {position, heading}"
         ) from None
     return trial
-
-
-def is_virtual(artefact: Artefact) -> bool | None:
-    """Return whether an artefact says that it is from the virtual lab; None if it does not say."""
-    meta = artefact.meta
-    if "virtual" in meta:
-        return bool(meta["virtual"])
-    if "virtual_lab" in meta:
-        return meta["virtual_lab"] is not None
-    told = [meta[key] for key in ("robot", "camera", "robots") if meta.get(key)]
-    return _names_virtual(told) if told else None
-
-
-def _names_virtual(value: Any) -> bool:
-    if isinstance(value, Mapping):
-        return value.get("virtual") is True or any(
-            _names_virtual(part) for key, part in value.items() if key != "virtual"
-        )
-    if isinstance(value, list):
-        return any(_names_virtual(part) for part in value)
-    return isinstance(value, str) and "virtual" in value.lower()
 
 
 def files_of(artefact: Artefact) -> dict[str, str]:

@@ -85,7 +85,11 @@ class Robot(Protocol):
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot: its kind, name, ports, versions."""
+        """Return what a recording should say of this robot: its kind, name, ports, versions.
+
+        ``virtual``, once connected, says whether the robot is one of the virtual lab, as far as
+        the robot itself tells.
+        """
         ...
 
     def __enter__(self) -> Robot: ...

@@ -9,13 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, SystemClock
 from neurosim.robots.khepera_dialects import Dialect, Geometry, dialect_named
 from neurosim.robots.serial_line import SerialLine
 
 #: How often a command is sent before the robot counts as lost; all of them may be repeated.
 TRIES = 3
+#: Stands in the version of a robot of the virtual lab.
+VIRTUAL = "virtual"
 
 
 class Khepera:
@@ -204,6 +206,7 @@ class Khepera:
             "port": self._line.port,
             "baud": self._line.baud,
             "version": self._version,
+            **({"virtual": VIRTUAL in self._version} if self._version else {}),
             "full_speed": self.full_speed,
             "speed_unit": self.speed_unit,
             "pulses_per_metre": self.pulses_per_metre,
@@ -282,8 +285,7 @@ class Khepera:
                 f"the {self.dialect.robot} on {self._line.port} does not carry out {command!r}: "
                 f"it answers {reason[:60]!r}"
             )
-        self._line.close()
-        raise LinkLost(
+        raise self._line.lose(
             f"the {self.dialect.robot} on {self._line.port} stopped answering: no reply to "
             f"{command!r} within {self._timeout:g} s, {TRIES} times; is it on and its cable whole?"
         )

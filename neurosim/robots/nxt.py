@@ -32,6 +32,9 @@ POLL_EVERY = 0.02
 #: keep it from that.
 KEEP_AWAKE_EVERY = 45.0
 
+#: Bluetooth addresses of virtual bricks begin so: locally administered, no maker sells them.
+VIRTUAL_ADDRESS = "02:16:53"
+
 _LINKS = {
     "host": "Bluetooth",
     "filename": "device file",
@@ -126,6 +129,7 @@ class NXT:
             self._about = {
                 "name": name,
                 "address": address,
+                "virtual": address.startswith(VIRTUAL_ADDRESS),
                 "firmware": "{}.{}".format(*firmware),
                 "protocol": "{}.{}".format(*protocol),
             }

@@ -55,6 +55,7 @@ class SerialLine:
         self.baud = baud
         self._stop_bits = stop_bits
         self._serial: serial.SerialBase | None = None
+        self._gone: str | None = None
         self._buffer = b""
 
     @property
@@ -79,7 +80,7 @@ class SerialLine:
             )
         except (OSError, ValueError, AttributeError, ImportError) as error:
             raise RobotError(f"cannot open the serial port {self.port}: {_reason(error)}") from None
-        self._buffer = b""
+        self._gone, self._buffer = None, b""
 
     def close(self) -> None:
         """Close the port; never raises."""
@@ -157,13 +158,20 @@ class SerialLine:
         return None
 
     def _connected(self) -> serial.SerialBase:
+        if self._gone is not None:
+            raise LinkLost(self._gone)
         if self._serial is None:
             raise RobotError(f"the serial port {self.port} is not open: connect first")
         return self._serial
 
     def _lost(self, error: Exception) -> LinkLost:
+        return self.lose(f"the line {self.port} is gone: {_reason(error)}")
+
+    def lose(self, why: str) -> LinkLost:
+        """Close the line for good and return the error, which whoever uses it again meets too."""
         self.close()
-        return LinkLost(f"the line {self.port} is gone: {_reason(error)}")
+        self._gone = why
+        return LinkLost(why)
 
 
 def _reason(error: Exception) -> str:

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import check_new_folder, sha256
+from neurosim.base.files import check_new_folder
 from neurosim.controllers import Plan
 from neurosim.simulators.base import read_simulator
+from neurosim.simulators.sources import named
 from neurosim.tasks.base import Task, make_task
 from neurosim.tasks.planning import PlanResult, PlanSettings, evolve_plan
 
@@ -50,7 +52,7 @@ def evolve(
     if not isinstance(task, Task):
         raise UserError(f"the task {task.name} takes a network, not a plan of commands")
     results = evolve_plan(read_simulator(simulator), task, settings, seed=seed, progress=progress)
-    source = {"path": str(simulator), "sha256": sha256(Path(simulator) / "simulator.json")}
+    source = named(simulator)
     plans = [_plan(result, task, settings, seed, source) for result in results]
     if not plans[0].given:
         raise UserError("no plan that gives any command came of this; use more generations")
@@ -64,7 +66,7 @@ def evolve(
 
 
 def _plan(
-    result: PlanResult, task: Task, settings: PlanSettings, seed: int, source: dict[str, str]
+    result: PlanResult, task: Task, settings: PlanSettings, seed: int, source: dict[str, Any]
 ) -> Plan:
     drawn = {}
     if result.probability is not None:

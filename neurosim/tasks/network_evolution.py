@@ -6,31 +6,26 @@ same population can go on in another place: on the robot itself.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import check_new_folder, sha256
-from neurosim.base.progress import Progress
-from neurosim.controllers import NetworkController
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings, truncation
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.table_kernels import SENSORS, drive_networks
-from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance, Trajectory
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory
 
 GENES = 2 * (SENSORS + 1)
 
+_MASK = 2**64 - 1
+
 #: Tries networks: genes [P, 18] and the generation's random numbers -> fitness [P].
 Trials = Callable[[NDArray[np.float64], np.random.Generator], NDArray[np.float64]]
-
-#: Drives a network [18] in the simulator of some trials and in reality: see the report's Figure 4.
-Compare = Callable[[NDArray[np.float64], "TableTrials"], list[dict[str, list]]]
 
 
 @dataclass(frozen=True)
@@ -127,6 +122,7 @@ class NetworkEvolution:
         self.settings = settings
         self.best: list[float] = []
         self.mean: list[float] = []
+        self._fitness = np.full(settings.population, np.nan)
         self._rng = np.random.default_rng(seed)
         generator = torch.Generator().manual_seed(seed)
         first = settings.first_scale * torch.randn(
@@ -149,115 +145,68 @@ class NetworkEvolution:
         """The networks that are tried next."""
         return self._algorithm.ask().numpy()
 
-    def generation(self, trials: Trials) -> NDArray[np.float64]:
-        """Try every network, breed the next population, and return the fitness [P] of this one."""
-        fitness = np.asarray(trials(self.population, self._rng), float)
+    def generation(
+        self, trials: Trials, after_each: Callable[[], None] | None = None
+    ) -> NDArray[np.float64]:
+        """Try every network, breed the next population, and return the fitness [P] of this one.
+
+        Args:
+            trials: tries networks.
+            after_each: where given, networks are tried one by one, and it is called after each,
+                so that :meth:`state` may be kept; those tried before are not tried again.
+        """
+        if after_each is None:
+            fitness = np.asarray(trials(self.population, self._rng), float)
+        else:
+            for place in np.flatnonzero(np.isnan(self._fitness)):
+                self._fitness[place] = trials(self.population[[place]], self._rng)[0]
+                after_each()
+            fitness = self._fitness
         self.best.append(float(fitness.max()))
         self.mean.append(float(fitness.mean()))
         self._algorithm.tell(torch.from_numpy(fitness))
+        self._fitness = np.full(len(fitness), np.nan)
         return fitness
 
+    def state(self) -> dict[str, NDArray]:
+        """Return all that the next generations depend on."""
+        drawn = self._rng.bit_generator.state
+        large = [drawn["state"][name] for name in ("state", "inc")]
+        words = [word for value in large for word in (value >> 64, value & _MASK)]
+        words += [drawn["has_uint32"], drawn["uinteger"]]
+        return {
+            **{f"algorithm.{k}": v.numpy() for k, v in self._algorithm.state().items()},
+            "random": np.array(words, np.uint64),
+            "fitness": self._fitness.copy(),
+            "best": np.array(self.best, float),
+            "mean": np.array(self.mean, float),
+        }
 
-def evolve_networks(
-    simulator: TableSimulator,
-    out: str | Path,
-    task: ObstacleAvoidance,
-    settings: NetworkSettings | None = None,
-    *,
-    source: str | Path | None = None,
-    seed: int = 0,
-    progress: bool = True,
-    on_robot: Trials | None = None,
-    robot_generations: int = 0,
-    compare: Compare | None = None,
-) -> NetworkController:
-    """Evolve a network for a task in a simulator and write the best of the last population.
+    def load(self, state: Mapping[str, NDArray]) -> None:
+        """Go on from what :meth:`state` returned.
 
-    The best is found by trying all of the last population from many more starts: what was best
-    in its own generation may have been lucky. After generations on a robot it is the best of
-    the last of them.
-
-    Args:
-        simulator: with its arena and noise.
-        out: folder of the controller.
-        task: the task.
-        settings: how to evolve.
-        source: the simulator's folder, to be named in the controller.
-        seed: of all that is drawn.
-        progress: whether to show progress on stderr.
-        on_robot: tries networks on the robot, for ``robot_generations`` after the simulator's.
-        robot_generations: how many; the history says where they began (``transfer``).
-        compare: drives the chosen network in simulator and reality, for
-            ``evolution["trajectories"]``.
-
-    Raises:
-        UserError: if something stands at ``out`` or the robot does not fit into the arena.
-    """
-    check_new_folder(out)
-    settings = settings or NetworkSettings()
-    trials, evolution = TableTrials(simulator, task), NetworkEvolution(settings, seed)
-    interrupted = False
-    total = settings.generations + robot_generations
-    bar = Progress("evolve", total, "generations") if progress else None
-    try:
-        for number in range(total):
-            population = evolution.population.copy()
-            transferred = on_robot is not None and number >= settings.generations
-            fitness = evolution.generation(on_robot if transferred else trials)
-            tried = population[[fitness.argmax()]] if transferred else population
-            if bar is not None:
-                bar.advance(note=f"best {evolution.best[-1]:.1f}")
-    except KeyboardInterrupt:
-        if not evolution.best:
-            raise
-        interrupted = True
-    finally:
-        if bar is not None:
-            bar.close()
-    genes, fitness, spread = choose(trials, tried, seed)
-    history = {"best": evolution.best, "mean": evolution.mean}
-    if len(evolution.best) > settings.generations:
-        history["transfer"] = settings.generations
-    driven = {} if compare is None or interrupted else {"trajectories": compare(genes, trials)}
-    controller = NetworkController(
-        weights=genes.reshape(2, -1),
-        task=task.describe(),
-        predicted={"fitness": fitness, "spread": spread, "starts": CHOICE_STARTS},
-        simulator={}
-        if source is None
-        else {"path": str(source), "sha256": sha256(Path(source) / "simulator.json")},
-        evolution={
-            "settings": asdict(settings),
-            "seed": seed,
-            "noise": {"kind": simulator.noise, "level": simulator.noise_level},
-            "arena": simulator.arena.to_json(),
-            "interrupted": interrupted,
-            "history": history,
-            **driven,
-        },
-    )
-    controller.write(out)
-    return controller
-
-
-#: Starts from which the last population is compared.
-CHOICE_STARTS = 50
-
-
-def choose(
-    trials: TableTrials, genes: NDArray[np.float64], seed: int
-) -> tuple[NDArray[np.float64], float, float]:
-    """Return the network [18] that is best from many starts, its fitness, and the spread of it.
-
-    The fitness is a trial's: the mean over starts times the task's number of starts; the spread
-    is the standard deviation that trials have.
-    """
-    rng, task = np.random.default_rng([seed, 1]), trials.task
-    starts = trials.simulator.arena.free_poses(CHOICE_STARTS, trials.simulator.radius, rng)
-    each = FITNESS[task.fitness](trials.drive(genes, starts, rng))
-    best = int(each.mean(axis=1).argmax())
-    spread = float(each[best].std(ddof=1)) * task.starts**0.5
-    return genes[best], float(each[best].mean()) * task.starts, spread
+        Raises:
+            KeyError, ValueError: if it is the state of something else.
+        """
+        if state["fitness"].shape != self._fitness.shape or len(state["random"]) != 6:
+            raise ValueError("the state is of another population")
+        prefix = "algorithm."
+        self._algorithm.load(
+            {
+                name.removeprefix(prefix): torch.from_numpy(value)
+                for name, value in state.items()
+                if name.startswith(prefix)
+            }
+        )
+        a, b, c, d, has, integer = (int(word) for word in state["random"])
+        self._rng.bit_generator.state = {
+            "bit_generator": "PCG64",
+            "state": {"state": a << 64 | b, "inc": c << 64 | d},
+            "has_uint32": has,
+            "uinteger": integer,
+        }
+        self._fitness = state["fitness"].copy()
+        self.best, self.mean = state["best"].tolist(), state["mean"].tolist()
 
 
 def _select(

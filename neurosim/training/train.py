@@ -13,12 +13,12 @@ import torch
 from torch import Tensor
 
 from neurosim.base import files
+from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import Trainer, TrainingData
-from neurosim.training.checkpoint import Checkpoint
 from neurosim.training.coverage import coverage
 from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.evaluate import table_of_errors
@@ -56,6 +56,7 @@ def train(
     settings: Mapping[str, Any] | None = None,
     device: str = "cpu",
     resume: bool = False,
+    options: Mapping[str, Any] | None = None,
     checkpoint_every: float = 5.0,
     progress: bool = True,
 ) -> MotionNetwork:
@@ -78,6 +79,7 @@ def train(
         settings: the trainer's own settings that are not to be its defaults.
         device: where to compute, as PyTorch names it.
         resume: go on with the interrupted training of ``out``.
+        options: kept in the checkpoint, for whoever resumes.
         checkpoint_every: seconds between checkpoints; no more than this is lost.
         progress: show progress on stderr.
 
@@ -143,12 +145,12 @@ def train(
     except ValueError as error:
         raise UserError(f"trainer {trainer!r} cannot be set so: {error}") from None
 
-    checkpoint = Checkpoint(out)
+    checkpoint = Checkpoint(out, "training")
     settings_now = {**begun, "dataset_sha256": source["sha256"]}
     if resume:
         run = _resumed(learner, checkpoint, settings_now)
     else:
-        checkpoint.begin(settings_now)
+        checkpoint.begin(settings_now, options)
         run = _Run()
     _advance(learner, checkpoint, learner.generations, run, checkpoint_every, progress)
     began = time.monotonic()

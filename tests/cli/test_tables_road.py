@@ -11,12 +11,14 @@ import pytest
 from click.testing import CliRunner
 from matplotlib.image import imread
 
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, LinkLost, UserError
+from neurosim.base.files import write_json
 from neurosim.cli.main import cli
 from neurosim.controllers import Plan, read_controller
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.samples import Samples
+from neurosim.tasks.robot_trials import RobotTrials
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
 from khepera_data import made_up
@@ -72,9 +74,66 @@ def test_generations_on_a_robot(folder):
         assert robot[0] == pytest.approx(simulated[0], abs=1e-3)
         assert np.abs(np.diff(robot[:, :2], axis=0)).max() < 0.012
         assert np.ptp(robot, axis=0).max() > 0.01
+    assert made.evolution["robot"]["virtual"] is True
     call("report", folder / "driven", "-o", folder / "page.html")
+    assert "(Virtual lab.)" in (folder / "page.html").read_text()
     assert "from generation 4 on the robot (Figure 3)" in (folder / "page.html").read_text()
     assert "(Figure 4)" in (folder / "page.html").read_text()
+
+
+@pytest.mark.parametrize("virtual", [True, False, None])
+def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
+    for name in ("wall", "cylinder"):
+        shutil.copy(folder / f"{name}.sample", tmp_path)
+    if virtual is not None:
+        robot = {"robot": "khepera", "virtual": virtual}
+        write_json(tmp_path / "sampling.json", "neurosim-sampling", 1, {"robot": robot})
+    call("tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", tmp_path / "sim")
+    call(
+        "evolve", tmp_path / "sim", "--task", "obstacle-avoidance", "-o", tmp_path / "net",
+        "--generations", 1, "--population", 20, "--steps", 5,
+    )  # fmt: skip
+    for name in ("sim", "net"):
+        done = call("report", tmp_path / name, "-o", tmp_path / "page.html", "--json")
+        assert json.loads(done.output)["virtual"] is virtual
+        assert ("Virtual lab" in (tmp_path / "page.html").read_text()) is bool(virtual)
+
+
+@pytest.mark.parametrize(
+    ("task", "words", "message"),
+    [
+        ("obstacle-avoidance", ["--commands", 13], "--commands is for --task nine-rectangles"),
+        ("obstacle-avoidance", ["--robust"], "--robust is for --task nine-rectangles"),
+        ("obstacle-avoidance", ["--port", "COM3"], "add --then-on-robot GENERATIONS"),
+        ("nine-rectangles", ["--steps", 10], "--steps is for --task obstacle-avoidance, not for"),
+        ("nine-rectangles", ["--then-on-robot", 2], "--then-on-robot is for --task obstacle-av"),
+        ("nine-rectangles", ["--resume"], "--resume is for --task obstacle-avoidance"),
+    ],
+)
+def test_options_of_another_task_are_refused(folder, task, words, message):
+    with pytest.raises(UserError, match=message):
+        call("evolve", folder / "sim", "--task", task, "-o", folder / "other", *words)
+
+
+def test_resume_takes_the_options_it_was_begun_with(folder):
+    begun = [
+        "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "resumed",
+        "--generations", 2, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
+        "--starts", 2, "--then-on-robot", 1, "--noise", "none", "--seed", 3,
+    ]  # fmt: skip
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RobotTrials, "__call__", lost)
+        with pytest.raises(LinkLost, match="go on with --resume"):
+            call(*begun)
+    with pytest.raises(UserError, match="begun with generations = 2, not 3"):
+        call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3)
+    done = call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--json")
+    assert json.loads(done.output)["transfer"] == 2
+    assert read_controller(folder / "resumed").evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+
+
+def lost(trials, genes, rng):
+    raise LinkLost("the robot stopped answering")
 
 
 def test_view(folder):
@@ -127,7 +186,7 @@ def test_view_of_a_plan(folder):
         (["tables", "wall.sample", "cut-cylinder.sample", "-o", "x"], "is cut short"),
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--tournament", 5],
-            "--tournament has no meaning for obstacle avoidance",
+            "--tournament is for --task nine-rectangles, not for obstacle-avoidance",
         ),
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--steps", 7],

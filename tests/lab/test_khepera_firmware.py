@@ -49,7 +49,7 @@ def firmware(body):
     ("command", "answer"),
     [
         ("A,3800,800,100", "a"),
-        ("B", "b,5.02,5.02"),
+        ("B", "b,5.02,5.02-virtual"),
         ("C,100,-200", "c"),
         ("D,5,-5", "d"),
         ("E", "e,0,0"),
@@ -116,7 +116,7 @@ def test_pieces_make_a_command_and_empty_lines_none(firmware):
 
 def test_a_line_too_long_is_one_error(firmware):
     assert firmware.feed(b"D," + b"1" * 500) == b""
-    assert firmware.feed(b"\rB\r") == b"z,Protocol error\r\nb,5.02,5.02\r\n"
+    assert firmware.feed(b"\rB\r") == b"z,Protocol error\r\nb,5.02,5.02-virtual\r\n"
 
 
 def test_restart_stops_and_says_who_it_is(firmware, body):
@@ -131,7 +131,7 @@ def test_no_bytes_break_it_and_every_answer_is_whole_lines(pieces):
     firmware = KheperaFirmware(Body())
     answer = b"".join(firmware.feed(piece) for piece in pieces)
     assert answer == b"" or answer.endswith(b"\r\n")
-    assert firmware.feed(b"\rB\r").endswith(b"b,5.02,5.02\r\n")
+    assert firmware.feed(b"\rB\r").endswith(b"b,5.02,5.02-virtual\r\n")
 
 
 @given(st.integers(-127, 127), st.integers(-127, 127))

@@ -98,7 +98,7 @@ def test_a_client_to_the_manuals_letter(device):
                 rig.address, baudrate=9600, bytesize=8, parity="N", stopbits=2, timeout=5
             ) as port:
                 port.write(b"B\r")
-                assert port.readline() == b"b,5.02,5.02\r\n"
+                assert port.readline() == b"b,5.02,5.02-virtual\r\n"
                 port.write(b"D,5,-5\n")
                 assert port.readline() == b"d\r\n"
                 port.write(b"G,0,0\r\n")

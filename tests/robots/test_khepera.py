@@ -202,7 +202,7 @@ def test_silence_is_a_lost_link(line, robot):
     with pytest.raises(LinkLost, match=rf"{path} stopped answering.*'N' within 0.3 s, 3 times"):
         robot.read_proximity()
     assert script.heard == ["N", "N", "N"]
-    with pytest.raises(RobotError, match="not open"):
+    with pytest.raises(LinkLost, match="stopped answering"):
         robot.read_proximity()
 
 

@@ -191,7 +191,8 @@ def test_description(one):
         about = robot.describe()
     assert about["kind"] == "nxt"
     assert (about["name"], about["firmware"], about["protocol"]) == ("Pippin", "1.31", "1.124")
-    assert about["address"] == "00:16:53:00:00:01"
+    assert about["address"] == "02:16:53:00:00:01"
+    assert about["virtual"] is True
     assert about["ports"] == {
         "left": "B",
         "right": "C",

@@ -13,13 +13,8 @@ from neurosim.simulators.arena import Arena
 from neurosim.simulators.sensor_table import SensorTable
 from neurosim.tasks.base import make_task
 from neurosim.tasks.evolve import evolve
-from neurosim.tasks.network_evolution import (
-    NetworkEvolution,
-    NetworkSettings,
-    TableTrials,
-    choose,
-    evolve_networks,
-)
+from neurosim.tasks.evolve_networks import choose, evolve_networks
+from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.tasks.obstacle_avoidance import (
     ObstacleAvoidance,
     Trajectory,

@@ -1,4 +1,4 @@
-"""Checkpoints: what an interrupted training goes on from."""
+"""Checkpoints: what an interrupted training or evolution goes on from."""
 
 from __future__ import annotations
 
@@ -17,43 +17,69 @@ FORMAT, VERSION = "neurosim-checkpoint", 1
 
 
 class Checkpoint:
-    """A folder beside the output, ``OUT.checkpoint``, that is there while a training runs.
+    """A folder beside the output, ``OUT.checkpoint``, that is there while something long runs.
 
     ``checkpoint.json`` holds the settings and is written once, before the first generation;
     ``state.safetensors`` holds all the rest and is replaced whole, so that a kill at any moment
     leaves one that can be gone on from.
+
+    Args:
+        out: the output's place.
+        what: runs, for messages: ``training`` or ``evolution``.
     """
 
-    def __init__(self, out: str | Path):
+    def __init__(self, out: str | Path, what: str):
         out = Path(out)
+        self._what = what
         self.folder = out.with_name(out.name + ".checkpoint")
         self._settings = self.folder / "checkpoint.json"
         self._state = self.folder / "state.safetensors"
 
-    def begin(self, settings: Mapping[str, Any]) -> None:
+    def begin(self, settings: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> None:
         """Start anew.
 
+        Args:
+            settings: what must be the same when it is resumed.
+            options: kept for whoever resumes, and returned by :meth:`options`.
+
         Raises:
-            UserError: if there is a checkpoint of an interrupted training.
+            UserError: if there is a checkpoint of an interrupted run.
         """
         if self._settings.exists():
             raise UserError(
-                f"{self.folder} holds an interrupted training; "
+                f"{self.folder} holds an interrupted {self._what}; "
                 "go on with it (--resume), or remove it yourself"
             )
         self.folder.mkdir(parents=True, exist_ok=True)
         self._state.unlink(missing_ok=True)
-        files.write_json(self._settings, FORMAT, VERSION, {"settings": dict(settings)})
+        content = {"settings": dict(settings), "options": dict(options or {})}
+        files.write_json(self._settings, FORMAT, VERSION, content)
+
+    @property
+    def begun(self) -> bool:
+        """Whether there is something to resume."""
+        return self._settings.exists()
+
+    def options(self) -> dict[str, Any]:
+        """Return the options that it was begun with; none where there is no checkpoint.
+
+        Raises:
+            FileError: if the checkpoint is damaged.
+        """
+        if not self.begun:
+            return {}
+        options = files.read_json(self._settings, FORMAT, VERSION).get("options")
+        return options if isinstance(options, dict) else {}
 
     def resume(self, settings: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
-        """Return the saved state, None if the training had not saved any yet.
+        """Return the saved state, None if nothing had been saved yet.
 
         Raises:
             UserError: if there is nothing to resume, or it was begun with other settings.
             FileError: if the checkpoint is damaged.
         """
         if not self._settings.exists():
-            raise UserError(f"there is no interrupted training at {self.folder}; start it anew")
+            raise UserError(f"there is no interrupted {self._what} at {self.folder}; start it anew")
         fields = {"settings": dict}
         begun = files.read_json(self._settings, FORMAT, VERSION, fields)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
@@ -72,9 +98,9 @@ class Checkpoint:
     def damaged(self) -> FileError:
         """Return the error to raise where the saved state does not fit its settings."""
         return FileError(
-            self._state, "is not the state of this training; remove its folder and start anew"
+            self._state, f"is not the state of this {self._what}; remove its folder and start anew"
         )
 
     def remove(self) -> None:
-        """Remove the folder: the training is complete."""
+        """Remove the folder: all is done."""
         shutil.rmtree(self.folder, ignore_errors=True)

@@ -1,0 +1,63 @@
+"""What simulators and controllers were made of, and whether that is from the virtual lab."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from neurosim.base.files import read_json, sha256
+from neurosim.base.provenance import is_virtual
+from neurosim.simulators.base import FORMAT, VERSION
+
+#: What says of which robot a folder of samples, or a dataset, is.
+_ABOUT = {"sampling.json": "neurosim-sampling", "dataset.json": "neurosim-dataset"}
+
+
+def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
+    """Return what simulator.json says of the files that it was made of.
+
+    A ``.sample`` file has no place to say of which robot it is; the ``sampling.json`` that
+    ``neurosim sample`` writes beside it does.
+
+    Args:
+        paths: sample files, files of motor samples, or datasets.
+
+    Returns:
+        ``source``: path and SHA-256 of each, and ``virtual`` where something says whether it is
+        from the virtual lab.
+
+    Raises:
+        FileError: if what says so is damaged.
+    """
+    found = []
+    for path in map(Path, paths):
+        entry: dict[str, Any] = {
+            "path": str(path),
+            "sha256": sha256(path / "dataset.csv" if path.is_dir() else path),
+        }
+        folder = path if path.is_dir() else path.parent
+        told = is_virtual(
+            [
+                read_json(folder / name, format, 1)
+                for name, format in _ABOUT.items()
+                if (folder / name).exists()
+            ]
+        )
+        found.append(entry if told is None else {**entry, "virtual": told})
+    return {"source": found}
+
+
+def named(simulator: str | Path) -> dict[str, Any]:
+    """Return what a controller says of the simulator that it was made in.
+
+    Returns:
+        ``path``, ``sha256`` of simulator.json, and ``virtual`` where the simulator says.
+
+    Raises:
+        FileError: if simulator.json is not what it should be.
+    """
+    path = Path(simulator) / "simulator.json"
+    told = is_virtual(read_json(path, FORMAT, VERSION))
+    about = {"path": str(simulator), "sha256": sha256(path)}
+    return about if told is None else {**about, "virtual": told}
