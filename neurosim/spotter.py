@@ -12,6 +12,7 @@ from neurosim.base.files import LineLog
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
 from tracking.live import LiveTracker, Seen
+from tracking.palette import Found, warning
 from tracking.track import marker_geometry, marker_poses
 
 #: The user is told when the robot was not seen for so long, s.
@@ -52,6 +53,7 @@ class Spotter:
         self._last: tuple[float, NDArray] | None = None
         self._since = now()
         self._warned = False
+        self._judged = False
         front, rear = (parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
         self._tracker = LiveTracker(
             (front, rear), marker_geometry(markers, model), now, self._look, waits=waits
@@ -91,6 +93,8 @@ class Spotter:
             away = self.unseen(seen.arrived)
             with self._lock:
                 self._last = (seen.arrived, pose)
+            if seen.colours is not None and not self._judged:
+                self._judge(seen.colours)
             if self._warned:
                 self._say(f"the robot is seen again, after {away:.1f} s")
                 self._warned = False
@@ -99,3 +103,11 @@ class Spotter:
             self._say("the robot is lost from sight: is it covered, or off the board?")
         if self._on_seen is not None:
             self._on_seen(seen)
+
+    def _judge(self, founds: tuple[Found, Found]) -> None:
+        """Warn at the first sight, before anything is driven, of colours that are not sure."""
+        self._judged = True
+        front, rear = founds
+        doubt = warning({"front": front.told, "rear": rear.told})
+        if doubt:
+            self._say(doubt)

@@ -209,6 +209,7 @@ def build(
     left_out = Counter(dict.fromkeys(REASONS, 0))
     delays: list[dict[str, Any]] = []
     clocks: list[dict[str, Any]] = []
+    markers: list[dict[str, Any]] = []
     sources, robots, virtual = [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
@@ -225,7 +226,10 @@ def build(
             }
             for session, delay in found.delays.items()
         ]
-        clocks += [{"recording": name, **clock} for clock in _clocks(path)]
+        for session in recording.tracked_sessions():
+            of = {"recording": name, "session": session["session"]}
+            clocks.append(of | session["clock"])
+            markers.append(of | session.get("markers", {}))
         sources += [
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
             for file in ("commands.csv", "poses.csv")
@@ -243,24 +247,12 @@ def build(
         cutting=cutting(sent),
         motor_delays=delays,
         clocks=clocks,
+        markers=markers,
         robots=robots,
         virtual=virtual,
     )
     dataset.write(out)
     return dataset
-
-
-def _clocks(recording: Path) -> list[dict[str, Any]]:
-    """Return each session's clock as tracking.json says it; none where there is no such file."""
-    path = recording / "tracking.json"
-    if not path.exists():
-        return []
-    sessions = files.read_json(path, "neurosim-tracking", 1, {"sessions": list})["sessions"]
-    return [
-        {"session": session["session"], **session["clock"]}
-        for session in sessions
-        if "clock" in session
-    ]
 
 
 def _recording_names(paths: Sequence[Path]) -> list[str]:

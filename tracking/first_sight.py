@@ -17,6 +17,9 @@ FIRST_SEPARATION_TOLERANCE = 0.12
 LEAST_LIGHT = 5.0
 #: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
 HUE_MARGIN = math.radians(8.0)
+#: Where nothing is known of the separation: sums of radii that two markers are apart, at most
+#: on most robots, and on nearly all.
+CLOSE, REACH = 3.0, 4.0
 
 
 def rate(
@@ -55,7 +58,7 @@ def rate(
         radii = front.radius + rear.radius
         if not 0.6 * radii < apart < 8.0 * radii:
             return 0.0
-        rating *= math.exp(-((apart / (4.0 * radii)) ** 2))
+        rating *= math.exp(-((apart / (REACH * radii)) ** 2))
     if geometry.diameter is not None:
         full = math.pi / 4 * geometry.diameter**2
         full *= geometry.pixels_per_unit(pixels.mean(axis=0)) ** 2
@@ -75,13 +78,3 @@ def plausible(measured: list[Measurement], colours: tuple[Colour, Colour]) -> bo
         if look.light < LEAST_LIGHT:
             return False
     return True
-
-
-def rivals(pair: tuple[Blob, Blob], rating: float, rated: list[tuple]) -> tuple[float, float]:
-    """Return how the best pair with another front, and with another rear, compares to a pair."""
-    best = [0.0, 0.0]
-    for other, others, _ in rated:
-        for i in (0, 1):
-            if math.dist(others[i].centre, pair[i].centre) > pair[i].radius:
-                best[i] = max(best[i], other / rating)
-    return min(best[0], 1.0), min(best[1], 1.0)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tracking.colours import Colour
 from tracking.pair import Geometry, Sighting
+from tracking.palette import Found
 from tracking.tracker import Tracker
 
 #: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
@@ -28,6 +29,7 @@ class Seen:
         arrived: when the frame was delivered, in seconds on the clock handed to the tracker.
         frame: the picture, BGR [H, W, 3] uint8; nobody may write to it.
         sighting: what the tracker found.
+        colours: of front and rear as this camera sees them, once they were found.
     """
 
     index: int
@@ -35,6 +37,7 @@ class Seen:
     arrived: float
     frame: NDArray
     sighting: Sighting
+    colours: tuple[Found, Found] | None = None
 
 
 class LiveTracker:
@@ -130,5 +133,6 @@ class LiveTracker:
                 return
 
     def _look(self, index: int, time: float, arrived: float, frame: NDArray) -> None:
-        sighting = self._tracker.update(frame, time)
-        self._on_seen(Seen(index, time, arrived, frame, sighting))
+        tracker = self._tracker
+        sighting = tracker.update(frame, time)
+        self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.found))

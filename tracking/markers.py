@@ -98,12 +98,25 @@ def shrink_factor(width: int) -> int:
 
 
 class Picture:
-    """A whole frame reduced for searching, with its chroma worked out once for both markers."""
+    """A whole frame reduced for searching, with its chroma worked out once for both markers.
 
-    def __init__(self, frame: NDArray, white: tuple[float, float] = NO_CAST):
-        self.factor = shrink_factor(frame.shape[1])
+    Args:
+        frame: BGR [H, W, 3] uint8.
+        white: factors of blue and of red that take a colour cast out.
+        factor: by how much it is reduced; default :func:`shrink_factor`.
+    """
+
+    def __init__(
+        self, frame: NDArray, white: tuple[float, float] = NO_CAST, factor: int | None = None
+    ):
+        self.factor = factor or shrink_factor(frame.shape[1])
         size = (frame.shape[1] // self.factor, frame.shape[0] // self.factor)
-        self.small = cv2.resize(frame, size, interpolation=cv2.INTER_AREA)
+        self.small = frame
+        if self.factor > 2 and self.factor % 2 == 0:
+            # Halving is what OpenCV does fastest by far.
+            half = (frame.shape[1] // 2, frame.shape[0] // 2)
+            self.small = cv2.resize(frame, half, interpolation=cv2.INTER_AREA)
+        self.small = cv2.resize(self.small, size, interpolation=cv2.INTER_AREA)
         self.scale = np.array([frame.shape[1] / size[0], frame.shape[0] / size[1]])
         self.plane = chroma_plane(self.small, white)
         self.luma = cv2.cvtColor(self.small, cv2.COLOR_BGR2GRAY)

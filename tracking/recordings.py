@@ -37,6 +37,7 @@ from neurosim.base.files import (
 
 FORMAT, VERSION = "neurosim-recording", 1
 MARKERS_FORMAT = "neurosim-markers"
+TRACKING_FORMAT = "neurosim-tracking"
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -271,6 +272,18 @@ class Recording:
     def is_tracked(self) -> bool:
         """Whether poses.csv is there."""
         return (self.path / "poses.csv").exists()
+
+    def tracked_sessions(self) -> list[dict[str, Any]]:
+        """Return what tracking.json says of the sessions that were tracked; none without it.
+
+        Raises:
+            FileError: if it is not what it should be.
+        """
+        path = self.path / "tracking.json"
+        if not path.exists():
+            return []
+        sessions = read_json(path, TRACKING_FORMAT, VERSION, {"sessions": list})["sessions"]
+        return [session for session in sessions if "clock" in session]
 
     def poses(self) -> Poses:
         """Read poses.csv.

@@ -10,10 +10,14 @@ from numpy.typing import NDArray
 from neurosim.base.files import integer, number, optional_number, read_csv
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
+from tracking.palette import find_colours, unless_still
 from tracking.recordings import SIGHTING_COLUMNS, Recording
 from tracking.track import Track, marker_geometry
 from tracking.tracker import Tracker
 from tracking.video import Video
+
+#: Frames of a video that are looked at for the colours of a pair that was tracked live.
+LOOKS = 5
 
 
 def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track | None:
@@ -51,6 +55,7 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         _fill(values, missing, times, recording.video(session), markers, camera)
     with Video(recording.video(session)) as video:
         size = video.size
+        told = _colours(video, values, markers, camera)
     return Track(
         np.arange(len(times)),
         times,
@@ -59,8 +64,23 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         values[:, 4],
         values[:, 5],
         size,
-        tuple({"colour": markers[which]["colour"]} for which in ("front", "rear")),
+        told,
     )
+
+
+def _colours(
+    video: Video, values: NDArray, markers: dict[str, Any], camera: CameraModel
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what some of the frames in which the pair was seen say of its colours."""
+    colours = tuple(parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
+    seen = np.flatnonzero(values[:, 4] > 0)
+    places = seen[np.linspace(0, len(seen) - 1, min(LOOKS, len(seen))).astype(int)]
+    frames = [frame for index in places if (frame := video.at(int(index))) is not None]
+    founds = find_colours(frames, colours, marker_geometry(markers, camera)) if frames else None
+    if founds is None:
+        return {"colour": colours[0].name}, {"colour": colours[1].name}
+    front, rear = unless_still(founds, values[:, 0:2], values[:, 2:4])
+    return front.told, rear.told
 
 
 def _fill(

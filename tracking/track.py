@@ -21,13 +21,12 @@ from tracking.motion import disagreement, fit_clock_to_motion
 from tracking.motor_delay import Delay, motion_delay
 from tracking.overlay import Overlay
 from tracking.pair import Geometry
+from tracking.palette import unless_still
 from tracking.pointing import colour_at
-from tracking.recordings import Poses, Recording
+from tracking.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
 from tracking.tracker import Tracker
 from tracking.video import Video
-
-FORMAT, VERSION = "neurosim-tracking", 1
 
 
 @dataclass(frozen=True)
@@ -41,7 +40,8 @@ class Track:
         quality: [N] 0 not found, up to 1.
         lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
         size: width and height of the video in pixels.
-        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure.
+        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
+            what speaks against them where they are not sure.
     """
 
     frame: NDArray
@@ -120,6 +120,9 @@ def follow(
     table = np.array(rows, float)
     if tracker.found is None:
         raise UserError(_not_found(path, colours, tracker.seen))
+    founds = tracker.found
+    if clicks is None:
+        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
     return Track(
         table[:, 0].astype(int),
         table[:, 1],
@@ -128,16 +131,7 @@ def follow(
         table[:, 6],
         table[:, 7],
         video.size,
-        tuple(
-            {
-                "colour": found.colour.name,
-                "rgb": found.rgb,
-                "hue_deg": math.degrees(found.colour.hue) % 360,
-                "chroma": found.chroma,
-                "sure": round(found.sure, 3),
-            }
-            for found in tracker.found
-        ),
+        tuple(found.told for found in founds),
     )
 
 
@@ -252,7 +246,7 @@ def track(
         "sessions": sessions,
     }
     source.write_poses(joined)
-    write_json(source.path / "tracking.json", FORMAT, VERSION, summary)
+    write_json(source.path / "tracking.json", TRACKING_FORMAT, VERSION, summary)
     return summary
 
 
@@ -332,7 +326,7 @@ def track_video(
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
-            write_json(folder / "tracking.json", FORMAT, VERSION, summary)
+            write_json(folder / "tracking.json", TRACKING_FORMAT, VERSION, summary)
     return {**summary, "poses": columns}
 
 

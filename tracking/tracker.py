@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST, Colour, angle_between
-from tracking.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate, rivals
+from tracking.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate
 from tracking.markers import (
     Blob,
     Look,
@@ -27,7 +27,8 @@ from tracking.markers import (
     measure,
 )
 from tracking.pair import LOST, Geometry, Learned, Motion, Sighting, angle_of, lamp_luma
-from tracking.palette import Found, found_colour
+from tracking.palette import Found
+from tracking.survey import Survey
 from tracking.white import Cast, cast_of
 
 #: Marker areas and separations that are still believed, as ratios to what is expected.
@@ -75,9 +76,9 @@ class Tracker:
     ):
         compile_loops()
         self._start = start
-        self._rivals = (0.0, 0.0)
         self.colours = (front, rear)
         self.geometry = geometry or Geometry()
+        self._survey = Survey(self.colours, self.geometry, start is not None)
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
@@ -99,11 +100,7 @@ class Tracker:
     @property
     def found(self) -> tuple[Found, Found] | None:
         """This camera's colours of front and rear and how sure they are, once they were found."""
-        if self._learned is None:
-            return None
-        looks = zip(self.colours, self._learned.looks, self._rivals, strict=True)
-        front, rear = (found_colour(*entry) for entry in looks)
-        return front, rear
+        return self._survey.found
 
     def update(self, frame: NDArray, time: float) -> Sighting:
         """Find the pair in the next frame.
@@ -127,6 +124,9 @@ class Tracker:
         self._lost = 0
         pixels = np.stack([m.centre for m in measured])
         self._remember(measured, pixels, quality)
+        self._survey.take(
+            frame, self._cast.white, pixels, [m.area for m in measured], self._learned.looks
+        )
         self._motion = (
             Motion(time, pixels.mean(axis=0), pixels[0] - pixels[1])
             if self._motion is None
@@ -279,7 +279,6 @@ class Tracker:
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
                 if found is not None and plausible(found[0], self.colours):
-                    self._rivals = rivals(pair, rating, rated)
                     return found
             self._learned = self._cast = None
         return None

@@ -82,6 +82,14 @@ class Video:
                 raise item
             yield item
 
+    def at(self, index: int) -> NDArray | None:
+        """Return one frame, BGR [H, W, 3] uint8, before the video is read; None if it cannot be."""
+        if index == 0:
+            return self.first
+        self._capture.set(cv2.CAP_PROP_POS_FRAMES, index)
+        good, frame = self._capture.read()
+        return frame if good else None
+
     def close(self) -> None:
         """Stop decoding and let the file go."""
         self._stopped.set()

@@ -168,6 +168,8 @@ def record(
 
 
 def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
+    from tracking.palette import least_sure
+
     lines = [part.commands() for part in made]
     ends = [{line.session: line.time for line in part} for part in lines]  # of each session
     return {
@@ -177,15 +179,20 @@ def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
         "cut": sum(line.kind == "cut" for part in lines for line in part),
         "sessions": sum(part.sessions for part in made),
         "tracked": all(part.is_tracked for part in made),
+        "markers": least_sure([told for part in made for told in part.tracked_sessions()]),
         "robot_seconds": sum(sum(part.values()) for part in ends),
     }
 
 
 def _words(result: dict[str, Any]) -> str:
+    from tracking.palette import in_words
+
+    colours = in_words(result["markers"])
     return (
         f"{result['recording']}: {result['commands']} commands ({result['sent']} sent, "
         f"{result['cut']} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
+        + (f"{colours}.\n" if colours else "")
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -62,6 +61,7 @@ def track(
     Of a recording, the poses go into its poses.csv, in metres, on the robot's clock. A video file
     needs -o; without a calibration its poses are in pixels.
     """
+    from tracking.palette import in_words, least_sure, warning
     from tracking.track import track as track_
     from tracking.track import track_video
 
@@ -78,7 +78,8 @@ def track(
             calibration=calibration, height=height, overlay=overlay, clicks=places,
         )  # fmt: skip
         result.pop("poses")
-        where, then = out, f"\n{_colours_found(result['markers'])}"
+        where, markers, then = out, result["markers"], ""
+        remedy = "click on each with --click U,V, or name others with --colours"
     else:
         if clicks:
             raise UserError("--click is for video files; set a recording's colours with --colours")
@@ -88,12 +89,17 @@ def track(
         for session in result["sessions"]:
             if session.get("warning"):
                 click.echo(f"session {session['session']}: {session['warning']}", err=True)
-        where, then = recording, "\n" + next_step("dataset", recording, "-o", "DATASET")
+        where, markers = recording, least_sure(result["sessions"])
+        then = "\n" + next_step("dataset", recording, "-o", "DATASET")
+        remedy = "name others with --colours; neurosim watch shows what a click on each finds"
+    doubt = warning(markers)
+    if doubt:
+        click.echo(f"{recording}: {doubt}; {remedy}", err=True)
     emit(
         result,
         as_json,
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
-        f"median quality {result['quality']:.2f}.{then}",
+        f"median quality {result['quality']:.2f}.\n{in_words(markers)}.{then}",
     )
 
 
@@ -112,11 +118,3 @@ def _places(clicks: tuple[str, ...]) -> list[list[float]]:
     if len(places) != 2 or any(len(place) != 2 for place in places):
         raise UserError("--click: expected two of them, U,V in pixels, front first, then rear")
     return places
-
-
-def _colours_found(markers: dict[str, dict[str, Any]]) -> str:
-    found = (
-        f"{where} {seen['colour']} is {seen['rgb']} here (sure: {100 * seen['sure']:.0f} %)"
-        for where, seen in markers.items()
-    )
-    return ", ".join(found) + "."

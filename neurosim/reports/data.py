@@ -14,6 +14,8 @@ from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 from neurosim.reports.predictions import READABLE, UNITS
 from tracking.dataset import Dataset
 
+_MARKERS = ("front", "rear")
+
 
 def section(artefacts: Artefacts) -> Section:
     """Write the section on the data that was learned from."""
@@ -21,6 +23,7 @@ def section(artefacts: Artefacts) -> Section:
     for place, (artefact, dataset) in enumerate(artefacts.datasets):
         blocks += _rows(artefact, dataset)
         blocks += _timing(artefact)
+        blocks += _colours(artefact)
         blocks.append(_histograms(artefact, dataset, f"d{place}"))
         if artefact.meta.get("cutting"):
             blocks += _cutting(artefact.name, artefact.meta["cutting"])
@@ -106,6 +109,24 @@ def _timing(artefact: Artefact) -> list[Block]:
         "wheels began to answer; where corrected, displacements count from there."
     )
     return [Table(f"{artefact.name}: clocks and delays", head, rows, note=note)]
+
+
+def _colours(artefact: Artefact) -> list[Block]:
+    """Write what the camera made of the markers' colours, session by session."""
+    rows = [
+        [
+            f"{told['recording']}, {told['session']}",
+            *(f"{told[m]['colour']}: {told[m]['rgb']}, {told[m]['sure']:.0%}" for m in _MARKERS),
+            "; ".join(sorted({told[m]["doubt"] for m in _MARKERS if told[m].get("doubt")})) or "-",
+        ]
+        for told in artefact.meta.get("markers", ())
+        if all("sure" in told.get(m, {}) for m in _MARKERS)
+    ]
+    if not rows:
+        return []
+    head = ["session", "front, how sure", "rear, how sure", "what speaks against it"]
+    title = f"{artefact.name}: the markers' colours as the camera saw them"
+    return [Table(title, head, rows, words=True)]
 
 
 def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:

@@ -171,7 +171,7 @@ function tell() {
     text(`${which}-name`, colour.name);
     const found = colour.found ? `found as ${colour.found}` : "not found";
     const sure = colour.sure === null ? "" : `, ${Math.round(100 * colour.sure)} % sure`;
-    text(`${which}-sure`, found + sure);
+    text(`${which}-sure`, found + sure + (colour.doubt ? `: ${colour.doubt}` : ""));
   }
   for (const what of ["markers", "calibration"]) {
     text(`${what}-file`, `${state.saved.includes(what) ? "saved in" : "goes to"} ${state.files[what]}`);

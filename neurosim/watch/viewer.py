@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import threading
 import time
@@ -20,12 +19,8 @@ from tracking.board import camera_over_board, corner_points
 from tracking.camera_model import CameraModel
 from tracking.colours import Colour
 from tracking.live import Seen
-from tracking.pointing import (
-    Pointed,
-    colour_around,
-    colour_at,
-    told_apart,
-)
+from tracking.palette import Found
+from tracking.pointing import Pointed, colour_at, told_apart
 from tracking.recordings import write_markers
 from tracking.track import marker_poses
 
@@ -183,19 +178,23 @@ class Viewer:
         }
 
     def _describe(self, which: str, colour: Colour) -> dict[str, Any]:
-        """Say what a marker's colour is, and what it looks like in this picture."""
-        pointed = self._pointed.get(which)
-        seen, found = self._seen, None
-        if seen is not None and seen.sighting.found:
-            with contextlib.suppress(UserError):
-                found, _, _ = colour_around(seen.frame, getattr(seen.sighting, which))
+        """Say what a marker's colour is, and what it looks like to this camera."""
+        pointed, found = self._pointed.get(which), self._found(which)
         named = colour.name if colour.name.startswith("#") else _hex(colour.bgr)
+        sure = found or pointed
         return {
             "name": colour.name,
-            "swatch": named if found is None else found.name,
-            "found": None if found is None else found.name,
-            "sure": None if pointed is None else round(pointed.sure, 2),
+            "swatch": named if found is None else found.rgb,
+            "found": None if found is None else found.rgb,
+            "sure": None if sure is None else round(sure.sure, 2),
+            "doubt": None if found is None else found.told["doubt"],
         }
+
+    def _found(self, which: str) -> Found | None:
+        """Return what the tracker found of a marker's colour, if it is in sight."""
+        if self._seen is None or self._seen.colours is None or not self._seen.sighting.found:
+            return None
+        return self._seen.colours[("front", "rear").index(which)]
 
     def _pose(self, seen: Seen) -> dict[str, float] | None:
         if self._camera is None:
@@ -287,7 +286,7 @@ class Viewer:
             if not told_apart(*self._colours):
                 raise UserError("the two markers' colours are too much alike; set them first")
             named = {
-                which: {**self._markers[which], "colour": colour.name}
+                which: {**self._markers[which], "colour": colour.name, **self._told(which)}
                 for which, colour in zip(("front", "rear"), self._colours, strict=True)
             }
             write_markers(path, {**self._markers, **named})
@@ -295,6 +294,10 @@ class Viewer:
         with self._change:
             self._saved.add(what)
         return f"{path} is written; record with {then}"
+
+    def _told(self, which: str) -> dict[str, Any]:
+        found = self._found(which)
+        return {} if found is None else {"rgb": found.rgb, "sure": round(found.sure, 3)}
 
     def _find_camera(self) -> str:
         missing = [name for name in CORNERS if name not in self._corners]

@@ -6,7 +6,22 @@ import tracking_scene as scene
 
 from tracking.colours import chroma_plane, parse_colour
 from tracking.markers import Look
-from tracking.palette import find_colours, found_colour, together
+from tracking.palette import (
+    APART,
+    GREY,
+    OTHER_HUE,
+    RIVAL,
+    STILL,
+    SURE_ENOUGH,
+    find_colours,
+    found_colour,
+    in_words,
+    least_sure,
+    together,
+    unless_still,
+    warning,
+)
+from tracking.tracker import Tracker
 from tracking.white import Cast, cast_of
 
 SIZE = (320, 240)
@@ -30,8 +45,7 @@ def test_rgb_has_the_hue_chroma_and_luma_of_the_look():
     luma = float(bgr @ [0.114, 0.587, 0.299])
     found = found_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
     assert found.rgb == "#c82878"
-    assert found.sure == 1
-    assert found_colour(NAMES[0], Look(np.array([1.0, 0.0]), 30.0, 90.0), 1.0).sure == 0.25
+    assert found.sure == pytest.approx(1, abs=1e-4)
 
 
 def test_this_cameras_pink_and_blue():
@@ -61,3 +75,65 @@ def test_a_cast_is_guessed_and_followed():
     assert cast.update(after) == pytest.approx((1 / 0.8, 1 / 1.1), abs=0.02)
     assert cast.update(np.zeros_like(after)) == cast.white
     assert cast_of(np.zeros_like(after)) == (1.0, 1.0)
+
+
+def survey_of(pictures, colours=NAMES, start=None):
+    tracker = Tracker(*colours, None, start)
+    for i, frame in enumerate(pictures):
+        tracker.update(frame, i / 30)
+    return tracker.found
+
+
+def test_a_survey_finds_what_came_into_view_later_and_fits_as_well():
+    alone, among = picture(1), picture(1, lone=True)
+    before = survey_of([alone])
+    after = survey_of([alone] * 70 + [among] * 60)  # looked at: 1, 64 and 128
+    assert min(found.sure for found in before) > 0.8
+    assert max(found.sure for found in after) < 0.85 * min(found.sure for found in before)
+    assert {found.doubt for found in after} == {RIVAL}
+    pointed = survey_of([among], start=np.array([[145.0, 114.0], [115.0, 126.0]]))
+    assert min(found.sure for found in pointed) > 0.8
+
+
+def test_a_pair_far_apart_for_its_size_is_doubted():
+    image = scene.background(SIZE)
+    for u, colour in ((60.0, scene.PINK), (128.0, scene.BLUE)):
+        scene.paint_disc(image, (u, 100.0), 11.0, (18, 18, 18), fade=False)
+        scene.paint_disc(image, (u, 100.0), 8.0, colour, fade=False)
+    front, rear = survey_of([scene.finish(image, np.random.default_rng(0))])
+    assert max(front.sure, rear.sure) < SURE_ENOUGH
+    assert front.told["doubt"] == APART
+    told = warning({"front": front.told, "rear": rear.told})
+    assert f"front pink and rear blue: {APART}" in told
+
+
+def test_marginal_names_and_greys_are_doubted_by_hand():
+    def look(degrees, chroma):
+        angle = math.radians(degrees)
+        return Look(np.array([math.cos(angle), math.sin(angle)]), chroma, 90.0)
+
+    hue, tolerance = (math.degrees(part) for part in (NAMES[0].hue, NAMES[0].tolerance))
+    edge = found_colour(NAMES[0], look(hue + tolerance, 90.0), 0.0)
+    assert (edge.sure, edge.doubt) == (pytest.approx(math.exp(-0.5)), OTHER_HUE)
+    grey = found_colour(NAMES[0], look(hue, 30.0), 0.25)
+    assert (grey.sure, grey.doubt) == (pytest.approx(0.5 * 0.8), GREY)
+    assert warning({"front": found_colour(NAMES[0], look(hue, 90.0), 0.0).told}) is None
+
+
+def test_a_pair_that_never_moves_is_doubted():
+    founds = find_colours([picture(1)], NAMES)
+    front = np.array([[100.0, 100.0], [np.nan, np.nan], [100.2, 100.0]])
+    still = unless_still(founds, front, front - (30.0, 0.0))
+    assert {(found.sure, found.doubt) for found in still} == {(0.5, STILL)}
+    # It turned about its front.
+    turned = unless_still(founds, front, np.array([[70.0, 100.0], [np.nan] * 2, [100.0, 130.0]]))
+    assert turned == tuple(founds)
+
+
+def test_the_session_that_is_least_sure_is_told():
+    def markers(sure):
+        return {which: {"colour": "red", "rgb": "#ff0000", "sure": sure} for which in "ab"}
+
+    sessions = [{"markers": markers(0.9)}, {"left_out": "no"}, {"markers": markers(0.4)}]
+    assert in_words(least_sure(sessions)).startswith("a red is #ff0000 here (sure: 40 %), b ")
+    assert in_words(least_sure([])) == ""

@@ -274,6 +274,44 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     assert abs(np.mean(poses["u"]) - 428) < 2
 
 
+def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):
+    def told(colours, video="marker-pushed.avi"):
+        out = tmp_path / f"{colours}-{video}"
+        path = str(shared_data / "footage" / video)
+        done = CliRunner().invoke(verb, [path, "--colours", colours, "-o", str(out)])
+        markers = None
+        if done.exit_code == 0:
+            markers = json.loads((out / "tracking.json").read_text())["markers"]
+            assert all(seen["rgb"] in done.stdout for seen in markers.values())
+        return markers, done
+
+    right, done = told("green,blue")
+    assert min(seen["sure"] for seen in right.values()) > 0.9
+    assert done.stderr.count("not sure") == 0
+    # A ball and another robot's square, a pair that stands still, and what belongs to nobody.
+    for colours, video in (
+        ("orange,red", "marker-pushed.avi"),
+        ("pink,blue", "marker-pushed.avi"),
+        ("green,orange", "field-static.mp4"),
+    ):
+        wrong, done = told(colours, video)
+        assert max(seen["sure"] for seen in wrong.values()) <= 0.5
+        assert "not sure that these are the robot's markers" in done.stderr
+        assert "--click U,V" in done.stderr
+    nothing, done = told("green,orange")
+    assert nothing is None
+    assert isinstance(done.exception, UserError)
+    assert not (tmp_path / "green,orange-marker-pushed.avi").exists()
+
+
+def test_a_video_that_begins_without_the_robot(frames, tmp_path):
+    empty = np.full_like(frames[0], 140)
+    write_video(tmp_path / "late.avi", [empty] * 40 + list(frames[70:150]))
+    summary = track_video(tmp_path / "late.avi", "pink", "blue")
+    assert summary["found"] == pytest.approx(80 / 120, abs=0.04)
+    assert min(seen["sure"] for seen in summary["markers"].values()) > 0.9
+
+
 @pytest.mark.parametrize(
     ("clicks", "says"),
     [
