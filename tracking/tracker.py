@@ -51,6 +51,10 @@ CAST_CADENCE = 8
 #: A picture has a cast worth trying to take out from this factor on.
 CAST_TRIED = 1.06
 
+#: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
+#: many is forgotten, and the whole is begun anew.
+PASSING, DROP_AFTER = 15, 8
+
 #: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
 SEEN_AREA = 20.0
 
@@ -79,6 +83,7 @@ class Tracker:
         self.colours = (front, rear)
         self.geometry = geometry or Geometry()
         self._survey = Survey(self.colours, self.geometry, start is not None)
+        self._forgotten: tuple[Found, Found] | None = None
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
@@ -100,7 +105,7 @@ class Tracker:
     @property
     def found(self) -> tuple[Found, Found] | None:
         """This camera's colours of front and rear and how sure they are, once they were found."""
-        return self._survey.found
+        return self._survey.found or self._forgotten
 
     def update(self, frame: NDArray, time: float) -> Sighting:
         """Find the pair in the next frame.
@@ -119,6 +124,8 @@ class Tracker:
             found = self._search(frame, time)
         if found is None:
             self._lost += 1
+            if self._learned is not None and self._lost >= DROP_AFTER and self._is_doubtful():
+                self._forget()
             return LOST
         measured, quality = found
         self._lost = 0
@@ -135,6 +142,16 @@ class Tracker:
         rim = max(self._radii(pixels.mean(axis=0)))
         lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
         return Sighting(pixels[0], pixels[1], quality, lamp)
+
+    def _is_doubtful(self) -> bool:
+        """Return whether the pair may have been two things that passed each other."""
+        known = self.geometry.separation is not None or self._start is not None
+        return not known and self._learned.frames < PASSING
+
+    def _forget(self) -> None:
+        self._learned = self._motion = self._cast = None
+        self._forgotten = self.found
+        self._survey = Survey(self.colours, self.geometry)
 
     # Following
 

@@ -229,3 +229,23 @@ def test_a_start_chooses_among_pairs():
     free = new_tracker()
     free.update(frame, 0.0)
     assert max(found.sure for found in free.found) < 0.7
+
+
+def test_two_things_that_pass_each_other_are_forgotten():
+    rng, tracker, found = np.random.default_rng(9), new_tracker(), []
+    for i in range(60):
+        image = BACKGROUND.copy()
+        if i < 6:  # two boxes on their ways, with nothing of the robot in view
+            for v, colour in ((60.0, scene.PINK), (84.0, scene.BLUE)):
+                scene.paint_disc(image, (60.0, v), 9.0, (18, 18, 18), fade=False)
+                scene.paint_disc(image, (60.0, v), 6.0, colour, fade=False)
+        if i < 20:
+            tracker.update(scene.finish(image, rng), i / FPS)
+            continue
+        frame, truth = picture((150.0 + i, 160.0), 0.4, rng)
+        sighting = tracker.update(frame, i / FPS)
+        if sighting.found:
+            found.append(np.abs(pixels_of(sighting) - truth).max())
+    assert len(found) >= 39
+    assert max(found) < 0.15
+    assert min(each.sure for each in tracker.found) > 0.9
