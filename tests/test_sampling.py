@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,15 +10,17 @@ from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.cli.main import cli
-from neurosim.lab import VirtualKheperaRig, sampling_places
+from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
 from neurosim.lab import khepera_physics as physics
 from neurosim.lab.khepera_params import WHEEL_BASE
-from neurosim.sampling import SampleSettings, full_turn, sample
+from neurosim.robots.khepera_dialects import dialect_named
+from neurosim.sampling import SampleSettings, full_turn, read_turns, sample
 from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.samples import Samples
 
-#: A line far faster than a Khepera's, so that the lab's time does not go into waiting for it.
-BAUD = 115200
+#: A faster line would only have the robot read, and write down, more on its way.
+BAUD = 9600
 SETTINGS = SampleSettings(angles=36, distances=2, step=0.01, grid=3, held_out=4, duration=0.5)
 
 
@@ -25,13 +28,18 @@ class Interrupted(Exception):
     pass
 
 
-def sampled(out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0):
+def sampled(out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0, params=None):
     """Sample robot 1; with ``stop_at`` the person walks away when asked for that."""
     arena, poses = sampling_places()
     asked = []
     with (
         VirtualKheperaRig(
-            1, noise_seed=noise_seed, arena=arena, start=poses["open"], baud=BAUD
+            1,
+            noise_seed=noise_seed,
+            arena=arena,
+            start=poses["open"],
+            baud=BAUD,
+            params=params,
         ) as rig,
         rig.robot as robot,
     ):
@@ -95,13 +103,42 @@ def test_motors(whole):
     assert json.loads((out / "sampling.json").read_text())["result"] == result
 
 
+def test_how_late_the_robot_is(whole):
+    _, result, _, params, _ = whole
+    found = Reaction.from_json(result["reaction"])
+    assert found.lag == pytest.approx(params.lag, abs=0.004)
+    # A reading is 43 bytes at most; a command 8 or 10, less the 2 that ask for counters.
+    byte = 11 / BAUD
+    assert 20 * byte < found.hold < 45 * byte
+    assert found.answer == pytest.approx(7 * byte + dialect_named("khepera").scan / 2, abs=0.003)
+
+
+def test_distances_hold_though_wheels_are_unequal(tmp_path):
+    """Turning there and back at two speeds must not count as backing off."""
+    settings = SampleSettings(angles=36, distances=5, step=0.008, grid=3, held_out=0, duration=0.5)
+    uneven = replace(KheperaParams.drawn(1), dead_band=np.array([0.0, 0.002]), slip=0.0)
+    sampled(tmp_path / "out", settings, params=uneven)
+    found = read_turns(tmp_path / "out")
+    arena, _ = sampling_places()
+    rng = np.random.default_rng(0)
+    samples = Samples.read(tmp_path / "out" / "wall.sample")
+    assert len(found) == 10
+    for distance in range(5):
+        pose = np.array([-0.0275 - 0.005 - 0.008 * distance, 0.0, 0.0])
+        truth = physics.proximity(
+            pose, uneven.angle, uneven.reach, uneven.threshold, uneven.offset, (0.0, 0.0), 0.0,
+            arena.wall_rows, arena.cylinder_rows, arena.albedo, rng,
+        ) / 1023  # fmt: skip
+        assert samples.activations[distance, 0] == pytest.approx(truth, abs=0.08)
+
+
 def test_interrupted_sampling_goes_on(tmp_path, whole):
     out = tmp_path / "out"
     with pytest.raises(Interrupted):
         sampled(out, stop_at="cylinder")
     before = (out / "sensors.csv").read_bytes()
     # A kill in the middle of a turn and of a line: both are passed over.
-    torn = b"cylinder,1,0,9,0,1.0,0,0" + b",0.5" * 8 + b"\ncylinder,1,0,9,0,1.1,0"
+    torn = b"cylinder,1,0,9,0,1.0,0.1,0,0,0,0" + b",0.5" * 8 + b"\ncylinder,1,0,9,0,1.1,0"
     (out / "sensors.csv").write_bytes(before + torn)
     with pytest.raises(FileError, match="other settings"):
         sampled(out, SampleSettings(angles=20), resume=True)
@@ -120,7 +157,8 @@ def test_interrupted_sampling_goes_on(tmp_path, whole):
 def test_full_turn_is_where_the_sensors_repeat():
     turned = np.linspace(0, 900, 400)
     angle = 2 * np.pi * turned / 790
-    rows = np.column_stack([turned, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
+    where = np.zeros_like(turned)
+    rows = np.column_stack([turned, where, where, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
     assert full_turn({("wall", 1, 0): rows}) == pytest.approx(790, rel=1e-3)
 
 

@@ -59,7 +59,7 @@ def evolve_network(
     if noise is not None:
         found = found.changed(noise=noise)
     wanted = make_task("obstacle-avoidance", **task)
-    with _on_robot(robot, found.arena, wanted, seed) as then:
+    with _on_robot(robot, found, wanted, seed) as then:
         made = evolve_networks(
             found,
             out,
@@ -102,7 +102,7 @@ _SECONDS, _STARTS = 10.0, 2
 
 
 @contextmanager
-def _on_robot(options: dict[str, Any], arena: Any, task: Any, seed: int) -> Iterator[dict]:
+def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> Iterator[dict]:
     """Give what evolve_networks needs to go on on a robot; nothing where it is not to."""
     options = dict(options)
     generations, kind = options.pop("then_on_robot"), options.pop("robot")
@@ -112,8 +112,10 @@ def _on_robot(options: dict[str, Any], arena: Any, task: Any, seed: int) -> Iter
         return
     from neurosim.tasks.robot_trials import RobotTrials, odometry
 
+    arena = simulator.arena
+
     def settings(robot: Any, place: Callable, pose: Callable) -> dict[str, Any]:
-        trials = RobotTrials(robot, task)
+        trials = RobotTrials(robot, task, simulator.reaction.hold)
 
         def compare(genes: Any, simulated: Any) -> list[dict[str, list]]:
             steps = round(_SECONDS / task.duration)

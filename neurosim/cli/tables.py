@@ -57,10 +57,12 @@ def tables(
     """Make a simulator of SAMPLES: .sample files of a wall and of a round obstacle.
 
     A file's name says which: it contains wall or cylinder. Several files of one object are
-    repeats, from which the spread of readings is taken.
+    repeats, from which the spread of readings is taken. How late the robot answers is read from
+    the sampling.json beside the motor samples.
     """
     from neurosim.base.errors import UserError
     from neurosim.base.files import new_folder
+    from neurosim.sampling import sampled_reaction
     from neurosim.simulators.arena import Arena, paper_arena
     from neurosim.simulators.motor_table import MotorTable
     from neurosim.simulators.sensor_table import SensorTable
@@ -75,12 +77,14 @@ def tables(
         if motors is None
         else MotorTable.read_csv(motors, resolution=100.0 / units)
     )
+    reaction = sampled_reaction((motors or samples[0]).parent)
     used = [*samples, *([] if motors is None else [motors])]
     simulator = TableSimulator(
         table,
         motor_table,
         paper_arena() if arena_path is None else Arena.read(arena_path),
         noise=noise or "uniform",
+        reaction=reaction,
         meta=sources(used),
     )
     with new_folder(out) as partial:
@@ -94,6 +98,7 @@ def tables(
         "repeated": table.spread is not None,
         "motors": "ideal" if motors is None else str(motors),
         "ambient": table.ambient,
+        "reaction": reaction.to_json(),
     }
     emit(
         result,

@@ -133,22 +133,6 @@ class Khepera:
         """
         self._ask(self._speed_command(left, right), 0)
 
-    def drive_and_read(self, left: float, right: float) -> np.ndarray:
-        """Drive as :meth:`drive` does, then read the sensors, [8] in 0..1.
-
-        Both commands leave together, which saves the robot's line nothing and this computer
-        half the time.
-        """
-        self._hear_reboots()
-        command = self._speed_command(*self._units(left, right))
-        self._line.write(command.encode() + b"\rN\r")
-        done, _ = self._answer("d", 0)
-        values = None if done is None else self._answer("n", self.dialect.values)[0]
-        if values is None:
-            self._ask(command, 0)
-            return self.activations()
-        return self._scaled(values)
-
     def stop(self) -> None:
         """Stop both motors; their speed regulation holds them."""
         self.set_speeds(0, 0)

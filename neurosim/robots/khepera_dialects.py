@@ -41,6 +41,8 @@ class Dialect:
         values: how many numbers an answer about the sensors has.
         angles: where the sensors look, degrees counter-clockwise from straight ahead.
         full_scale: of a proximity reading.
+        scan: in which all sensors are read in turn, s: what is told is half as old in the mean;
+            0 where that is not known.
         pulses_per_metre: of the position counters.
         speed_unit: the wheel speed that a speed of 1 stands for, m/s.
         full_speed: what 100 % is unless said otherwise, in the robot's own units.
@@ -62,6 +64,7 @@ class Dialect:
     values: int
     angles: tuple[float, ...]
     full_scale: int
+    scan: float
     pulses_per_metre: float
     speed_unit: float
     full_speed: int
@@ -86,6 +89,7 @@ KHEPERA = Dialect(
     values=8,
     angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0),
     full_scale=1023,
+    scan=0.020,
     pulses_per_metre=10_000.0,
     speed_unit=0.010,
     full_speed=10,
@@ -111,6 +115,7 @@ KHEPERA3 = Dialect(
     values=12,
     angles=(90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -135.0, 135.0),
     full_scale=4095,
+    scan=0.0,
     pulses_per_metre=1000 / 0.047,
     speed_unit=0.001 / 144.01,
     full_speed=14_401,
@@ -134,6 +139,7 @@ EPUCK = Dialect(
     values=8,
     angles=(-17.0, -49.0, -90.0, -150.0, 150.0, 90.0, 49.0, 17.0),
     full_scale=4095,
+    scan=0.0,
     pulses_per_metre=1000 / (math.pi * 0.041),
     speed_unit=math.pi * 0.041 / 1000,
     full_speed=1000,

@@ -43,6 +43,8 @@ class TableArrays(NamedTuple):
     lowest: float  #: the first level of both motors, %
     level_pitch: float  #: between levels, %
     resolution: float  #: commands are rounded to multiples of it, %; 0: not at all
+    delay: float  #: until the wheels begin to answer a command, s
+    lag: np.ndarray  #: [2] in which a wheel comes within 1/e of its new speed, s
     radius: float  #: of the robot, m
     walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length
     hiding: np.ndarray  #: places of walls that may stand before something
@@ -175,10 +177,14 @@ def _push_out(t, x, y):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _rounded(t, speed):
+    """Return the speed in percent that the robot takes for one."""
+    return t.resolution * np.rint(speed / t.resolution) if t.resolution > 0.0 else speed
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _level(t, speed, levels):
     """Return place and share of the level below a speed in percent."""
-    if t.resolution > 0.0:
-        speed = t.resolution * np.rint(speed / t.resolution)
     place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
     below = min(int(place), levels - 2)
     return below, place - below
@@ -186,13 +192,49 @@ def _level(t, speed, levels):
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _twist(t, table, left, right, out):
-    """Write a motor table's value [3] at a command (%, %)."""
+    """Write a motor table's value [3] at the wheels' speeds (%, %)."""
     i, u = _level(t, left, table.shape[0])
     j, v = _level(t, right, table.shape[1])
     for k in range(3):
         out[k] = (1.0 - u) * ((1.0 - v) * table[i, j, k] + v * table[i, j + 1, k]) + u * (
             (1.0 - v) * table[i + 1, j, k] + v * table[i + 1, j + 1, k]
         )
+
+
+@njit(cache=True)
+def phases(t, duration, parts):
+    """Return how speeds approach their goals in the parts of a command of ``duration`` (s).
+
+    Returns:
+        [parts, 2, 5]; in every part first what is left of the goals before, then the new ones.
+        Each for so long (s); then, for either wheel, the share that the speed at its beginning
+        has in the mean over that time, and in the speed at its end.
+    """
+    out = np.zeros((parts, 2, 5))
+    for part in range(parts):
+        length = duration / parts
+        waiting = min(max(t.delay - part * length, 0.0), length)
+        for phase in range(2):
+            time = waiting if phase == 0 else length - waiting
+            out[part, phase, 0] = time
+            for wheel in range(2):
+                mean, end = 1.0, 1.0
+                if time > 0.0:
+                    lag = t.lag[wheel]
+                    end = math.exp(-time / lag) if lag > 0.0 else 0.0
+                    mean = lag * (1.0 - end) / time
+                out[part, phase, 1 + wheel], out[part, phase, 3 + wheel] = mean, end
+    return out
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _advance(t, phase, speeds, left, right, out):
+    """Let speeds [2] approach goals (%, %) for a phase [5], and write the displacement's log."""
+    left_off, right_off = speeds[0] - left, speeds[1] - right
+    _twist(t, t.twist, left + phase[1] * left_off, right + phase[2] * right_off, out)
+    for k in range(3):
+        out[k] *= phase[0]
+    speeds[0], speeds[1] = left + phase[3] * left_off, right + phase[4] * right_off
 
 
 @njit(cache=True, inline="always")
@@ -240,7 +282,7 @@ def _tanh_percent(x):
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
 def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
-    """Drive every network from every start.
+    """Drive every network from every start, where the robot stands still at first.
 
     Args:
         t: :class:`TableArrays`.
@@ -249,7 +291,7 @@ def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
         seeds: [R] uint64, of the noise: the same for all networks.
         steps: T.
         duration: of a step, s.
-        substeps: motions into which a step is cut, so that nothing is run through.
+        substeps: motions into which a step is cut; see :meth:`TableSimulator.substeps`.
 
     Returns:
         Poses [P, R, T + 1, 3] float64, readings [P, R, T, 8] float32 and commands
@@ -260,11 +302,13 @@ def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
     readings = np.empty((population, count, steps, SENSORS), np.float32)
     commands = np.empty((population, count, steps, 2), np.float32)
     root = math.sqrt(duration)
+    timing = phases(t, duration, substeps)
     for job in prange(population * count):
         p, r = job // count, job % count
         mean, variance = np.empty(SENSORS, np.float32), np.empty(SENSORS, np.float32)
         draws = np.zeros(12, np.float32)
-        twist, deviation = np.empty(3), np.empty(3)
+        twist, before, noise = np.empty(3), np.zeros(3), np.zeros(3)
+        speeds, left_goal, right_goal = np.zeros(2), 0.0, 0.0
         weights = genes[p]
         x, y, theta = starts[r, 0], starts[r, 1], starts[r, 2]
         state = seeds[r]
@@ -287,25 +331,34 @@ def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
                 right += weights[9 + s] * value
             left, right = _tanh_percent(left), _tanh_percent(right)
             commands[p, r, k, 0], commands[p, r, k, 1] = left, right
-            _twist(t, t.twist, left, right, twist)
+            left, right = _rounded(t, left), _rounded(t, right)
             if t.noise == SAMPLES_NOISE:
-                _twist(t, t.twist_spread, left, right, deviation)
+                _twist(t, t.twist_spread, left, right, noise)
             for i in range(3):
-                twist[i] *= duration
                 if t.noise == UNIFORM_NOISE:
-                    twist[i] += root * t.twist_noise[i] * draws[SENSORS + i]
-                elif t.noise == SAMPLES_NOISE:
-                    twist[i] += root * deviation[i] * draws[SENSORS + i]
-                twist[i] /= substeps
-            half = 0.5 * twist[2]
-            chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
-            for _ in range(substeps):
+                    noise[i] = t.twist_noise[i]
+                noise[i] *= root * draws[SENSORS + i] / substeps
+            for part in range(substeps):
+                if timing[part, 0, 0] > 0.0:
+                    _advance(t, timing[part, 0], speeds, left_goal, right_goal, before)
+                else:
+                    before[:] = 0.0
+                _advance(t, timing[part, 1], speeds, left, right, twist)
+                # Two motions in a row as one (Baker, Campbell and Hausdorff, second order).
+                ahead = 0.5 * (twist[2] * before[1] - before[2] * twist[1])
+                side = 0.5 * (before[2] * twist[0] - twist[2] * before[0])
+                forward = twist[0] + before[0] + ahead + noise[0]
+                leftward = twist[1] + before[1] + side + noise[1]
+                turn = twist[2] + before[2] + noise[2]
+                half = 0.5 * turn
+                chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
                 cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
-                to_x = x + cos * twist[0] - sin * twist[1]
-                to_y = y + sin * twist[0] + cos * twist[1]
-                theta += twist[2]
+                to_x = x + cos * forward - sin * leftward
+                to_y = y + sin * forward + cos * leftward
+                theta += turn
                 to_x, to_y, fits = _push_out(t, to_x, to_y)
                 if fits:
                     x, y = to_x, to_y
+            left_goal, right_goal = left, right
         poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta
     return poses, readings, commands

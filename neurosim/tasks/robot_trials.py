@@ -15,21 +15,26 @@ from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory
 
 #: Between trials the robot wanders for so long, so that each begins elsewhere, s.
 WANDER = 2.0
+#: For so long it then stands still, as it does at the start of a trial in a simulator, s.
+REST = 0.3
 
 
 class RobotTrials:
     """Tries networks on a robot, one after the other, in the robot's own time.
 
     Nobody puts the robot down between trials: it wanders away from what is near, in a direction
-    drawn anew, and the next trial starts from there. In every step the command is sent and the
-    sensors are read behind it, for the next step.
+    drawn anew, stands still, and the next trial starts from there. Every step begins with a
+    reading; the command that follows from it is sent a fixed time later, so that the robot is as
+    late in every step as it is in the simulator.
 
     Attributes:
         robot: connected.
         task: what counts as good, of readings and commands alone.
+        hold: from asking for a reading to sending the command, s, or as long as that takes; see
+            :class:`~neurosim.simulators.reaction.Reaction`.
     """
 
-    def __init__(self, robot: Khepera, task: ObstacleAvoidance):
+    def __init__(self, robot: Khepera, task: ObstacleAvoidance, hold: float = 0.0):
         if task.fitness != "avoidance":
             raise UserError(
                 f"the fitness {task.fitness!r} needs the robot's poses, which it does not know; "
@@ -37,6 +42,7 @@ class RobotTrials:
             )
         self.robot = robot
         self.task = task
+        self.hold = hold
 
     def __call__(self, genes: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """Return the fitness [P] of networks [P, 18], each in a trial of its own."""
@@ -70,13 +76,14 @@ class RobotTrials:
         weights = genes.reshape(2, -1)
         clock, readings, commands = self.robot.clock, [], []
         poses = [] if pose is None else [pose()]
-        seen = self.robot.activations()
         time = clock.now()
         for _ in range(steps):
+            seen = self.robot.activations()
             command = 100.0 * np.tanh(weights[:, :-1] @ seen + weights[:, -1])
+            clock.sleep_until(time + self.hold)
+            self.robot.drive(*command)
             readings.append(seen)
             commands.append(command)
-            seen = self.robot.drive_and_read(*command)
             # A step that took too long shifts those after it rather than shortening them.
             time = max(time + self.task.duration, clock.now())
             clock.sleep_until(time)
@@ -91,12 +98,14 @@ class RobotTrials:
         side = 40.0 * rng.choice((-1.0, 1.0))
         turning = rng.uniform(0.0, WANDER / 2)
         begin = clock.now()
-        seen = self.robot.activations()
         while (now := clock.now()) < begin + WANDER:
-            ahead = 0.0 if now - begin < turning or seen[:6].max() > 0.3 else 1.0
+            near = self.robot.activations()[:6].max() > 0.3
+            ahead = 0.0 if now - begin < turning or near else 1.0
             turn = side * (1.0 - ahead)
-            seen = self.robot.drive_and_read(60.0 * ahead - turn, 60.0 * ahead + turn)
-            clock.sleep_until(max(now + self.task.duration, clock.now()))
+            self.robot.drive(60.0 * ahead - turn, 60.0 * ahead + turn)
+            clock.sleep_until(now + self.task.duration)
+        self.robot.stop()
+        clock.sleep_until(clock.now() + REST)
 
 
 def odometry(robot: Khepera, start: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]]:

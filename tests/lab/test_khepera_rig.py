@@ -25,11 +25,13 @@ def drive(rig, robot, steps=60):
     """Drive around on what the sensors say; return the way."""
     way = []
     begin = robot.clock.now()
-    activations = robot.drive_and_read(60, 50)
+    robot.drive(60, 50)
+    activations = robot.activations()
     for step in range(1, steps + 1):
         robot.clock.sleep_until(begin + 0.1 * step)
         left, right = 60 - 120 * activations[2:5].max(), 60 - 60 * activations[:2].max()
-        activations = robot.drive_and_read(left, right)
+        robot.drive(left, right)
+        activations = robot.activations()
         way.append([*rig.lab.pose, *activations])
     return np.array(way)
 

@@ -117,16 +117,6 @@ def test_every_command(line, robot):
     assert math.isnan(robot.battery())
 
 
-def test_driving_and_reading_at_once(line, robot):
-    script, _ = line
-    np.testing.assert_allclose(robot.drive_and_read(50, 50)[6:], [6 / 1023, 1.0])
-    assert script.heard == ["D,5,5", "N"]
-    script.script = [b"z,Protocol error\r\n"]
-    np.testing.assert_allclose(robot.drive_and_read(60, 50)[6:], [6 / 1023, 1.0])
-    assert script.heard[2:4] == ["D,6,5", "N"]
-    assert "D,6,5" in script.heard[4:]
-
-
 @pytest.mark.parametrize(("left", "right"), [(101, 0), (0, -100.5), (math.nan, 0), (0, math.inf)])
 def test_no_such_speed(robot, left, right):
     with pytest.raises(UserError, match="is not a speed"):

@@ -13,11 +13,17 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.simulators import Simulator, TableSimulator, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.table_kernels import drive_networks
 
 
 def tensor(*rows):
     return torch.tensor(rows, dtype=torch.float64)
+
+
+def standing(*poses):
+    """Return states of robots that stand still."""
+    return torch.tensor([[*pose, 0, 0, 0, 0] for pose in poses], dtype=torch.float64)
 
 
 @pytest.fixture(scope="module")
@@ -109,40 +115,74 @@ def test_a_wall_hides_what_is_behind_it(simulator):
 def test_motion(simulator):
     sim = simulator.changed(arena=Arena.rectangle(4, 4))
     found = sim.step(
-        tensor([0, 0, 0], [0, 0, math.pi / 2], [0, 0, 0], [0, 0, 0]),
+        standing([0, 0, 0], [0, 0, math.pi / 2], [0, 0, 0], [0, 0, 0]),
         tensor([100, 100, 1], [50, 50, 2], [-30, 30, 0.5], [44, 44, 1]),
     )
-    assert found[0].tolist() == pytest.approx([0.1, 0, 0])
-    assert found[1].tolist() == pytest.approx([0, 0.1, math.pi / 2])
-    assert found[2].tolist() == pytest.approx([0, 0, 0.06 / 0.053 * 0.5])
+    assert found[0, :3].tolist() == pytest.approx([0.1, 0, 0])
+    assert found[1, :3].tolist() == pytest.approx([0, 0.1, math.pi / 2])
+    assert found[2, :3].tolist() == pytest.approx([0, 0, 0.06 / 0.053 * 0.5])
     assert found[3, 0] == pytest.approx(0.04)  # 44 % is 4 of the robot's 10 units
 
 
 def test_collisions(simulator):
     sim = simulator.changed(arena=Arena.rectangle(1, 1, [(0, 0, 0.05)]))
     found = sim.step(
-        tensor([0.4, 0.2, 0], [0.4, 0.2, math.pi / 4], [-0.1, 0, 0], [0.4, 0.2, 0]),
+        standing([0.4, 0.2, 0], [0.4, 0.2, math.pi / 4], [-0.1, 0, 0], [0.4, 0.2, 0]),
         tensor([100, 100, 3], [100, 100, 2], [100, 100, 1], [100, -100, 1]),
     )
     assert found[0, 0] == pytest.approx(0.5 - 0.0275)
     assert found[1, :2].tolist() == pytest.approx([0.4725, 0.2 + 0.2 * math.sqrt(0.5)], abs=1e-9)
     assert found[2, 0] == pytest.approx(-0.0775)
-    assert found[3].tolist() == pytest.approx([0.4, 0.2, -0.2 / 0.053])
+    assert found[3, :3].tolist() == pytest.approx([0.4, 0.2, -0.2 / 0.053])
 
 
 def test_a_gap_that_is_too_narrow_holds_the_robot(simulator):
     gap = Arena(Arena.rectangle(1, 1).outline, (), ((0, 0.027, 0, 0.5), (0, -0.5, 0, -0.027)))
-    found = simulator.changed(arena=gap).step(tensor([-0.1, 0, 0]), tensor([100, 100, 3]))
+    found = simulator.changed(arena=gap).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
     assert -0.03 < found[0, 0] < 0
     wider = Arena(gap.outline, (), ((0, 0.028, 0, 0.5), (0, -0.5, 0, -0.028)))
-    found = simulator.changed(arena=wider).step(tensor([-0.1, 0, 0]), tensor([100, 100, 3]))
+    found = simulator.changed(arena=wider).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
     assert found[0, 0] == pytest.approx(0.2)
 
 
+def test_a_late_robot(simulator):
+    """Hand-worked: nothing for 60 ms, then wheels that approach 100 mm/s with lags of 50 ms."""
+    reaction = Reaction(0.04, 0.02, (0.05, 0.05))
+    sim = simulator.changed(arena=Arena.rectangle(4, 4), reaction=reaction)
+    state, command = standing([0, 0, 0]), tensor([100, 100, 0.1])
+    state = sim.step(state, command)
+    gone = 0.1 * (0.04 - 0.05 * (1 - math.exp(-0.8)))
+    speed = 100 * (1 - math.exp(-0.8))
+    assert state[0].tolist() == pytest.approx([gone, 0, 0, speed, speed, 100, 100])
+    # Stopped; for 60 ms it does not know that yet.
+    state = sim.step(state, tensor([0, 0, 0.1]))
+    gone += 0.1 * (0.06 - 0.05 * math.exp(-0.8) * (1 - math.exp(-1.2)))
+    speed = 100 * (1 - math.exp(-2.0))
+    gone += speed / 1000 * 0.05 * (1 - math.exp(-0.8))
+    assert state[0, :3].tolist() == pytest.approx([gone, 0, 0])
+    assert state[0, 5:].tolist() == [0, 0]
+    # A long command is the same as many short ones, and unequal wheels turn it at the start.
+    uneven = sim.changed(reaction=Reaction(0.04, 0.02, (0.03, 0.08)))
+    long = uneven.step(standing([0, 0, 0]), tensor([60, 60, 1.0]))
+    short = standing([0, 0, 0])
+    for _ in range(10):
+        short = uneven.step(short, tensor([60, 60, 0.1]))
+    assert long[0].tolist() == pytest.approx(short[0].tolist(), abs=1e-4)
+    assert long[0, 2].item() == pytest.approx(0.06 * (0.03 - 0.08) / 0.053, rel=1e-3)
+
+
+def test_no_such_reaction():
+    with pytest.raises(UserError, match="hold is 0 to 1 s, not -0"):
+        Reaction(-0.1)
+    with pytest.raises(UserError, match="right wheel's lag is 0 to 1 s, not nan"):
+        Reaction(lag=(0.0, math.nan))
+
+
+@pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
 @pytest.mark.parametrize("arena", [Arena.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
-def test_kernel_is_the_tensors(simulator, arena):
+def test_kernel_is_the_tensors(simulator, arena, reaction):
     rng = np.random.default_rng(3)
-    sim = simulator.changed(arena=arena)
+    sim = simulator.changed(arena=arena, reaction=reaction)
     genes = rng.normal(0, 1.5, (12, 18)) + np.tile([0] * 8 + [1], 2)
     starts = arena.free_poses(4, sim.radius, rng)
     poses, readings, commands = drive_networks(
@@ -151,11 +191,13 @@ def test_kernel_is_the_tensors(simulator, arena):
     before = torch.from_numpy(poses[:, :, :-1].reshape(-1, 3))
     assert np.abs(sim.sense(before).numpy() - readings.reshape(-1, 8)).max() < 1e-5
     sums = readings @ genes.reshape(12, 2, 9)[:, None, :, :8].swapaxes(-1, -2)
-    speeds = 100 * np.tanh(sums + genes.reshape(12, 2, 9)[:, None, None, :, 8])
-    assert np.abs(speeds - commands).max() < 1e-3
-    command = np.column_stack([commands.reshape(-1, 2), np.full(len(before), 0.35)])
-    after = sim.step(before, torch.from_numpy(command)).numpy()
-    assert np.abs(after - poses[:, :, 1:].reshape(-1, 3)).max() < 1e-9
+    given = 100 * np.tanh(sums + genes.reshape(12, 2, 9)[:, None, None, :, 8])
+    assert np.abs(given - commands).max() < 1e-3
+    state = sim.start(torch.from_numpy(poses[:, :, 0].reshape(-1, 3)))
+    for step in range(60):
+        command = torch.from_numpy(commands[:, :, step].reshape(-1, 2)).double()
+        state = sim.step(state, torch.nn.functional.pad(command, (0, 1), value=0.35))
+        assert np.abs(state[:, :3].numpy() - poses[:, :, step + 1].reshape(-1, 3)).max() < 1e-9
     assert readings.max() > 0.8  # they met something
     assert arena.clearance(poses[..., :2]).min() > 0.0275 - 2e-4
 
@@ -170,7 +212,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     generator = torch.Generator().manual_seed(0)
     mean, drawn = sim.sense(pose), sim.sense(pose, generator)
     command = tensor([50, 30, 0.1]).expand(20_000, 3)
-    moved = sim.step(pose, command, generator)
+    moved = sim.step(sim.start(pose), command, generator)
     genes = np.zeros((1, 18))
     genes[0, [8, 17]] = np.arctanh([0.5, 0.3])
     starts, seeds = pose.numpy(), np.arange(20_000).astype(np.uint64) * 7919
@@ -194,7 +236,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
 
 def test_same_seed_same_numbers(simulator):
     sim = simulator.changed(noise="uniform")
-    pose, command = tensor([0.2, 0.1, 0.0]), tensor([50, 60, 0.1])
+    pose, command = standing([0.2, 0.1, 0.0]), tensor([50, 60, 0.1])
     one, two = (sim.step(pose, command, torch.Generator().manual_seed(4)) for _ in range(2))
     assert torch.equal(one, two)
     assert torch.equal(sim.step(pose, command), sim.step(pose, command))
@@ -208,8 +250,10 @@ def test_noise_of_samples_needs_repeats():
 
 
 def test_folder(simulator, tmp_path):
-    simulator.changed(arena=bay(), noise="samples").write(tmp_path)
+    late = Reaction(0.03, 0.01, (0.05, 0.04))
+    simulator.changed(arena=bay(), noise="samples", reaction=late).write(tmp_path)
     read = read_simulator(tmp_path)
+    assert read.reaction == late
     pose = torch.from_numpy(bay().free_poses(20, 0.0275, np.random.default_rng(0)))
     assert torch.equal(read.sense(pose), simulator.changed(arena=bay()).sense(pose))
     assert (read.arena, read.noise, read.motors.resolution) == (bay(), "samples", 10.0)

@@ -1,0 +1,160 @@
+"""A robot samples its own sensors and motors: Lund and Miglino 1996, "Model".
+
+In front of an object the robot turns on the spot and writes down what its sensors say, backs off,
+and so on (:mod:`.turns`); in the open it drives its motor settings (:mod:`.motors`), and measures
+how late it answers a command (:mod:`.reaction`). Its position counters say how far it turned and
+drove.
+
+Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``reaction.csv``); the
+``.sample`` files and the reaction in ``sampling.json`` are made of that.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.progress import Progress
+from neurosim.robots import Khepera
+from neurosim.sampling.motors import interpolation_cost, sample_motors
+from neurosim.sampling.reaction import read_reaction, sample_reaction
+from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.turns import (
+    full_turn,
+    read_turns,
+    reading_times,
+    sample_object,
+    write_samples,
+)
+from neurosim.simulators.reaction import Reaction
+from neurosim.simulators.sensor_table import OBJECTS
+
+__all__ = [
+    "SampleSettings",
+    "full_turn",
+    "interpolation_cost",
+    "read_turns",
+    "sample",
+    "sampled_reaction",
+]
+
+FORMAT, VERSION = "neurosim-sampling", 2
+
+#: Asks a person to put the robot down, at an object ("wall", "cylinder") or in the open ("open").
+Place = Callable[[str], None]
+
+
+def sample(
+    out: str | Path,
+    robot: Khepera,
+    settings: SampleSettings,
+    place: Place,
+    *,
+    resume: bool = False,
+    seed: int = 0,
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Sample both objects and the motors into a folder.
+
+    Args:
+        out: folder with ``sampling.json``, ``sensors.csv``, ``motors.csv`` and, for every object
+            and repeat, a ``.sample`` file (``wall.sample``, ``wall-2.sample``, ...).
+        robot: connected.
+        settings: what to sample.
+        place: asks a person to put the robot down: at an object facing it and touching it.
+        resume: go on where an earlier call was interrupted, with the same settings.
+        seed: of the choice of settings held out.
+        progress: whether to show progress on stderr.
+
+    Returns:
+        ``samples`` (files), ``wheel_base`` (m, measured), ``motor_settings``, ``reaction``
+        (:class:`~neurosim.simulators.reaction.Reaction`), and, with a grid,
+        ``interpolation``: median and largest error at the held-out settings, in m/s (``forward``)
+        and rad/s (``turn``).
+
+    Raises:
+        UserError: if something stands at ``out``, or on resuming other settings do.
+        RobotError: if the robot is lost or stuck; what was sampled is kept.
+    """
+    out = Path(out)
+    levels = settings.levels(robot.full_speed)
+    _begin(out, settings, seed, robot, resume)
+    total = settings.repeats * settings.distances * len(OBJECTS)
+    bar = Progress("sample", total, "turns") if progress else None
+    try:
+        for name in OBJECTS:
+            for repeat in range(1, settings.repeats + 1):
+                sample_object(out, robot, settings, name, repeat, place, bar)
+    finally:
+        robot.stop()
+        if bar is not None:
+            bar.close()
+    turns = read_turns(out)
+    pulses = full_turn(turns)
+    wheel_base = pulses / robot.pulses_per_metre / math.pi
+    made = [
+        write_samples(out, settings, turns, pulses, name, repeat, robot.geometry.radius)
+        for name in OBJECTS
+        for repeat in range(1, settings.repeats + 1)
+    ]
+    in_the_open = _once(place, "open")
+    try:
+        sample_motors(out, robot, settings, levels, wheel_base, in_the_open, seed)
+        sample_reaction(out, robot, in_the_open)
+    finally:
+        robot.stop()
+    reaction = read_reaction(out, reading_times(out), robot.dialect.scan)
+    result = {
+        "samples": [path.name for path in made],
+        "wheel_base": wheel_base,
+        "motor_settings": len(levels) ** 2,
+        "reaction": reaction.to_json(),
+    }
+    cost = interpolation_cost(out)
+    if cost is not None:
+        result["interpolation"] = cost
+    content = files.read_json(out / "sampling.json", FORMAT, VERSION)
+    described = {key: content[key] for key in ("settings", "seed", "robot")}
+    files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
+    return result
+
+
+def sampled_reaction(folder: str | Path) -> Reaction:
+    """Return the reaction that was measured in a sampling; none where a folder is not one.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return Reaction()
+    result = files.read_json(path, FORMAT, VERSION).get("result")
+    try:
+        return Reaction.from_json(result["reaction"]) if result else Reaction()
+    except (UserError, KeyError, TypeError, AttributeError) as error:
+        raise FileError(path, f"expected times ({error})", field="result.reaction") from None
+
+
+def _once(place: Place, where: str) -> Callable[[], None]:
+    """Return what asks for a place the first time that it is called."""
+    return cache(lambda: place(where))
+
+
+def _begin(out: Path, settings: SampleSettings, seed: int, robot: Khepera, resume: bool) -> None:
+    path = out / "sampling.json"
+    if not resume:
+        files.check_new_folder(out)
+        about = {"settings": asdict(settings), "seed": seed, "robot": robot.describe()}
+        files.write_json(path, FORMAT, VERSION, about)
+        return
+    found = files.read_json(path, FORMAT, VERSION, {"settings": dict, "seed": int, "robot": dict})
+    if found["settings"] != asdict(settings) or found["seed"] != seed:
+        raise FileError(
+            path, "was begun with other settings; give the same to go on", field="settings"
+        )

@@ -1,0 +1,130 @@
+"""A robot drives its motor settings and counts how far it got."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files, se2
+from neurosim.robots import Khepera
+from neurosim.sampling.settings import SampleSettings
+from neurosim.simulators.motor_table import MotorTable
+
+#: Seconds that motors get to reach their speed before a motor sample, and to stop after it.
+SETTLE = 0.3
+
+_COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta", "repeat")
+
+
+def sample_motors(
+    out: Path,
+    robot: Khepera,
+    settings: SampleSettings,
+    levels: NDArray[np.int64],
+    wheel_base: float,
+    in_the_open: Callable[[], None],
+    seed: int,
+) -> None:
+    """Drive every setting that was not driven yet, there and back.
+
+    Args:
+        out: folder.
+        robot: connected.
+        settings: of the sampling.
+        levels: speeds of either wheel.
+        wheel_base: m.
+        in_the_open: has the robot put down where nothing is near.
+        seed: of the choice of settings held out.
+    """
+    full = robot.full_speed
+    pairs = [(int(a), int(b)) for a in levels for b in levels]
+    others = [
+        (a, b)
+        for a in range(-full, full + 1)
+        for b in range(-full, full + 1)
+        if a not in levels or b not in levels
+    ]
+    rng = np.random.default_rng(seed)
+    chosen = rng.permutation(len(others))[: settings.held_out]
+    for path, wanted, repeats in (
+        (out / "motors.csv", pairs, settings.repeats),
+        (out / "held_out.csv", [others[k] for k in chosen], 1),
+    ):
+        if not wanted:
+            continue
+        with files.LineLog(path, _COLUMNS) as log:
+            columns = {"left": files.number, "right": files.number, "repeat": files.integer}
+            done = set(zip(*files.read_csv(path, columns).values(), strict=True))
+            for repeat in range(1, repeats + 1):
+                for left, right in wanted:
+                    speeds = 100.0 * left / full, 100.0 * right / full
+                    if (*speeds, repeat) in done:
+                        continue
+                    in_the_open()
+                    moved = _drive(robot, left, right, settings.duration, wheel_base)
+                    log.append(*speeds, *moved, repeat)
+
+
+def _drive(
+    robot: Khepera, left: int, right: int, duration: float, wheel_base: float
+) -> tuple[float, ...]:
+    """Drive at a setting and back; return the time (s) and the displacement (m, m, rad)."""
+    clock = robot.clock
+    robot.set_speeds(left, right)
+    begin = clock.now()
+    clock.sleep_until(begin + SETTLE)
+    before, first = robot.read_counts(), clock.now()
+    clock.sleep_until(first + duration)
+    after, last = robot.read_counts(), clock.now()
+    robot.set_speeds(-left, -right)
+    clock.sleep_until(2 * clock.now() - begin)
+    robot.stop()
+    clock.sleep_until(clock.now() + SETTLE)
+    ways = [(b - a) / robot.pulses_per_metre for a, b in zip(before, after, strict=True)]
+    twist = [sum(ways) / 2, 0.0, (ways[1] - ways[0]) / wheel_base]
+    return (last - first, *map(float, se2.exp(twist)))
+
+
+def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:
+    """Return what a grid's interpolation misses at the settings held out; None without any.
+
+    Median and largest absolute error of the speed forward (m/s) and of the turn (rad/s).
+    """
+    motors = MotorTable.read_csv(Path(folder) / "motors.csv")
+    path = Path(folder) / "held_out.csv"
+    if not path.exists():
+        return None
+    columns = dict.fromkeys(_COLUMNS[:6], files.number)
+    table = files.read_csv(path, columns, drop_torn_line=True)
+    if not table["left"]:
+        return None
+    moved = np.column_stack([table[name] for name in ("dx", "dy", "dtheta")])
+    twist = se2.log(moved) / np.array(table["duration"])[:, None]
+    errors = np.abs(twist - _interpolated(motors, table["left"], table["right"]))
+    return {
+        "settings": len(errors),
+        **{
+            name: {"median": float(np.median(errors[:, column])), "max": float(column_max)}
+            for name, column, column_max in (
+                ("forward", 0, errors[:, 0].max()),
+                ("turn", 2, errors[:, 2].max()),
+            )
+        },
+    }
+
+
+def _interpolated(motors: MotorTable, left: Any, right: Any) -> NDArray[np.float64]:
+    """Return twists [N, 3] between a table's settings, bilinear, as the simulator has them."""
+    levels, place = motors.levels, []
+    for speed in (left, right):
+        at = (np.asarray(speed, float) - levels[0]) / (levels[1] - levels[0])
+        below = np.clip(at.astype(int), 0, len(levels) - 2)
+        place.append((below, (at - below)[:, None]))
+    (i, u), (j, v) = place
+    t = motors.twist
+    low, high = ((1 - v) * t[k, j] + v * t[k, j + 1] for k in (i, i + 1))
+    return (1 - u) * low + u * high

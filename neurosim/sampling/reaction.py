@@ -1,0 +1,93 @@
+"""A robot measures how late it is: from a command to what its counters say of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import UserError
+from neurosim.robots import Khepera
+from neurosim.simulators.reaction import Reaction
+
+#: How often the robot starts from rest, forwards and backwards in turn.
+STARTS = 20
+#: Seconds that a start is followed, and that it rests before.
+FOLLOWED, REST = 0.4, 0.4
+#: Share of readings that take no longer than the time that is allowed for one.
+IN_TIME = 0.95
+_STEP = 0.0005
+
+_COLUMNS = ("start", "whole", "time", "left", "right")
+
+
+def sample_reaction(out: Path, robot: Khepera, in_the_open: Callable[[], None]) -> None:
+    """Start from rest, again and again, and write down what the counters say when.
+
+    ``reaction.csv``: seconds from when the command was sent to when the counters were asked for,
+    pulses since then, forward. What was sampled before is kept; ``in_the_open`` has the robot
+    put down where nothing is near.
+    """
+    path, clock = out / "reaction.csv", robot.clock
+    with files.LineLog(path, _COLUMNS) as log:
+        parsers = {"start": files.integer, "whole": files.flag}
+        table = files.read_csv(path, parsers, drop_torn_line=True)
+        done = {n for n, whole in zip(table["start"], table["whole"], strict=True) if whole}
+        for start in range(STARTS):
+            if start in done:
+                continue
+            in_the_open()
+            way = 1 if start % 2 == 0 else -1
+            robot.stop()
+            clock.sleep_until(clock.now() + REST)
+            first, begin = robot.read_counts(), clock.now()
+            robot.set_speeds(way * robot.full_speed, way * robot.full_speed)
+            while (asked := clock.now() - begin) < FOLLOWED:
+                counts = robot.read_counts()
+                ways = [way * (b - a) for a, b in zip(first, counts, strict=True)]
+                log.append(start, False, asked, *ways)
+            log.append(start, True, asked, *ways)
+    robot.stop()
+
+
+def read_reaction(folder: str | Path, seconds: NDArray[np.float64], scan: float) -> Reaction:
+    """Return the reaction that fits ``reaction.csv`` best.
+
+    Least squares over both wheels of v (s - lag (1 - exp(-s / lag))), with s the time since a
+    delay that both share.
+
+    Args:
+        folder: of the sampling.
+        seconds: that readings of the sensors took, [N].
+        scan: in which the robot reads its sensors, s.
+
+    Raises:
+        UserError: if the wheels did not turn.
+    """
+    path = Path(folder) / "reaction.csv"
+    columns = {"whole": files.flag} | dict.fromkeys(("time", "left", "right"), files.number)
+    table = files.read_csv(path, columns, drop_torn_line=True)
+    live = ~np.array(table["whole"], bool)
+    time = np.array(table["time"])[live]
+    ways = np.array([table["left"], table["right"]])[:, live]
+    if len(time) < 10 or not (ways.max(axis=1) > 0).all():
+        raise UserError(f"{path}: the wheels did not turn as they were told to")
+    delays, lags = np.arange(0.0, 0.15, _STEP), np.arange(_STEP, 0.3, 4 * _STEP)
+    errors = np.stack([[_errors(time, way, d, lags) for d in delays] for way in ways])
+    best = int(errors.min(axis=2).sum(axis=0).argmin())
+    lag = tuple(float(lags[errors[wheel, best].argmin()]) for wheel in range(2))
+    return Reaction(float(np.quantile(seconds, IN_TIME)), float(delays[best]) + scan / 2, lag)
+
+
+def _errors(
+    time: NDArray[np.float64], way: NDArray[np.float64], delay: float, lags: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the squared errors of a delay with every lag, each with the speed that fits best."""
+    s = np.maximum(time - delay, 0.0)[None, :]
+    model = s - lags[:, None] * (1.0 - np.exp(-s / lags[:, None]))
+    speed = (model @ way) / np.maximum((model**2).sum(axis=1), math.ulp(1.0))
+    return ((way - speed[:, None] * model) ** 2).sum(axis=1)

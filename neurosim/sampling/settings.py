@@ -1,0 +1,59 @@
+"""What a robot samples of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+
+
+@dataclass(frozen=True)
+class SampleSettings:
+    """What to sample.
+
+    Attributes:
+        angles: of a full turn in the ``.sample`` files.
+        distances: from the object.
+        first: distance, from rim to surface, m.
+        step: from distance to distance, m.
+        repeats: of everything; two or more give the spread.
+        grid: speeds of each motor, evenly from full speed back to full speed forward; 0: every
+            whole speed of the robot.
+        held_out: settings beside a grid that are driven to see what interpolation costs.
+        duration: of a motor sample, s.
+    """
+
+    angles: int = 180
+    distances: int = 20
+    first: float = 0.005
+    step: float = 0.002
+    repeats: int = 1
+    grid: int = 0
+    held_out: int = 12
+    duration: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.angles < 4 or self.distances < 2 or self.repeats < 1 or self.held_out < 0:
+            raise UserError("sample at 4 angles or more, 2 distances or more, once or more")
+        if not (0 <= self.first <= 1 and 0 < self.step <= 1):
+            raise UserError("distances must be above 0 and below 1 m")
+        if not 0.1 <= self.duration <= 10:
+            raise UserError(f"a motor sample lasts 0.1 to 10 s, not {self.duration:g}")
+
+    def levels(self, full_speed: int) -> NDArray[np.int64]:
+        """Return the speeds to drive, in the robot's units.
+
+        Raises:
+            UserError: if a grid's speeds are not whole.
+        """
+        count = self.grid or 2 * full_speed + 1
+        if count < 2 or (2 * full_speed) % (count - 1):
+            good = [n + 1 for n in range(1, 2 * full_speed + 1) if 2 * full_speed % n == 0]
+            raise UserError(
+                f"a grid of {count} does not fall on the robot's {2 * full_speed + 1} whole "
+                f"speeds; use {', '.join(map(str, good))}"
+            )
+        return np.arange(-full_speed, full_speed + 1, 2 * full_speed // (count - 1))
