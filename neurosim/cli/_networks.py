@@ -124,10 +124,11 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
             paths = simulated.drive(genes[None], starts, steps=steps).poses[0]
             drives = []
             for start, path in zip(starts, paths, strict=True):
+                trials.rest()
                 place(start)
                 real = trials.drive(genes, steps, pose(start))
-                robot.stop()
                 drives.append({"simulated": path.tolist(), "robot": real.poses.tolist()})
+            robot.stop()
             return drives
 
         return {

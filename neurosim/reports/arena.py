@@ -231,11 +231,11 @@ def _drive(
 
 
 def _plan_path(simulator: TableSimulator, plan: Plan, start: NDArray) -> NDArray[np.float64]:
-    state, poses = torch.from_numpy(start[None]), [start]
+    state, poses = simulator.start(torch.from_numpy(start[None])), [start]
     for left, right, duration in plan.given:
         parts = max(math.ceil(duration / 0.1), 1)
         command = torch.tensor([[left, right, duration / parts]], dtype=torch.float64)
         for _ in range(parts):
             state = simulator.step(state, command)
-            poses.append(state[0].numpy())
+            poses.append(state[0, :3].numpy())
     return np.array(poses)

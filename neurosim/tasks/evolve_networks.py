@@ -34,6 +34,8 @@ CHECKPOINT_EVERY = 5.0
 
 #: Starts from which the last population is compared.
 CHOICE_STARTS = 50
+#: On a robot so many of the last population's best are tried again, and so often each.
+AGAIN, TRIALS_AGAIN = 5, 4
 
 
 def evolve_networks(
@@ -55,8 +57,8 @@ def evolve_networks(
     """Evolve a network for a task in a simulator and write the best of the last population.
 
     The best is found by trying all of the last population from many more starts: what was best
-    in its own generation may have been lucky. After generations on a robot it is the best of
-    the last of them.
+    in its own generation may have been lucky. After generations on a robot the last one's best few
+    are tried there again, for the same reason.
 
     While it runs, ``OUT.checkpoint`` holds what an interrupted evolution goes on from. Where it is
     interrupted, or the robot is lost, the best network so far is written all the same, and is
@@ -108,7 +110,13 @@ def evolve_networks(
         run.checkpoint.begin(begun, options)
 
     def write(interrupted: bool, **driven: Any) -> NetworkController:
-        genes, fitness, spread = choose(trials, run.tried, seed)
+        tried, on_its_own = run.tried, {}
+        if on_robot is not None and len(evolution.best) > settings.generations:
+            tried = tried[:1]
+            if not interrupted:
+                tried, found = _again(on_robot, run.tried, seed)
+                on_its_own = {"robot_fitness": found}
+        genes, fitness, spread = choose(trials, tried, seed)
         if compare is not None and not interrupted:
             driven = {"trajectories": compare(genes, trials)}
         history: dict[str, Any] = {"best": evolution.best, "mean": evolution.mean}
@@ -122,6 +130,7 @@ def evolve_networks(
             evolution={
                 **about,
                 **({} if robot is None else {"robot": dict(robot)}),
+                **on_its_own,
                 "interrupted": interrupted,
                 "history": history,
                 **driven,
@@ -183,7 +192,7 @@ class _Run:
                     self.tried = population
                 else:
                     fitness = evolution.generation(on_robot, self._keep)
-                    self.tried = population[[fitness.argmax()]]
+                    self.tried = population[np.argsort(-fitness)[:AGAIN]]
                 self._keep()
                 if bar is not None:
                     bar.advance(note=f"best {evolution.best[-1]:.1f}")
@@ -226,6 +235,20 @@ def _is_unfinished(out: str | Path) -> bool:
     return bool(NetworkController.read(out).evolution.get("interrupted"))
 
 
+def _again(
+    on_robot: Trials, genes: NDArray[np.float64], seed: int
+) -> tuple[NDArray[np.float64], dict[str, float]]:
+    """Return that of some networks [N, 18] which is best in trials anew, [1, 18], and its fitness.
+
+    The fitness is that of ``trials``, their ``mean`` and their ``spread`` (standard deviation).
+    """
+    rng = np.random.default_rng([seed, 3])
+    each = np.stack([on_robot(genes, rng) for _ in range(TRIALS_AGAIN)], axis=1)
+    best = int(each.mean(axis=1).argmax())
+    mean, spread = float(each[best].mean()), float(each[best].std(ddof=1))
+    return genes[[best]], {"mean": mean, "spread": spread, "trials": TRIALS_AGAIN}
+
+
 def choose(
     trials: TableTrials, genes: NDArray[np.float64], seed: int
 ) -> tuple[NDArray[np.float64], float, float]:
@@ -236,7 +259,7 @@ def choose(
     """
     rng, task = np.random.default_rng([seed, 1]), trials.task
     starts = trials.simulator.arena.free_poses(CHOICE_STARTS, trials.simulator.radius, rng)
-    each = FITNESS[task.fitness](trials.drive(genes, starts, rng))
-    best = int(each.mean(axis=1).argmax())
-    spread = float(each[best].std(ddof=1)) * task.starts**0.5
-    return genes[best], float(each[best].mean()) * task.starts, spread
+    best = int(trials.judge(genes, starts, rng)[1].argmax())
+    each = FITNESS[task.fitness](trials.drive(genes[[best]], starts, rng))[0]
+    spread = float(each.std(ddof=1)) * task.starts**0.5
+    return genes[best], float(each.mean()) * task.starts, spread

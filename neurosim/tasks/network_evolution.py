@@ -24,8 +24,12 @@ GENES = 2 * (SENSORS + 1)
 
 _MASK = 2**64 - 1
 
-#: Tries networks: genes [P, 18] and the generation's random numbers -> fitness [P].
-Trials = Callable[[NDArray[np.float64], np.random.Generator], NDArray[np.float64]]
+#: Tries networks: genes [P, 18] and the generation's random numbers -> fitness [P], and where
+#: something else decides who has children, that [P] beside it.
+Trials = Callable[
+    [NDArray[np.float64], np.random.Generator],
+    NDArray[np.float64] | tuple[NDArray[np.float64], NDArray[np.float64]],
+]
 
 
 @dataclass(frozen=True)
@@ -59,8 +63,16 @@ class NetworkSettings:
             raise UserError(f"a population of {self.population} cannot have {self.parents} parents")
 
 
+#: Where paths of the same network differ by this much (median, m), it counts for nothing.
+APART = 0.35
+
+
 class TableTrials:
     """Tries networks in a table simulator, every one from the same starts, through the same noise.
+
+    A network drives twice from every start, through different noise. Fitness is the mean; of two
+    networks that are as fit, the one whose paths differ less has the better chances, as what noise
+    changes little carries over to the robot. Without noise nothing differs, and it drives once.
 
     Attributes:
         simulator: with the arena and the noise to use.
@@ -71,10 +83,26 @@ class TableTrials:
         self.simulator = simulator
         self.task = task
 
-    def __call__(self, genes: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
-        """Return the fitness [P] of networks from starts drawn anew."""
+    def __call__(
+        self, genes: NDArray[np.float64], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the fitness [P] of networks from starts drawn anew, and their merit [P]."""
         starts = self.simulator.arena.free_poses(self.task.starts, self.simulator.radius, rng)
-        return self.task.evaluate(self.drive(genes, starts, rng))
+        return self.judge(genes, starts, rng)
+
+    def judge(
+        self, genes: NDArray[np.float64], starts: NDArray[np.float64], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the fitness [P] of networks [P, 18] from starts [R, 3], and their merit [P]."""
+        first = self.drive(genes, starts, rng)
+        fitness = self.task.evaluate(first)
+        if self.simulator.noise == "none":
+            return fitness, fitness
+        second = self.drive(genes, starts, rng)
+        fitness = (fitness + self.task.evaluate(second)) / 2.0
+        apart = np.linalg.norm(first.poses[..., :2] - second.poses[..., :2], axis=-1)
+        share = np.median(apart, axis=(1, 2)) / APART
+        return fitness, fitness * (1.0 - np.minimum(share, 1.0))
 
     def drive(
         self,
@@ -156,15 +184,15 @@ class NetworkEvolution:
                 so that :meth:`state` may be kept; those tried before are not tried again.
         """
         if after_each is None:
-            fitness = np.asarray(trials(self.population, self._rng), float)
+            fitness, merit = _both(trials(self.population, self._rng))
         else:
             for place in np.flatnonzero(np.isnan(self._fitness)):
-                self._fitness[place] = trials(self.population[[place]], self._rng)[0]
+                self._fitness[place] = _both(trials(self.population[[place]], self._rng))[0][0]
                 after_each()
-            fitness = self._fitness
+            fitness = merit = self._fitness
         self.best.append(float(fitness.max()))
         self.mean.append(float(fitness.mean()))
-        self._algorithm.tell(torch.from_numpy(fitness))
+        self._algorithm.tell(torch.from_numpy(merit))
         self._fitness = np.full(len(fitness), np.nan)
         return fitness
 
@@ -207,6 +235,12 @@ class NetworkEvolution:
         }
         self._fitness = state["fitness"].copy()
         self.best, self.mean = state["best"].tolist(), state["mean"].tolist()
+
+
+def _both(found: object) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return fitness [P] and what decides who has children [P]."""
+    fitness, merit = found if isinstance(found, tuple) else (found, found)
+    return np.asarray(fitness, float), np.asarray(merit, float)
 
 
 def _select(

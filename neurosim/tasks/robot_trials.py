@@ -93,6 +93,11 @@ class RobotTrials:
             np.array(readings), np.array(commands), None if pose is None else np.array(poses, float)
         )
 
+    def rest(self) -> None:
+        """Stop and stand still."""
+        self.robot.stop()
+        self.robot.clock.sleep_until(self.robot.clock.now() + REST)
+
     def _wander(self, rng: np.random.Generator) -> None:
         clock = self.robot.clock
         side = 40.0 * rng.choice((-1.0, 1.0))
@@ -104,8 +109,7 @@ class RobotTrials:
             turn = side * (1.0 - ahead)
             self.robot.drive(60.0 * ahead - turn, 60.0 * ahead + turn)
             clock.sleep_until(now + self.task.duration)
-        self.robot.stop()
-        clock.sleep_until(clock.now() + REST)
+        self.rest()
 
 
 def odometry(robot: Khepera, start: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]]:
