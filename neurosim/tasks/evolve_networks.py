@@ -112,9 +112,12 @@ def evolve_networks(
     def write(interrupted: bool, **driven: Any) -> NetworkController:
         tried, on_its_own = run.tried, {}
         if on_robot is not None and len(evolution.best) > settings.generations:
-            tried = tried[:1]
-            if not interrupted:
-                tried, found = _again(on_robot, run.tried, seed)
+            if run.again is None and not interrupted:
+                run.choose(*_again(on_robot, tried, seed))
+            tried = run.tried[:1]
+            if run.again is not None:
+                mean, spread = map(float, run.again)
+                found = {"mean": mean, "spread": spread, "trials": TRIALS_AGAIN}
                 on_its_own = {"robot_fitness": found}
         genes, fitness, spread = choose(trials, tried, seed)
         if compare is not None and not interrupted:
@@ -167,12 +170,15 @@ class _Run:
     Attributes:
         tried: of which networks the best is to be chosen, [N, 18]; None before the first
             generation.
+        again: mean and standard deviation of the fitness of the first of these in trials anew on
+            the robot, [2]; None before these.
     """
 
     def __init__(self, evolution: NetworkEvolution, checkpoint: Checkpoint):
         self.evolution = evolution
         self.checkpoint = checkpoint
         self.tried: NDArray[np.float64] | None = None
+        self.again: NDArray[np.float64] | None = None
         self._saved = time.monotonic()
         self._state = evolution.state()
 
@@ -200,10 +206,16 @@ class _Run:
             if bar is not None:
                 bar.close()
 
+    def choose(self, genes: NDArray[np.float64], again: NDArray[np.float64]) -> None:
+        """Remember which network [1, 18] was best in trials anew, and its fitness there [2]."""
+        self.tried, self.again = genes, again
+        self._keep()
+
     def _keep(self) -> None:
         """Remember how far it has come, and write it down every few seconds."""
-        tried = {} if self.tried is None else {"tried": self.tried}
-        self._state = {**self.evolution.state(), **tried}
+        kept = {"tried": self.tried, "again": self.again}
+        known = {name: value for name, value in kept.items() if value is not None}
+        self._state = {**self.evolution.state(), **known}
         if time.monotonic() - self._saved >= CHECKPOINT_EVERY:
             self.checkpoint.save(self._state)
             self._saved = time.monotonic()
@@ -225,7 +237,7 @@ class _Run:
 
     def _load(self, state: dict[str, NDArray]) -> None:
         self.evolution.load(state)
-        self.tried, self._state = state.get("tried"), state
+        self.tried, self.again, self._state = state.get("tried"), state.get("again"), state
 
 
 def _is_unfinished(out: str | Path) -> bool:
@@ -237,16 +249,15 @@ def _is_unfinished(out: str | Path) -> bool:
 
 def _again(
     on_robot: Trials, genes: NDArray[np.float64], seed: int
-) -> tuple[NDArray[np.float64], dict[str, float]]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return that of some networks [N, 18] which is best in trials anew, [1, 18], and its fitness.
 
-    The fitness is that of ``trials``, their ``mean`` and their ``spread`` (standard deviation).
+    The fitness is the mean and the standard deviation of its trials, [2].
     """
     rng = np.random.default_rng([seed, 3])
     each = np.stack([on_robot(genes, rng) for _ in range(TRIALS_AGAIN)], axis=1)
     best = int(each.mean(axis=1).argmax())
-    mean, spread = float(each[best].mean()), float(each[best].std(ddof=1))
-    return genes[[best]], {"mean": mean, "spread": spread, "trials": TRIALS_AGAIN}
+    return genes[[best]], np.array([each[best].mean(), each[best].std(ddof=1)])
 
 
 def choose(
