@@ -6,7 +6,7 @@ photographs or in a video. For the pose over the board see :mod:`tracking.board`
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,11 @@ PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
 #: Fewer photographs cannot tell focal length, principal point and distortion apart.
 FEWEST_PHOTOGRAPHS = 3
+#: From so many on, halves of them can.
+FEWEST_HALVED = 12
+#: How often they are halved; with half as often, what is stated still varies by a tenth.
+SPLITS = 64
+HALVES, JACKKNIFE = "halves of the photographs", "jackknife over photographs"
 #: From a video at most this many frames are taken, spread over the places the board was held.
 MOST_FRAMES = 40
 
@@ -51,9 +56,12 @@ def calibrate(
 ) -> CameraModel:
     """Calibrate a camera.
 
-    How uncertain it is comes from leaving out one photograph after the other (the jackknife,
-    Tukey 1958): corners of one photograph err together, so that the residuals' covariance states
-    half of the scatter that other photographs bring.
+    How uncertain it is comes from calibrating with halves of the photographs: corners of one
+    photograph err together, so that the residuals' covariance states half of the scatter that
+    other photographs bring. What half of them find is spread about what all of them find as that
+    is about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate
+    with; they are left out one by one instead (the jackknife, Tukey 1958), which states about a
+    sixth too little.
 
     Args:
         source: photographs of a chessboard: a folder, a list of files, or one video.
@@ -76,38 +84,50 @@ def calibrate(
     )
     views, size = _find_all(source, target)
     model = _lens(views, size)
-    others = _without_one(views, size)
+    others = _resampled(views, size)
     if points is not None:
         rows = read_points(points)
         model = locate(model, rows)
-        return replace(model, uncertainty=_uncertainty(model, others, rows))
-    return replace(model, uncertainty=_uncertainty(model, others, None))
+        return replace(model, uncertainty=_uncertainty(model, *others, rows))
+    return replace(model, uncertainty=_uncertainty(model, *others, None))
 
 
-def _without_one(views: list[View], size: tuple[int, int]) -> list[CameraModel]:
-    """Return the lens without each of the views in turn; none where three are all there are."""
+def _resampled(views: list[View], size: tuple[int, int]) -> tuple[list[CameraModel], str]:
+    """Return lenses from parts of the views, and what those are; none where there are too few."""
     if len(views) <= FEWEST_PHOTOGRAPHS:
-        return []
+        return [], ""
+    if len(views) < FEWEST_HALVED:
+        parts, method = [views[:i] + views[i + 1 :] for i in range(len(views))], JACKKNIFE
+    else:
+        parts, method = [[views[i] for i in half] for half in _halves(len(views))], HALVES
     try:
-        return [_lens(views[:i] + views[i + 1 :], size) for i in range(len(views))]
+        return [_lens(part, size) for part in parts], method
     except UserError:
-        return []
+        return [], ""
+
+
+def _halves(count: int) -> list[NDArray]:
+    """Return random halves of ``count`` things as indices, each followed by its other half."""
+    rng = np.random.default_rng(0)
+    return [half for _ in range(SPLITS) for half in np.array_split(rng.permutation(count), 2)]
 
 
 def _uncertainty(
-    model: CameraModel, others: list[CameraModel], points: NDArray | None
+    model: CameraModel, others: list[CameraModel], method: str, points: NDArray | None
 ) -> dict[str, Any] | None:
     """Return what :attr:`CameraModel.uncertainty` holds, or None where it cannot be known."""
     if not others:
         return None
-    count = len(others)
 
-    def spread(values: NDArray) -> NDArray:
-        return np.sqrt((count - 1) / count * ((values - values.mean(0)) ** 2).sum(0))
+    def spread(of: Callable[[CameraModel], NDArray]) -> NDArray:
+        values = np.array([of(other) for other in others])
+        if method == HALVES:
+            return np.sqrt(((values - of(model)) ** 2).mean(0))
+        return np.sqrt((len(others) - 1) * ((values - values.mean(0)) ** 2).mean(0))
 
-    fx, fy, cx, cy, *distortion = spread(np.array([_lens_numbers(m) for m in others])).tolist()
+    fx, fy, cx, cy, *distortion = spread(_lens_numbers).tolist()
     stated: dict[str, Any] = {
-        "method": "jackknife over photographs",
+        "method": method,
         "fx": fx,
         "fy": fy,
         "cx": cx,
@@ -116,7 +136,7 @@ def _uncertainty(
     }
     if points is not None:
         pixels = over_the_board(model, points)
-        lens = spread(np.array([locate(m, points).to_board(pixels, MARKER_HEIGHT) for m in others]))
+        lens = spread(lambda m: locate(m, points).to_board(pixels, MARKER_HEIGHT))
         clicks = click_spread(model, points)
         stated["board_m"] = float(np.sqrt((lens**2 + clicks**2).sum(-1).mean()))
         stated["height_m"] = MARKER_HEIGHT

@@ -9,9 +9,10 @@ from neurosim.base.errors import FileError, UserError
 from tracking.board import locate
 from tracking.calibrate import (
     _lens,
+    _lens_numbers,
+    _resampled,
     _spread,
     _uncertainty,
-    _without_one,
     calibrate,
     from_corners,
 )
@@ -192,31 +193,24 @@ def test_photographs_that_will_not_do(tmp_path):
 
 
 def test_the_stated_uncertainty_covers_random_halves(shared_data):
-    """Two halves of the photographs have nothing in common: what they differ by is known."""
     target = Chessboard((9, 6), 0.025)
     pictures = sorted((shared_data / "chessboard").glob("*.jpg"))
     views = [target.find(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)) for p in pictures]
-    rng = np.random.default_rng(4)
-    ratios = []
-    for _ in range(6):
-        order = rng.permutation(len(views))
-        fx = []
-        for half in (order[:12], order[12:24]):
-            own = [views[i] for i in half]
-            model = _lens(own, (640, 512))
-            stated = _uncertainty(model, _without_one(own, (640, 512)), None)
-            fx.append(
-                [
-                    (model.camera_matrix[0, 0], stated["fx"]),
-                    (model.camera_matrix[0, 2], stated["cx"]),
-                ]
-            )
-        (a, b), (c, d) = fx
-        for one, other in ((a, c), (b, d)):
-            ratios.append(abs(one[0] - other[0]) / np.hypot(one[1], other[1]))
-    assert np.mean(np.array(ratios) < 2) >= 0.8
-    # Not by stating too much: some differ by half of it.
-    assert np.max(ratios) > 0.5
+    model = _lens(views, (640, 512))
+    stated = _uncertainty(model, *_resampled(views, (640, 512)), None)
+    rng = np.random.default_rng(1)
+    found = [
+        _lens_numbers(_lens([views[i] for i in half], (640, 512)))
+        for _ in range(60)
+        for half in np.array_split(rng.permutation(len(views)), 2)
+    ]
+    off = (np.array(found) - _lens_numbers(model))[:, :4]
+    claimed = np.array([stated[name] for name in ("fx", "fy", "cx", "cy")])
+    ratios = claimed / np.sqrt((off**2).mean(0))
+    # Leaving out one after the other states 0.88 of the scatter; 120 halves know it to 7 %.
+    assert 0.95 < ratios.mean() < 1.15
+    assert ratios.min() > 0.85
+    assert (np.abs(off) < 2 * claimed).mean() > 0.9
 
 
 def test_a_charuco_board_of_which_parts_are_seen(tmp_path):
