@@ -61,9 +61,11 @@ class Look:
 
     def blend(self, new: Look, share: float) -> Look:
         """Return this look moved by ``share`` towards ``new``: light differs over the board."""
-        direction = (1 - share) * self.direction + share * new.direction
+        (p, q), (new_p, new_q) = self.direction.tolist(), new.direction.tolist()
+        p, q = (1 - share) * p + share * new_p, (1 - share) * q + share * new_q
+        length = math.hypot(p, q)
         return Look(
-            direction / np.linalg.norm(direction),
+            np.array([p / length, q / length]),
             (1 - share) * self.chroma + share * new.chroma,
             (1 - share) * self.light + share * new.light,
         )

@@ -6,12 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from tracking.colours import angle_between
 from tracking.markers import Look
+from tracking.patches import mean_luma
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Geometry:
     def separation_of(self, pixels: NDArray) -> float:
         """Return how far apart front and rear, [2, 2] pixels, are in the plane."""
         front, rear = self.plane(pixels)
-        return float(np.hypot(*(front - rear)))
+        return math.hypot(front[0] - rear[0], front[1] - rear[1])
 
     def pixels_per_unit(self, pixel: NDArray) -> float:
         """Return the local scale of the image."""
@@ -98,14 +98,17 @@ class Motion:
         """Return where front and rear will be, [2, 2]."""
         # A guess far ahead is worth nothing; the pair has more likely stopped.
         ahead = min(time - self.time, 0.2)
-        middle = self.middle + self.velocity * ahead
+        (u, v), (du, dv), (across, down) = (
+            pair.tolist() for pair in (self.middle, self.velocity, self.axis)
+        )
+        u, v = u + du * ahead, v + dv * ahead
         cos, sin = math.cos(self.turning * ahead), math.sin(self.turning * ahead)
-        half = np.array([[cos, -sin], [sin, cos]]) @ self.axis / 2
-        return np.stack([middle + half, middle - half])
+        across, down = (cos * across - sin * down) / 2, (sin * across + cos * down) / 2
+        return np.array([[u + across, v + down], [u - across, v - down]])
 
     def after(self, time: float, pixels: NDArray) -> Motion:
         """Return the motion with one more pair of centres."""
-        middle, axis = pixels.mean(axis=0), pixels[0] - pixels[1]
+        middle, axis = middle_of(pixels), pixels[0] - pixels[1]
         gap = time - self.time
         if not 0 < gap < 0.5:
             return Motion(time, middle, axis)
@@ -122,24 +125,19 @@ def lamp_luma(frame: NDArray, pixels: NDArray, place: tuple[float, float], rim: 
         place: of the lamp, as in :attr:`Geometry.lamp`.
         rim: radius of the larger marker, px.
     """
-    axis = pixels[0] - pixels[1]
-    apart = float(np.hypot(*axis))
+    (front_u, front_v), (rear_u, rear_v) = pixels.tolist()
+    axis_u, axis_v = front_u - rear_u, front_v - rear_v
     ahead, aside = place
     # Left of the robot is clockwise from ahead as the image's v runs down.
-    centre = pixels[1] + ahead * axis + aside * np.array([axis[1], -axis[0]])
-    nearest = min(float(np.hypot(*(centre - marker))) for marker in pixels)
-    reach = min(max(nearest - rim - 1.0, 0.0), 0.3 * apart)
-    if reach < 1.0:
-        return math.nan
-    left, top = np.maximum(np.floor(centre - reach).astype(int), 0)
-    right, bottom = np.ceil(centre + reach).astype(int) + 1
-    window = frame[top:bottom, left:right]
-    if window.size == 0:
-        return math.nan
-    luma = cv2.cvtColor(window, cv2.COLOR_BGR2GRAY)
-    u = np.arange(left, left + luma.shape[1]) - centre[0]
-    v = np.arange(top, top + luma.shape[0])[:, None] - centre[1]
-    return float(luma[u**2 + v**2 <= reach**2].mean())
+    u, v = rear_u + ahead * axis_u + aside * axis_v, rear_v + ahead * axis_v - aside * axis_u
+    nearest = min(math.hypot(u - front_u, v - front_v), math.hypot(u - rear_u, v - rear_v))
+    reach = min(max(nearest - rim - 1.0, 0.0), 0.3 * math.hypot(axis_u, axis_v))
+    return math.nan if reach < 1.0 else mean_luma(frame, u, v, reach)
+
+
+def middle_of(pixels: NDArray) -> NDArray:
+    """Return the point half way between front and rear, [2, 2]."""
+    return (pixels[0] + pixels[1]) / 2
 
 
 def angle_of(axis: NDArray) -> float:

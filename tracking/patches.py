@@ -45,6 +45,20 @@ def read_patch(frame, u, v, reach, blue_gain, red_gain):
 
 
 @njit(cache=True, nogil=True)
+def mean_luma(frame, u, v, radius):
+    """Return the mean luma within a radius of a place, NaN where none of it is in the picture."""
+    height, width = frame.shape[:2]
+    total, count = 0, 0
+    for i in range(max(0, math.floor(v - radius)), min(height, math.ceil(v + radius) + 1)):
+        for j in range(max(0, math.floor(u - radius)), min(width, math.ceil(u + radius) + 1)):
+            if (j - u) ** 2 + (i - v) ** 2 <= radius**2:
+                blue, green, red = int(frame[i, j, 0]), int(frame[i, j, 1]), int(frame[i, j, 2])
+                total += (1868 * blue + 9617 * green + 4899 * red + 8192) >> 14
+                count += 1
+    return total / count if count else math.nan
+
+
+@njit(cache=True, nogil=True)
 def _member(alpha, beta, p, q, chroma):
     """See :meth:`tracking.markers.Look.membership`."""
     along, across = p * alpha + q * beta, p * beta - q * alpha
@@ -58,10 +72,18 @@ def _disc(i, j, u, v, radius):
 
 
 @njit(cache=True, nogil=True)
+def _span(middle, radius, size):
+    """Return the first pixel, and that after the last, in which a disc may be other than 0."""
+    return max(0, math.floor(middle - radius)), min(size, math.ceil(middle + radius) + 1)
+
+
+@njit(cache=True, nogil=True)
 def _centroid(member, u, v, radius):
     total = across = down = 0.0
-    for i in range(member.shape[0]):
-        for j in range(member.shape[1]):
+    top, bottom = _span(v, radius, member.shape[0])
+    left, right = _span(u, radius, member.shape[1])
+    for i in range(top, bottom):
+        for j in range(left, right):
             weight = member[i, j]
             if weight > 0.0:
                 weight *= _disc(i, j, u, v, radius)
@@ -119,8 +141,10 @@ def darkest(luma):
 def _length(member, u, v, radius):
     """Return half the length of an evenly coloured bar as long as the colour around (u, v)."""
     total = uu = uv = vv = 0.0
-    for i in range(member.shape[0]):
-        for j in range(member.shape[1]):
+    top, bottom = _span(v, radius, member.shape[0])
+    left, right = _span(u, radius, member.shape[1])
+    for i in range(top, bottom):
+        for j in range(left, right):
             weight = member[i, j]
             if weight > 0.0:
                 weight *= _disc(i, j, u, v, radius)
@@ -136,8 +160,10 @@ def _length(member, u, v, radius):
 def _plain(plane, u, v, radius, p, q, chroma):
     """Return whether a marker is coloured in its middle as well, without a white dot."""
     total = along = 0.0
-    for i in range(plane.shape[1]):
-        for j in range(plane.shape[2]):
+    top, bottom = _span(v, 0.35 * radius, plane.shape[1])
+    left, right = _span(u, 0.35 * radius, plane.shape[2])
+    for i in range(top, bottom):
+        for j in range(left, right):
             weight = _disc(i, j, u, v, 0.35 * radius)
             total += weight
             along += weight * (p * plane[0, i, j] + q * plane[1, i, j])
@@ -152,8 +178,10 @@ def _brightest(plane, luma, u, v, radius, reach, full, p, q, chroma, light, back
     explained = full * light / chroma
     for _ in range(ROUNDS):
         total = across = down = 0.0
-        for i in range(luma.shape[0]):
-            for j in range(luma.shape[1]):
+        top, bottom = _span(v, reach, luma.shape[0])
+        left, right = _span(u, reach, luma.shape[1])
+        for i in range(top, bottom):
+            for j in range(left, right):
                 weight = luma[i, j] - dark
                 if weight <= 0.0:
                     continue
@@ -229,8 +257,10 @@ def read_look(plane, luma, u, v, radius, p, q, chroma, light, backing):
     total = alpha = beta = lit = 0.0
     coloured = np.empty((luma.size, 2), np.float32)
     count = 0
-    for i in range(luma.shape[0]):
-        for j in range(luma.shape[1]):
+    top, bottom = _span(v, radius, luma.shape[0])
+    left, right = _span(u, radius, luma.shape[1])
+    for i in range(top, bottom):
+        for j in range(left, right):
             window = _disc(i, j, u, v, radius)
             if window == 0.0:
                 continue

@@ -26,7 +26,7 @@ from tracking.markers import (
     learn,
     measure,
 )
-from tracking.pair import LOST, Geometry, Learned, Motion, Sighting, angle_of, lamp_luma
+from tracking.pair import LOST, Geometry, Learned, Motion, Sighting, angle_of, lamp_luma, middle_of
 from tracking.palette import Found
 from tracking.survey import Survey
 from tracking.white import Cast, cast_of
@@ -87,7 +87,8 @@ class Tracker:
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
-        self._scale: tuple[NDArray, float] | None = None
+        self._scale: tuple[float, float, float] | None = None
+        self._apart: tuple[bytes, float] | None = None
         self._frames = 0
         self._lost = 0
         self._seen = [False, False]
@@ -129,17 +130,17 @@ class Tracker:
             return LOST
         measured, quality = found
         self._lost = 0
-        pixels = np.stack([m.centre for m in measured])
+        pixels = np.array([m.centre for m in measured])
         self._remember(measured, pixels, quality)
         self._survey.take(
             frame, self._cast.white, pixels, [m.area for m in measured], self._learned.looks
         )
         self._motion = (
-            Motion(time, pixels.mean(axis=0), pixels[0] - pixels[1])
+            Motion(time, middle_of(pixels), pixels[0] - pixels[1])
             if self._motion is None
             else self._motion.after(time, pixels)
         )
-        rim = max(self._radii(pixels.mean(axis=0)))
+        rim = max(self._radii(middle_of(pixels)))
         lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
         return Sighting(pixels[0], pixels[1], quality, lamp)
 
@@ -157,7 +158,7 @@ class Tracker:
 
     def _follow(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
         expected = self._motion.predict(time)
-        radius = self._radii(expected.mean(axis=0))
+        radius = self._radii(middle_of(expected))
         # How much a robot can depart from constant velocity between two frames.
         late = max(1.0, 30.0 * (time - self._motion.time))
         margins = [(2.0 + 0.6 * r) * min(late, 4.0) for r in radius]
@@ -173,7 +174,7 @@ class Tracker:
     def _measure_each(
         self, frame: NDArray, near: NDArray, margins: list[float]
     ) -> list[Measurement] | None:
-        radius = self._radii(near.mean(axis=0))
+        radius = self._radii(middle_of(near))
         measured = []
         for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
             measurement = measure(frame, place, r, look, margin, self._cast.white)
@@ -189,25 +190,25 @@ class Tracker:
         options = [[m] if m.other is None else [m, replace(m, centre=m.other)] for m in measured]
 
         def misfit(pair: tuple[Measurement, ...]) -> float:
-            pixels = np.stack([m.centre for m in pair])
+            pixels = np.array([m.centre for m in pair])
             return abs(self.geometry.separation_of(pixels) - self._learned.separation)
 
         return list(min(itertools.product(*options), key=misfit))
 
     def _quality(self, measured: list[Measurement]) -> float:
         """Rate a pair, 1 as expected; 0 where a size or the separation is not to be believed."""
-        pixels = np.stack([m.centre for m in measured])
+        pixels = np.array([m.centre for m in measured])
         fresh = self._learned.frames < 5
         low, high = FIRST_AREA_RATIO if fresh else AREA_RATIO
         tolerance = FIRST_SEPARATION_TOLERANCE if fresh else SEPARATION_TOLERANCE
-        scale = self._pixels_per_unit(pixels.mean(axis=0))
+        scale = self._pixels_per_unit(middle_of(pixels))
         misfit = 0.0
         for measurement, area in zip(measured, self._learned.areas, strict=True):
             ratio = measurement.area / (area * scale**2)
             if not low <= ratio <= high:
                 return 0.0
             misfit += (math.log(ratio) / 0.2) ** 2
-        separation = self.geometry.separation_of(pixels) / self._learned.separation
+        separation = self._separation(pixels) / self._learned.separation
         if abs(separation - 1.0) > tolerance:
             return 0.0
         misfit += ((separation - 1.0) / 0.04) ** 2
@@ -219,11 +220,11 @@ class Tracker:
         learned.frames += 1
         # The first frames count fully, so that one odd first sight does not last.
         share = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
-        scale = self._pixels_per_unit(pixels.mean(axis=0))
+        scale = self._pixels_per_unit(middle_of(pixels))
         for i, measurement in enumerate(measured):
             learned.looks[i] = learned.looks[i].blend(measurement.look, share)
             learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
-        learned.separation += share * (self.geometry.separation_of(pixels) - learned.separation)
+        learned.separation += share * (self._separation(pixels) - learned.separation)
 
     def _radii(self, middle: NDArray) -> list[float]:
         scale = self._pixels_per_unit(middle)
@@ -234,9 +235,20 @@ class Tracker:
 
     def _pixels_per_unit(self, middle: NDArray) -> float:
         """Return the local scale; it hardly changes over a few pixels."""
-        if self._scale is None or np.abs(self._scale[0] - middle).max() > SCALE_REACH:
-            self._scale = middle, self.geometry.pixels_per_unit(middle)
-        return self._scale[1]
+        u, v = middle.tolist()
+        if (
+            self._scale is None
+            or max(abs(self._scale[0] - u), abs(self._scale[1] - v)) > SCALE_REACH
+        ):
+            self._scale = u, v, self.geometry.pixels_per_unit(middle)
+        return self._scale[2]
+
+    def _separation(self, pixels: NDArray) -> float:
+        """Return the pair's separation in the plane; asked for twice of every frame."""
+        pair = pixels.tobytes()
+        if self._apart is None or self._apart[0] != pair:
+            self._apart = pair, self.geometry.separation_of(pixels)
+        return self._apart[1]
 
     # Searching
 
@@ -252,11 +264,11 @@ class Tracker:
         for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
             front, rear = (picture.blobs(colour) for colour in colours)
             for pair in self._ranked(front, rear, time):
-                near = np.stack([blob.centre for blob in pair])
+                near = np.array([blob.centre for blob in pair])
                 margin = 1.5 * picture.factor + 1.0
                 found = self._measure(frame, near, [margin, margin])
                 if found is not None and self._reachable(
-                    np.stack([m.centre for m in found[0]]), time
+                    np.array([m.centre for m in found[0]]), time
                 ):
                     return found
         return None
@@ -285,14 +297,14 @@ class Tracker:
                 break
             self._cast = Cast(frame, white)
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
-            pixels = np.stack([blob.centre for blob in pair])
+            pixels = np.array([blob.centre for blob in pair])
             self._learn(
                 [learn(frame, blob, white) for blob in pair], [b.area for b in pair], pixels
             )
             measured = self._measure_each(frame, pixels, margins)
             if measured is not None:
                 # Once more with what the first look at full resolution taught.
-                pixels = np.stack([m.centre for m in measured])
+                pixels = np.array([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
                 if found is not None and plausible(found[0], self.colours):
@@ -301,7 +313,7 @@ class Tracker:
         return None
 
     def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
-        scale = self._pixels_per_unit(pixels.mean(axis=0))
+        scale = self._pixels_per_unit(middle_of(pixels))
         self._learned = Learned(
             looks,
             [area / scale**2 for area in areas],
@@ -312,11 +324,11 @@ class Tracker:
         """Return pairs that can be the lost one, the likeliest first."""
         possible = []
         for pair in itertools.product(front, rear):
-            pixels = np.stack([blob.centre for blob in pair])
+            pixels = np.array([blob.centre for blob in pair])
             off = abs(self.geometry.separation_of(pixels) / self._learned.separation - 1.0)
             if off > 2 * SEPARATION_TOLERANCE or not self._reachable(pixels, time):
                 continue
-            moved = float(np.hypot(*(pixels.mean(axis=0) - self._motion.middle)))
+            moved = float(np.hypot(*(middle_of(pixels) - self._motion.middle)))
             possible.append((off + 0.1 * moved / np.hypot(*self._motion.axis), pair))
         return [pair for _, pair in sorted(possible, key=lambda entry: entry[0])[:4]]
 
@@ -325,6 +337,6 @@ class Tracker:
         if motion is None or time - motion.time > FORGET_AFTER:
             return True
         gap = time - motion.time
-        moved = np.hypot(*(pixels.mean(axis=0) - motion.middle)) / np.hypot(*motion.axis)
+        moved = np.hypot(*(middle_of(pixels) - motion.middle)) / np.hypot(*motion.axis)
         turned = abs(float(angle_between(angle_of(pixels[0] - pixels[1]), angle_of(motion.axis))))
         return moved < REACH + REACH_PER_SECOND * gap and turned < TURN + TURN_PER_SECOND * gap

@@ -8,6 +8,7 @@ before a marker's hue is looked at: a robot or a hand is a small part of the pic
 from __future__ import annotations
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST
@@ -50,14 +51,27 @@ class Cast:
 
     def update(self, frame: NDArray) -> tuple[float, float]:
         """Return the factors of blue and of red for a later picture of the same view."""
-        grid, before = _grid(frame), self._reference
-        usable = np.minimum(grid, before).min(axis=1) > _DARK
-        usable &= np.maximum(grid, before).max(axis=1) < _CLIPPED
-        if usable.sum() >= _LEAST:
-            blue, green, red = (grid[usable] / before[usable]).T
-            factors = np.median(green / blue), np.median(green / red)
-            self.white = _believed(factors[0] * self._base[0], factors[1] * self._base[1])
+        usable, blue, red = _turned(_grid(frame), self._reference)
+        if usable >= _LEAST:
+            self.white = _believed(blue * self._base[0], red * self._base[1])
         return self.white
+
+
+@njit(cache=True, nogil=True)
+def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
+    """Return how many pixels say something, and the medians of what green gained on the others."""
+    gained = np.empty((2, len(grid)), np.float32)
+    count = 0
+    for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
+        low, high = min(now.min(), then.min()), max(now.max(), then.max())
+        if low > _DARK and high < _CLIPPED:
+            green = now[1] / then[1]
+            gained[0, count] = green / (now[0] / then[0])
+            gained[1, count] = green / (now[2] / then[2])
+            count += 1
+    if count == 0:
+        return 0, 1.0, 1.0
+    return count, np.median(gained[0, :count]), np.median(gained[1, :count])
 
 
 def _grid(frame: NDArray) -> NDArray:

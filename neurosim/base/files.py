@@ -317,13 +317,18 @@ def _field(value: Any) -> Any:
     return value
 
 
+def _fields(column: Sequence) -> list:
+    if isinstance(column, np.ndarray) and column.dtype == np.float64:
+        return ["" if value != value else repr(value) for value in column.tolist()]
+    return [_field(value) for value in column]
+
+
 def write_csv(path: str | Path, columns: Mapping[str, Sequence]) -> None:
     """Write columns of equal length as CSV, whole or not at all; NaN as nothing."""
     with atomic_path(path) as partial, open(partial, "w", encoding="utf-8", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            writer.writerow([_field(value) for value in row])
+        writer.writerows(zip(*(_fields(column) for column in columns.values()), strict=True))
 
 
 def sha256(path: str | Path) -> str:
