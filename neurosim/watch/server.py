@@ -162,10 +162,11 @@ class _Handler(BaseHTTPRequestHandler):
         if self.over.is_set():
             raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "neurosim has ended")
         own = {f"{name}:{self.port}" for name in (HOST, "localhost")}
-        if self.headers.get("Host") not in own:
+        hosts = self.headers.get_all("Host", [])
+        if len(hosts) != 1 or hosts[0] not in own:
             raise _Refused(HTTPStatus.FORBIDDEN, "this server answers to its own name only")
-        origin = self.headers.get("Origin")
-        if origin is not None and origin not in {f"http://{name}" for name in own}:
+        origins = self.headers.get_all("Origin", [])
+        if not {f"http://{name}" for name in own}.issuperset(origins):
             raise _Refused(HTTPStatus.FORBIDDEN, "this server answers its own page only")
         if self.headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
             raise _Refused(HTTPStatus.FORBIDDEN, "this server answers its own page only")
@@ -182,7 +183,8 @@ class _Handler(BaseHTTPRequestHandler):
         if what == "picture":
             query = self.path.partition("?")[2]
             name, _, number = query.partition("=")
-            after = int(number) if name == "after" and number.isdecimal() else 0
+            counts = name == "after" and number.isdecimal() and len(number) < 16
+            after = int(number) if counts else 0
             picture, state = self.viewer.picture(after, PATIENCE)
             told = json.dumps(state, separators=(",", ":"), ensure_ascii=True)
             return picture, "image/jpeg", {"Neurosim-State": told}
@@ -219,7 +221,7 @@ class _Handler(BaseHTTPRequestHandler):
             raise _Refused(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "that is too long")
         try:
             asked = json.loads(self.rfile.read(int(length)))
-        except ValueError:
+        except (ValueError, RecursionError):
             asked = None
         if not isinstance(asked, dict):
             raise _Refused(HTTPStatus.BAD_REQUEST, "expected a JSON object")

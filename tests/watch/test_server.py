@@ -126,6 +126,22 @@ def test_others_are_refused(server, viewer, headers):
     assert viewer.asked == []
 
 
+@pytest.mark.parametrize("name", ["Host", "Origin"])
+def test_who_asks_twice_is_refused(server, name):
+    port = server.address[1]
+    own = f"127.0.0.1:{port}" if name == "Host" else f"http://127.0.0.1:{port}"
+    with socket.create_connection(server.address, timeout=10) as line:
+        path = server.url.split("/", 3)[3]
+        both = f"{name}: {own}\r\n{name}: http://evil.example\r\n"
+        host = "" if name == "Host" else f"Host: 127.0.0.1:{port}\r\n"
+        line.sendall(f"GET /{path} HTTP/1.1\r\n{host}{both}\r\n".encode())
+        assert line.recv(100).startswith(b"HTTP/1.1 403 ")
+
+
+def test_a_number_of_any_length_is_no_trouble(server):
+    assert ask(server, "picture?after=" + "9" * 6000)[0] == 200
+
+
 @pytest.mark.parametrize("path", ["/", "/picture", "//", "/wrong/", "/wrong/picture", "*"])
 def test_without_the_secret_there_is_nothing(server, path):
     assert ask(server, path=path)[0] == 403
@@ -148,6 +164,7 @@ def test_two_runs_have_two_secrets(viewer):
     [
         ("colour", b"{", 400),
         ("colour", [], 400),
+        ("colour", b"[" * 4000, 400),
         ("colour", {"which": "left", "u": 1, "v": 1}, 400),
         ("colour", {"which": "front", "u": "1", "v": 1}, 400),
         ("colour", {"which": "front", "u": True, "v": 1}, 400),
