@@ -22,6 +22,19 @@ _FOURCC = {".mp4": "mp4v", ".m4v": "mp4v", ".mkv": "MJPG", ".avi": "MJPG"}
 _BITS = 4
 
 
+def check_overlay(overlay: str | Path, video: Path) -> None:
+    """Refuse an overlay that cannot be written, or would replace the video it is made from.
+
+    Raises:
+        UserError: if it is the video itself, or its ending is none of .mp4, .mkv, .avi.
+    """
+    overlay = Path(overlay)
+    if overlay.suffix.lower() not in _FOURCC:
+        raise UserError(f"{overlay}: name the overlay video .mp4, .mkv or .avi")
+    if overlay.exists() and overlay.samefile(video):
+        raise UserError(f"{overlay} is the video itself; name another file for the overlay")
+
+
 class Overlay:
     """Writes the overlay frame by frame; use it as a context manager.
 
@@ -39,12 +52,10 @@ class Overlay:
         """Open the file.
 
         Raises:
-            UserError: if the file's ending is none of .mp4, .mkv, .avi, or it cannot be written.
+            UserError: if it cannot be written.
         """
         self.path = Path(path)
-        fourcc = _FOURCC.get(self.path.suffix.lower())
-        if fourcc is None:
-            raise UserError(f"{self.path}: name the overlay video .mp4, .mkv or .avi")
+        fourcc = _FOURCC[self.path.suffix.lower()]
         self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), fps, size)
         if not self._writer.isOpened():
             raise UserError(f"{self.path}: OpenCV cannot write this video here")

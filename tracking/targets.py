@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple, Protocol
 
 import cv2
@@ -116,7 +117,7 @@ def _reach(corners: NDArray) -> int:
 
 
 def _check(pattern: tuple[int, int], square: float) -> None:
-    if min(pattern) < 2 or square <= 0:
+    if min(pattern) < 2 or not 0 < square < math.inf:
         raise UserError(
             f"a chessboard of {pattern[0]} x {pattern[1]} inner corners with squares of "
             f"{square:g} m cannot be: at least 2 x 2 corners and squares above 0 m are needed"

@@ -19,7 +19,7 @@ from tracking.camera_model import CameraModel
 from tracking.colours import Colour, parse_colour
 from tracking.motion import disagreement, fit_clock_to_motion
 from tracking.motor_delay import Delay, motion_delay
-from tracking.overlay import Overlay
+from tracking.overlay import Overlay, check_overlay
 from tracking.pair import Geometry
 from tracking.palette import unless_still
 from tracking.pointing import colour_at
@@ -104,6 +104,7 @@ def follow(
             )
         drawing = None
         if overlay is not None:
+            check_overlay(overlay, path)
             partial = stack.enter_context(atomic_path(overlay))
             drawing = stack.enter_context(Overlay(partial, video.size, video.fps, colours))
         progress = stack.enter_context(
@@ -119,7 +120,7 @@ def follow(
             progress.advance()
     table = np.array(rows, float)
     if tracker.found is None:
-        raise UserError(_not_found(path, colours, tracker.seen))
+        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
     founds = tracker.found
     if clicks is None:
         founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
@@ -284,6 +285,8 @@ def track_video(
     Raises:
         UserError: as :func:`follow` does, or if ``out`` is not empty.
     """
+    if not math.isfinite(height):
+        raise UserError(f"a marker's height of {height} m is not a number")
     camera = _read_camera(calibration)
     geometry, size = None, None
     if camera is not None:
@@ -456,7 +459,9 @@ def _session_summary(
     }
 
 
-def _not_found(path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool]) -> str:
+def _not_found(
+    path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool], known: bool
+) -> str:
     missing = [c.name for c, there in zip(colours, seen, strict=True) if not there]
     if missing:
         return (
@@ -465,5 +470,6 @@ def _not_found(path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool])
         )
     return (
         f"{path}: no {colours[0].name} and {colours[1].name} marker were found together in any "
-        "frame; are these the markers' colours, and is their distance as recording.json says?"
+        "frame; are these the markers' colours"
+        + (", and are their distance and size as they were said to be?" if known else "?")
     )

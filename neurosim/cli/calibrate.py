@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -165,6 +166,6 @@ def _board(text: str) -> tuple[float, float]:
         length, width = (float(part) for part in text.lower().split("x"))
     except ValueError:
         length = width = 0.0
-    if not (length > 0 and width > 0):
+    if not (0 < length < math.inf and 0 < width < math.inf):
         raise UserError(f"--board {text!r}: expected length x width in metres, such as 2.76x1.84")
     return length, width

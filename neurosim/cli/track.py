@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import click
@@ -65,6 +66,8 @@ def track(
     from tracking.track import track as track_
     from tracking.track import track_video
 
+    if not recording.exists():
+        raise UserError(f"{recording}: no such recording, and no such video file")
     pair = _pair(colours) if colours else None
     if recording.is_file():
         if out is None:
@@ -115,6 +118,7 @@ def _places(clicks: tuple[str, ...]) -> list[list[float]]:
         places = [[float(part) for part in text.split(",")] for text in clicks]
     except ValueError:
         places = []
-    if len(places) != 2 or any(len(place) != 2 for place in places):
+    finite = all(math.isfinite(part) for place in places for part in place)
+    if len(places) != 2 or any(len(place) != 2 for place in places) or not finite:
         raise UserError("--click: expected two of them, U,V in pixels, front first, then rear")
     return places

@@ -190,6 +190,8 @@ def test_photographs_that_will_not_do(tmp_path):
         calibrate(tmp_path, pattern=(7, 5))
     with pytest.raises(UserError, match="at least 2 x 2"):
         calibrate(tmp_path, pattern=(1, 5))
+    with pytest.raises(UserError, match="squares above 0 m"):
+        calibrate(tmp_path, pattern=(7, 5), square=np.nan)
 
 
 def test_the_stated_uncertainty_covers_random_halves(shared_data):

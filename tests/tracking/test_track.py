@@ -1,4 +1,5 @@
 import json
+import math
 from pathlib import Path
 
 import cv2
@@ -317,6 +318,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
     [
         (["--click", "422,178"], "expected two of them"),
         (["--click", "422,178", "--click", "x,y"], "expected two of them"),
+        (["--click", "422,178", "--click", "9,nan"], "expected two of them"),
         (["--click", "5,5", "--click", "9,9"], "only grey"),
         (["--click", "9000,5", "--click", "9,9"], "outside of the picture"),
         (["--click", "5,5", "--click", "9,9", "--colours", "red,blue"], "leave out --colours"),
@@ -341,6 +343,14 @@ def test_bare_video_that_will_not_do(tmp_path, frames):
     write_video(tmp_path / "bare.avi", frames[:3])
     with pytest.raises(UserError, match="name the overlay video"):
         track_video(tmp_path / "bare.avi", "pink", "blue", overlay=tmp_path / "seen.txt")
+    before = (tmp_path / "bare.avi").read_bytes()
+    with pytest.raises(UserError, match="is the video itself"):
+        track_video(tmp_path / "bare.avi", "pink", "blue", overlay=tmp_path / "bare.avi")
+    assert (tmp_path / "bare.avi").read_bytes() == before
+    with pytest.raises(UserError, match="not a number"):
+        track_video(tmp_path / "bare.avi", "pink", "blue", height=math.nan)
+    done = CliRunner().invoke(verb, [str(tmp_path / "absent.mp4"), "-o", str(tmp_path / "out")])
+    assert "no such video file" in str(done.exception)
     assert not (tmp_path / "out").exists()
     assert sorted(Path(tmp_path).iterdir()) == [tmp_path / "bare.avi", tmp_path / "none.avi"]
 
