@@ -1,4 +1,5 @@
 # make demo: the whole road in the virtual lab.  make test: the tests.
+# make test-extras: the peers that benchmarks measure beside ours.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
@@ -14,8 +15,9 @@ test: .venv/installed-dev
 	$(BIN)/ruff format --check .
 	$(BIN)/pytest -n 2 --dist loadfile $(PYTEST_ARGS)
 
-# Nothing needs the heavy optional libraries yet; what does will be tested here.
-test-extras: .venv/installed-dev
+# The peers of the benchmarks, which are large: 2 GB in all.
+test-extras: .venv/installed-extras
+	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .
@@ -33,6 +35,10 @@ format: .venv/installed-dev
 .venv/installed-dev: pyproject.toml | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
 	touch $@ .venv/installed
+
+.venv/installed-extras: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench]'
+	touch $@ .venv/installed-dev .venv/installed
 
 clean:
 	rm -rf .venv build dist *.egg-info demo

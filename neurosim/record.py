@@ -6,7 +6,7 @@ import contextlib
 import json
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -41,6 +41,7 @@ def record(
     resume: bool = False,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
 ) -> Recording:
     """Record a robot's commands and the video of what they did.
@@ -59,6 +60,7 @@ def record(
         finish: called with (folder, session) when the session's files are closed, whatever
             happened; the virtual lab writes its truth there.
         lab: what the virtual lab was made with, or None for a real robot.
+        options: kept in recording.json, for whoever resumes.
         say: takes messages for the user.
 
     Raises:
@@ -71,6 +73,8 @@ def record(
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
+    if options is not None:
+        wanted["options"] = dict(options)
     recording = _resumed(out, wanted) if resume else None
     with robot:
         if recording is None:

@@ -186,6 +186,7 @@ def build(
     *,
     settings: Settings | None = None,
     correct_delay: bool = True,
+    mixed: bool = False,
 ) -> Dataset:
     """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
 
@@ -195,15 +196,19 @@ def build(
         settings: how displacements are taken from the track, and what is left out.
         correct_delay: whether displacements count from when the motors were seen to answer
             rather than from when the commands were sent.
+        mixed: whether recordings may be of different robots.
 
     Raises:
         FileError: if a recording's files are missing or wrong, or its clock goes backwards.
-        UserError: if no command is usable, a recording is named twice, or ``out`` is taken.
+        UserError: if no command is usable, a recording is named twice, recordings are of
+            different robots, or ``out`` is taken.
     """
     settings = settings or Settings()
     recordings = [Path(path) for path in recordings]
     files.check_new_folder(out)
     names = _recording_names(recordings)
+    if not mixed:
+        _check_one_robot(recordings)
     rows: list[dict[str, Any]] = []
     sent: list[dict[str, Any]] = []
     left_out = Counter(dict.fromkeys(REASONS, 0))
@@ -253,6 +258,32 @@ def build(
     )
     dataset.write(out)
     return dataset
+
+
+#: What of a robot's description tells it from another, or its commands from another's.
+_IDENTITY = (
+    "kind", "robot", "dialect", "name", "address", "virtual", "invert", "full_speed", "speed_unit",
+)  # fmt: skip
+
+
+def _check_one_robot(recordings: Sequence[Path]) -> None:
+    """Refuse recordings of different robots: one simulator cannot be right about both."""
+    first: dict[str, Any] | None = None
+    for path in recordings:
+        meta = Recording(path).meta
+        robot, lab = meta["robot"], meta.get("virtual_lab")
+        found = {key: robot.get(key) for key in _IDENTITY}
+        ports = robot.get("ports")
+        for side in ("left", "right"):
+            found[f"{side} motor"] = ports.get(side) if isinstance(ports, Mapping) else None
+        found["robot of the lab"] = lab.get("robot_seed") if isinstance(lab, Mapping) else None
+        first = found if first is None else first
+        for key, value in found.items():
+            if value != first[key]:
+                raise UserError(
+                    f"{recordings[0]} and {path} are of different robots ({key}: {first[key]!r} "
+                    f"and {value!r}): make a dataset of each, or mix them knowingly with --mixed"
+                )
 
 
 def _recording_names(paths: Sequence[Path]) -> list[str]:

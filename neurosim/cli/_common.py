@@ -91,7 +91,7 @@ class Resumable(click.Command):
 def given_options() -> dict[str, Any]:
     """Return the options that were given to the verb that runs, to be kept for --resume."""
     ctx = click.get_current_context()
-    left_out = {"json", "as_json", "resume"}
+    left_out = {"out", "as_json", "resume"}
     return {
         parameter.name: _kept(ctx.params[parameter.name])
         for parameter in ctx.command.params

@@ -65,6 +65,7 @@ def record_rounds(
     *,
     live: bool,
     resume: bool,
+    options: dict[str, Any],
 ) -> list[Recording]:
     """Record in rounds, each a recording of its own in ``out``, tracked before the next.
 
@@ -82,6 +83,7 @@ def record_rounds(
         calibration: of the camera.
         live: whether to track while recording.
         resume: go on with a recording that was interrupted.
+        options: of the command line, kept in each round.
 
     Raises:
         UserError: if ``out`` is taken, or is complete, or was begun with other settings.
@@ -131,6 +133,7 @@ def record_rounds(
                     resume=begun,
                     finish=rig.finish,
                     lab=rig.lab,
+                    options=options,
                 )
         if not there.is_tracked:
             track(folder)

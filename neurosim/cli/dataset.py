@@ -26,9 +26,10 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
     help="Count displacements from when commands were sent, not from when the motors were seen to "
     "answer.",
 )
+@click.option("--mixed", is_flag=True, help="Recordings of different robots, knowingly.")
 @json_option
 def dataset(
-    recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, as_json: bool
+    recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, mixed: bool, as_json: bool
 ) -> None:
     """Turn RECORDINGS that were tracked into rows of (command -> displacement)."""
     from tracking.dataset import build
@@ -37,7 +38,7 @@ def dataset(
     if source == "mrclam":
         made = import_mrclam(list(recordings), out)
     else:
-        made = build(list(recordings), out, correct_delay=not as_sent)
+        made = build(list(recordings), out, correct_delay=not as_sent, mixed=mixed)
     left_out = made.meta.get("left_out", {})
     delays = made.meta.get("motor_delays", [])
     result = {

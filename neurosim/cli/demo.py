@@ -11,7 +11,9 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, seed_option
+from neurosim.base.errors import UserError
+from neurosim.base.files import read_json, write_json
+from neurosim.cli._common import PATH, is_given, seed_option
 
 
 @click.command()
@@ -26,7 +28,9 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     interrupted demo goes on where it stopped.
     """
     began = time.monotonic()
-    out.mkdir(parents=True, exist_ok=True)
+    if out.exists() and not out.is_dir():
+        raise UserError(f"{out} is a file; name a folder")
+    commands, seed = _settings(out, commands, seed)
     for words in _steps(out, commands, seed):
         text = [str(word) for word in words]
         if words[0] == "report":
@@ -69,6 +73,26 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
             trial.rename(_free(out, "interrupted-trial"))
         yield ["run", controller, "--calibration", calibration, "-o", trial, *seeded]
     yield ["report", dataset, simulator, controller, trial, "-o", page]
+
+
+def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
+    """Return what a demo was begun with; write it down where it begins."""
+    path, now = out / "demo.json", {"commands": commands, "seed": seed}
+    if not path.exists():
+        if (out / "recording").exists():
+            raise UserError(
+                f"{out} holds a recording, but not what a demo was begun with; name a new folder"
+            )
+        write_json(path, "neurosim-demo", 1, now)
+        return commands, seed
+    begun = read_json(path, "neurosim-demo", 1, dict.fromkeys(now, int))
+    for name, value in now.items():
+        if is_given(name) and begun[name] != value:
+            raise UserError(
+                f"the demo in {out} was begun with --{name} {begun[name]}, not {value}; go on with "
+                "that, or name a new folder"
+            )
+    return begun["commands"], begun["seed"]
 
 
 def _complete(recording: Path) -> bool:

@@ -9,14 +9,37 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from neurosim.cli._common import PATH, Range, emit, json_option, next_step, seed_option
+from neurosim.cli._common import (
+    PATH,
+    Range,
+    Resumable,
+    emit,
+    given_options,
+    json_option,
+    next_step,
+    seed_option,
+)
 from neurosim.cli._robots import open_rig, robot_options
 
 if TYPE_CHECKING:
     from tracking.recordings import Recording
 
 
-@click.command()
+def _begun(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the options of a recording, or of a guided one's first round."""
+    from neurosim.base.files import read_json
+
+    for path in (values["out"] / "recording.json", values["out"] / "round-01" / "recording.json"):
+        if path.exists():
+            options = read_json(path, "neurosim-recording", 1).get("options")
+            options = dict(options) if isinstance(options, dict) else {}
+            if (kept := path.with_name("calibration.json")).exists():
+                options["calibration"] = str(kept)  # whatever became of the one that was given
+            return options
+    return {}
+
+
+@click.command(cls=Resumable, begun=_begun)
 @click.argument("out", type=PATH)
 @click.option("--commands", type=int, default=500, show_default=True, help="How many to send.")
 @robot_options
@@ -67,7 +90,9 @@ if TYPE_CHECKING:
 @click.option(
     "--round", "size", default=50, show_default=True, help="Commands of a round of --guided."
 )
-@click.option("--resume", is_flag=True, help="Go on with a recording that was interrupted.")
+@click.option(
+    "--resume", is_flag=True, help="Go on with a recording that was interrupted, with its options."
+)
 @seed_option
 @json_option
 def record(
@@ -134,7 +159,15 @@ def record(
                 "calibration.json (neurosim calibrate makes one)"
             )
         made = record_rounds(
-            out, opened, source, settings, size, calibration, live=live, resume=resume
+            out,
+            opened,
+            source,
+            settings,
+            size,
+            calibration,
+            live=live,
+            resume=resume,
+            options=given_options(),
         )
         result = {"rounds": [str(part.path) for part in made], **_summary(out, commands, made)}
         emit(
@@ -158,6 +191,7 @@ def record(
             resume=resume,
             finish=rig.finish,
             lab=rig.lab,
+            options=given_options(),
         )
     result = _summary(out, commands, [made])
     emit(

@@ -16,7 +16,7 @@ from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.controllers import NetworkController, Plan
 from neurosim.controllers.network import KIND as NETWORK
-from neurosim.simulators import TableSimulator
+from neurosim.simulators import TableSimulator, read_simulator
 from tracking.dataset import Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
@@ -152,6 +152,8 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
         else:
             if kind == "controller":
                 Plan.read(path)  # checks it, to the last number
+            elif kind == "simulator":
+                read_simulator(path)  # and its weights
             getattr(found, f"{kind}s").append(Artefact(kind, path, meta))
     if not seen:
         raise UserError("name at least one folder to report on")

@@ -68,7 +68,7 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(road,
     assert refused.returncode == 1
     assert "candidates" in refused.stderr
 
-    printed = json.loads(neurosim(*words, "--resume", "--json", cwd=tmp_path).stdout)
+    printed = json.loads(neurosim("record", "r", "--resume", "--json", cwd=tmp_path).stdout)
     assert printed["sessions"] == 3
     assert [os.path.basename(path) for path in printed["rounds"]] == ["round-01", "round-02"]
     recordings = [Recording(tmp_path / path) for path in printed["rounds"]]

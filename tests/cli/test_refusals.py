@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from neurosim.base.files import write_csv
+from neurosim.base.files import write_csv, write_json
 from neurosim.cli.main import main
 from neurosim.lab import VirtualRig
 
@@ -118,10 +118,11 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     assert Recording(tmp_path / "r").commands()
     monkeypatch.undo()
     monkeypatch.chdir(tmp_path)
-    words = ["record", "r", "--commands", "50", "--resume", "--json"]
+    words = ["record", "r", "--resume", "--json"]
     monkeypatch.setattr(sys, "argv", ["neurosim", *words])
     main()
-    assert json.loads(capsys.readouterr().out)["sessions"] == 2
+    resumed = json.loads(capsys.readouterr().out)
+    assert (resumed["sessions"], resumed["commands"]) == (2, 50)
 
 
 def test_a_real_robots_option_without_a_real_robot(refused):
@@ -150,7 +151,7 @@ def test_a_khepera_that_is_not_reached(refused, options, why):
     ("options", "names"),
     [
         (["--lab-seed", "1"], "virtual_lab.robot_seed"),
-        (["--camera-size", "320x240"], "camera.size"),
+        (["--camera-size", "320x240"], "pictures of 640x480"),
         (["--fps", "20"], "camera.fps"),
         (["--lamp", "color:3"], "robot.ports.lamp"),
         (["--seed", "9"], "settings.source.seed"),
@@ -397,3 +398,27 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
     assert "points" in said
     said = refused("calibrate", "photographs", "--point", "1,2,3")
     assert "'1,2,3'" in said
+
+
+def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):
+    (tmp_path / "FILE").touch()
+    assert "FILE is a file; name a folder" in refused("demo", "FILE")
+    write_json(tmp_path / "d" / "demo.json", "neurosim-demo", 1, {"commands": 400, "seed": 0})
+    assert "was begun with --commands 400, not 30" in refused("demo", "d", "--commands", 30)
+    assert "was begun with --seed 0, not 1" in refused("demo", "d", "--seed", 1)
+    (tmp_path / "e" / "recording").mkdir(parents=True)
+    assert "not what a demo was begun with" in refused("demo", "e")
+
+
+def test_a_report_of_a_simulator_whose_weights_are_damaged(refused, copy):
+    weights = copy("simulator") / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-100])
+    assert "weights.safetensors" in refused("report", "simulator")
+
+
+def test_a_dataset_of_two_robots(refused, copy, tmp_path):
+    copy("recording").rename(tmp_path / "a")
+    edit(copy("recording") / "recording.json", '"robot_seed": 0', '"robot_seed": 1')
+    said = refused("dataset", "a", "recording", "-o", "d")
+    assert "a and recording are of different robots (robot of the lab: 0 and 1)" in said
+    assert "--mixed" in said

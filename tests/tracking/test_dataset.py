@@ -43,9 +43,9 @@ def drive(lines, until, delay=DELAY, start=(0.1, -0.2, 7.0)):
     return pose
 
 
-def write_recording(path, sessions, *, edit=None, until=None):
+def write_recording(path, sessions, *, edit=None, until=None, robot=None):
     """Write a recording; each session is a list of (command, kind, time, left, right, duration)."""
-    recording = Recording.create(path, {"robot": {"kind": "test"}})
+    recording = Recording.create(path, {"robot": {"kind": "test", **(robot or {})}})
     columns = ([], [], [], [], [])
     with recording.command_log() as log:
         for lines in sessions:
@@ -380,3 +380,18 @@ def test_the_cutting_report():
 def test_settings_must_be_positive():
     with pytest.raises(UserError, match="max_speed must be above 0"):
         Settings(max_speed=0.0)
+
+
+def test_recordings_of_different_robots(tmp_path):
+    names = [{"address": "1"}, {"address": "1", "version": "newer"}, {"address": "2"}]
+    paths = [
+        write_recording(tmp_path / f"r{place}", [SESSION], robot=robot)
+        for place, robot in enumerate(names)
+    ]
+    assert len(build(paths[:2], tmp_path / "same")) == 2 * len(build(paths[:1], tmp_path / "one"))
+    with pytest.raises(UserError, match=r"r0 and .*r2 are of different robots \(address: '1' and"):
+        build(paths, tmp_path / "mixed")
+    assert not (tmp_path / "mixed").exists()
+    assert len(build(paths, tmp_path / "mixed", mixed=True)) == 3 * len(
+        build(paths[:1], tmp_path / "again")
+    )

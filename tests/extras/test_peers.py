@@ -1,0 +1,47 @@
+"""The peers that benchmarks measure beside ours run (``make test-extras``; extra ``bench``)."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get("NEUROSIM_EXTRAS"), reason="run by make test-extras, which installs them"
+)
+
+
+def measured(name, *words):
+    done = subprocess.run(
+        [sys.executable, str(BENCHMARKS / name), *words, "--json"],
+        capture_output=True,
+        text=True,
+        timeout=600,
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.splitlines()[-1])  # peers have things to say before it
+
+
+def test_genetic_algorithms():
+    seconds = measured("ga_training.py", "--repeats", "2")["seconds"]
+    assert {"neurosim", "EvoTorch", "DEAP", "PyGAD"} <= set(seconds)
+    assert all(value > 0 for value in seconds.values())
+
+
+def test_a_simulator_of_the_same_robot_in_jax():
+    rows = measured("table_rollout.py", "--quick")["rows"]
+    for name in ("ours, noise uniform", "PyTorch", "Kheperax (JAX)"):
+        found = [row["steps_per_second"] for row in rows if row["name"] == name]
+        assert len(found) == 2
+        assert min(found) > 0
+
+
+def test_rollouts_of_a_rigid_body_engine():
+    rows = measured("planner_speed.py", "--quick")["rows"]
+    (found,) = (row for row in rows if row["name"].startswith("MuJoCo"))
+    assert found["physics_steps_per_second"] > found["command_steps_per_second"] > 0
