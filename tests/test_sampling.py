@@ -4,17 +4,19 @@ import json
 import math
 from dataclasses import replace
 
+import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from neurosim.base import files
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.cli.main import cli
 from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
 from neurosim.lab import khepera_physics as physics
 from neurosim.lab.khepera_params import WHEEL_BASE
 from neurosim.robots.khepera_dialects import dialect_named
-from neurosim.sampling import SampleSettings, full_turn, read_turns, sample
+from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
 from neurosim.simulators.motor_table import MotorTable
 from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.samples import Samples
@@ -210,3 +212,22 @@ def test_refusals(tmp_path, words, message):
     with pytest.raises(UserError, match=message):
         CliRunner().invoke(cli, ["sample", str(out), *words], catch_exceptions=False)
     assert not out.exists()
+
+
+def test_resume_takes_the_options_it_was_begun_with(tmp_path, monkeypatch):
+    out, seen = tmp_path / "out", []
+
+    def interrupted(out, robot, settings, place, **others):
+        seen.append((settings, others["seed"], robot.describe()["virtual"]))
+        if not others["resume"]:
+            files.write_json(out / "sampling.json", FORMAT, VERSION, {"options": others["options"]})
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("neurosim.sampling.sample", interrupted)
+    begun = ["--angles", "24", "--grid", "5", "--seed", "3", "--lab-seed", "2"]
+    for words in (begun, ["--resume"], ["--resume", "--angles", "30"]):
+        with pytest.raises(click.Abort):
+            cli.main(["sample", str(out), *words], standalone_mode=False)
+    assert seen[0] == seen[1]
+    assert (seen[1][0].angles, seen[1][0].grid, *seen[1][1:]) == (24, 5, 3, True)
+    assert (seen[2][0].angles, seen[2][0].grid) == (30, 5)

@@ -10,7 +10,15 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, next_step, seed_option
+from neurosim.cli._common import (
+    PATH,
+    Resumable,
+    emit,
+    given_options,
+    json_option,
+    next_step,
+    seed_option,
+)
 from neurosim.cli._robots import khepera, khepera_options
 
 _PROMPTS = {
@@ -21,7 +29,16 @@ _PROMPTS = {
 }
 
 
-@click.command()
+def _begun(values: dict[str, Any]) -> dict[str, Any]:
+    from neurosim.base.files import read_json
+    from neurosim.sampling import FORMAT, VERSION
+
+    path = values["out"] / "sampling.json"
+    options = read_json(path, FORMAT, VERSION).get("options") if path.exists() else None
+    return options if isinstance(options, dict) else {}
+
+
+@click.command(cls=Resumable, begun=_begun)
 @click.argument("out", type=PATH)
 @click.option(
     "--robot",
@@ -79,7 +96,9 @@ def sample(
 
     settings = SampleSettings(angles, distances, first / 1000, step / 1000, repeats, grid or 0)
     with _opened(robot, lab_seed, seed, options) as (driver, place):
-        result = sample_(out, driver, settings, place, resume=resume, seed=seed)
+        result = sample_(
+            out, driver, settings, place, resume=resume, seed=seed, options=given_options()
+        )
     files = [out / name for name in result["samples"]]
     text = (
         f"{out}: {len(files)} samples, {result['motor_settings']} motor settings; the wheels are "

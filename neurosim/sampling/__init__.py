@@ -12,7 +12,7 @@ Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``rea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -59,6 +59,7 @@ def sample(
     resume: bool = False,
     seed: int = 0,
     progress: bool = True,
+    options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Sample both objects and the motors into a folder.
 
@@ -71,6 +72,7 @@ def sample(
         resume: go on where an earlier call was interrupted, with the same settings.
         seed: of the choice of settings held out.
         progress: whether to show progress on stderr.
+        options: kept in ``sampling.json``, for whoever resumes.
 
     Returns:
         ``samples`` (files), ``wheel_base`` (m, measured), ``motor_settings``, ``reaction``
@@ -84,7 +86,8 @@ def sample(
     """
     out = Path(out)
     levels = settings.levels(robot.full_speed)
-    _begin(out, settings, seed, robot, resume)
+    about = {"settings": asdict(settings), "seed": seed, "robot": robot.describe()}
+    _begin(out, {**about, "options": dict(options or {})}, resume)
     total = settings.repeats * settings.distances * len(OBJECTS)
     bar = Progress("sample", total, "turns") if progress else None
     try:
@@ -120,7 +123,9 @@ def sample(
     if cost is not None:
         result["interpolation"] = cost
     content = files.read_json(out / "sampling.json", FORMAT, VERSION)
-    described = {key: content[key] for key in ("settings", "seed", "robot")}
+    described = {
+        key: content[key] for key in ("settings", "seed", "robot", "options") if key in content
+    }
     files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
     return result
 
@@ -146,15 +151,14 @@ def _once(place: Place, where: str) -> Callable[[], None]:
     return cache(lambda: place(where))
 
 
-def _begin(out: Path, settings: SampleSettings, seed: int, robot: Khepera, resume: bool) -> None:
+def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
     path = out / "sampling.json"
     if not resume:
         files.check_new_folder(out)
-        about = {"settings": asdict(settings), "seed": seed, "robot": robot.describe()}
         files.write_json(path, FORMAT, VERSION, about)
         return
     found = files.read_json(path, FORMAT, VERSION, {"settings": dict, "seed": int, "robot": dict})
-    if found["settings"] != asdict(settings) or found["seed"] != seed:
+    if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
             path, "was begun with other settings; give the same to go on", field="settings"
         )

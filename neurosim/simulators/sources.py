@@ -11,7 +11,7 @@ from neurosim.base.provenance import is_virtual
 from neurosim.simulators.base import FORMAT, VERSION
 
 #: What says of which robot a folder of samples, or a dataset, is.
-_ABOUT = {"sampling.json": "neurosim-sampling", "dataset.json": "neurosim-dataset"}
+_ABOUT = {"sampling.json": ("neurosim-sampling", 2), "dataset.json": ("neurosim-dataset", 1)}
 
 
 def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
@@ -39,8 +39,8 @@ def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
         folder = path if path.is_dir() else path.parent
         told = is_virtual(
             [
-                read_json(folder / name, format, 1)
-                for name, format in _ABOUT.items()
+                read_json(folder / name, *which)
+                for name, which in _ABOUT.items()
                 if (folder / name).exists()
             ]
         )

@@ -15,6 +15,7 @@ from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
 from neurosim.cli.main import cli
 from neurosim.controllers import Plan, read_controller
+from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.samples import Samples
@@ -87,7 +88,7 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
         shutil.copy(folder / f"{name}.sample", tmp_path)
     if virtual is not None:
         robot = {"robot": "khepera", "virtual": virtual}
-        write_json(tmp_path / "sampling.json", "neurosim-sampling", 1, {"robot": robot})
+        write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": robot})
     call("tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", tmp_path / "sim")
     call(
         "evolve", tmp_path / "sim", "--task", "obstacle-avoidance", "-o", tmp_path / "net",
