@@ -85,6 +85,16 @@ def test_a_robot_without_light_sensors_stays_on_the_board(kept):
     assert turns == {-1.0, 1.0}
 
 
+def test_light_sensors_that_see_no_line_do_not_let_it_leave(tmp_path):
+    # The line that the lab's sensors could see lies well outside of this board's edge.
+    recording, _, truth = make(tmp_path / "r", RandomCommands(seed=3), 10, sensors=True)
+    assert recording.meta["robot"]["ports"]["light_left"] is not None
+    assert [line.kind for line in recording.commands()].count("cut") >= 1
+    half = np.array([BOARD["length"], BOARD["width"]]) / 2
+    assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
+    assert recording.is_tracked
+
+
 def test_the_poses_are_there_and_are_what_a_second_pass_gives(kept, tmp_path):
     recording, _, truth = kept
     live = recording.poses()
