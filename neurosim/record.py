@@ -16,7 +16,8 @@ import numpy as np
 from neurosim.base.errors import UserError
 from neurosim.commands import CommandSource
 from neurosim.robots.base import Robot
-from neurosim.session import FLASHES, BatteryLow, Guard, RecordSettings, Session
+from neurosim.session import FLASHES, BatteryLow, Session
+from neurosim.settings import Guard, RecordSettings
 from neurosim.spotter import Spotter
 from tracking.camera import Camera, VideoSink
 from tracking.camera_model import CameraModel

@@ -20,6 +20,7 @@ FLOORS = {
     "neurosim.record": 2,
     "neurosim.sampling": 2,
     "neurosim.session": 2,
+    "neurosim.settings": 2,
     "neurosim.spotter": 2,
     "neurosim.simulators": 2,
     "neurosim.lab": 2,
