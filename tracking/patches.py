@@ -17,6 +17,13 @@ ACROSS = 1.5
 SETTLED, ROUNDS = 0.002, 12
 #: In a smaller marker (px) a white dot is not told apart: video has colour at half resolution.
 DOT_RADIUS = 4.0
+#: Light counts from this share of the marker's own on, for what is left of the backing; where
+#: there is no white dot edges are sharper, and what a camera's sharpening makes of them matters.
+DEAD, PLAIN_DEAD = 0.15, 0.25
+#: As many times the marker's ratio of light to chroma are its own, with a white dot and without.
+FULL, PLAIN_FULL = 2.0, 3.5
+#: Beside a brighter neighbour: more than this many times as bright as a marker's mean is not of it.
+GLARE = 1.2
 _ROOT = math.sqrt(0.75)
 
 
@@ -171,10 +178,40 @@ def _plain(plane, u, v, radius, p, q, chroma):
 
 
 @njit(cache=True, nogil=True)
-def _brightest(plane, luma, u, v, radius, reach, full, p, q, chroma, light, backing):
+def _foreign(plane, member, u, v, chroma):
+    """Return whether (u, v) is of another colour: neither the marker's own, nor white or grey."""
+    i, j = round(v), round(u)
+    if not (0 <= i < member.shape[0] and 0 <= j < member.shape[1]):
+        return False
+    coloured = math.hypot(plane[0, i, j], plane[1, i, j]) > 0.5 * chroma
+    return coloured and member[i, j] == 0.0
+
+
+@njit(cache=True, nogil=True)
+def _without_glare(member, luma, u, v, radius, backing):
+    """Return both without what is much brighter than the colour around (u, v); the rest levelled."""
+    total = light = 0.0
+    for i in range(luma.shape[0]):
+        for j in range(luma.shape[1]):
+            weight = member[i, j] * _disc(i, j, u, v, radius)
+            total += weight
+            light += weight * (luma[i, j] - backing)
+    light = max(light / max(total, 1.0), 1.0)
+    member, luma = member.copy(), luma.copy()
+    for i in range(luma.shape[0]):
+        for j in range(luma.shape[1]):
+            above = (luma[i, j] - backing) / light
+            if above > 1.0:
+                own = min(max(GLARE + 1.0 - above, 0.0), 1.0)
+                member[i, j] *= own
+                luma[i, j] = backing + own * light
+    return member, luma
+
+
+@njit(cache=True, nogil=True)
+def _brightest(plane, luma, u, v, radius, reach, full, dead, p, q, chroma, light, backing):
     """Return the centroid of the marker's light within reach of itself, and its sum."""
-    # A dead zone takes out what is left of the backing; more of it would cost edge pixels.
-    dark = backing + 0.15 * light
+    dark = backing + dead * light
     explained = full * light / chroma
     for _ in range(ROUNDS):
         total = across = down = 0.0
@@ -227,25 +264,33 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
     column, row, density = _densest(member, u - left, v - top, radius, margin)
     if density < 0.15:
         return none
-    area, cu, cv = 0.0, float(column), float(row)
-    for _ in range(2):
-        cu, cv, area = _centroid(member, cu, cv, 1.4 * radius + 1.0)
-        if area <= 0.0:
-            return none
+    around = 1.4 * radius + 1.0
+    cu, cv, area = _centroid(member, float(column), float(row), around)
+    cu, cv, area = _centroid(member, cu, cv, around)
+    if area <= 0.0:
+        return none
     backing = darkest(luma)
     # A marker with a white dot is round. Another may be a bar, which is longer than the disc of its
     # area and has no one brightest place along it, or a square, whose corners stand out.
-    reach, full = radius, 2.0
+    reach, full, dead = radius, FULL, DEAD
     if radius > DOT_RADIUS and _plain(plane, cu, cv, radius, p, q, chroma):
-        reach, full = max(1.25 * radius, 1.1 * _length(member, cu, cv, 1.4 * radius + 1.0)), 3.0
+        reach = max(1.25 * radius, 1.1 * _length(member, cu, cv, around))
+        full, dead = PLAIN_FULL, PLAIN_DEAD
     bu, bv, total = _brightest(
-        plane, luma, cu, cv, radius, reach + 1.0, full, p, q, chroma, light, backing
+        plane, luma, cu, cv, radius, reach + 1.0, full, dead, p, q, chroma, light, backing
     )
-    if total <= 0.0:
+    near = 0.5 + 0.15 * radius
+    if math.hypot(bu - cu, bv - cv) >= near and _foreign(plane, member, bu, bv, chroma):
+        member, luma = _without_glare(member, luma, cu, cv, radius, backing)
+        cu, cv, area = _centroid(member, cu, cv, around)
+        bu, bv, total = _brightest(
+            plane, luma, cu, cv, radius, reach + 1.0, full, dead, p, q, chroma, light, backing
+        )
+    if total <= 0.0 or area <= 0.0:
         return none
     # Something bright beside the marker pulls at its light, something of its colour at both.
     ou, ov = bu, bv
-    if math.hypot(bu - cu, bv - cv) < 0.5 + 0.15 * radius:
+    if math.hypot(bu - cu, bv - cv) < near:
         cu, cv = bu, bv
     p, q, chroma, light = read_look(plane, luma, cu, cv, radius, p, q, chroma, light, backing)
     return True, left + cu, top + cv, left + ou, top + ov, area, p, q, chroma, light

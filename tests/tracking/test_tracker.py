@@ -6,6 +6,7 @@ import tracking_scene as scene
 
 from tracking.colours import parse_colour
 from tracking.pair import Geometry
+from tracking.pointing import colour_at
 from tracking.tracker import Tracker
 from tracking.video import Video
 
@@ -213,6 +214,52 @@ def test_what_stands_still_stays_still(shared_data, front, rear, middle):
                 break
     assert math.dist(np.mean(places, axis=(0, 1)), middle) < 1.0
     assert np.std(places, axis=0).max() < 0.1
+
+
+#: The six plates of the still field: a pixel on each of their two colours.
+PLATES = {
+    "red-yellow": ((440, 358), (453, 358)),
+    "blue-yellow": ((63, 411), (77, 411)),
+    "green-yellow": ((422, 178), (435, 177)),
+    "purple-blue": ((243, 210), (257, 213)),
+    "orange-purple": ((48, 274), (53, 286)),
+    "purple-green": ((75, 371), (75, 386)),
+}
+
+
+def test_every_marker_that_stands_still_stays_still(shared_data):
+    with Video(shared_data / "footage" / "field-static.mp4") as video:
+        trackers = {
+            name: Tracker(
+                *(colour_at(video.first, click).colour for click in clicks),
+                start=np.array(clicks, float),
+            )
+            for name, clicks in PLATES.items()
+        }
+        seen = {name: [] for name in PLATES}
+        for _, time, frame in video:
+            for name, tracker in trackers.items():
+                seen[name].append(pixels_of(tracker.update(frame, time)))
+    # NaN, where a pair was not found, fails here as well.
+    scatter = {name: np.std(places, axis=0).max() for name, places in seen.items()}
+    assert all(value < 0.1 for value in scatter.values()), scatter
+
+
+def test_a_dim_marker_beside_a_bright_one_of_another_colour():
+    rng, misses = np.random.default_rng(9), []
+    tracker = Tracker(parse_colour("#2d1e6e"), parse_colour("#5aa5f5"))
+    for i in range(20):
+        image = np.full((240, 320, 3), 20, np.uint8)
+        middle = np.array([120.3 + 1.7 * i, 100.2 + 0.6 * i])
+        ends = middle, middle + (13.0, 0.0)
+        scene.paint_rectangle(image, ends[0], (6.0, 9.0), 0.0, (110, 30, 45))
+        scene.paint_rectangle(image, ends[1], (6.0, 9.0), 0.0, (245, 165, 90))
+        seen = tracker.update(scene.finish(image, rng), i / FPS)
+        assert seen.found
+        misses.append(pixels_of(seen) - np.stack(ends))
+    dim, bright = np.abs(np.mean(misses, axis=0)).max(axis=1)
+    assert dim < 0.5
+    assert bright < 0.05
 
 
 def test_a_start_chooses_among_pairs():
