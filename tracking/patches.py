@@ -189,7 +189,7 @@ def _foreign(plane, member, u, v, chroma):
 
 @njit(cache=True, nogil=True)
 def _without_glare(member, luma, u, v, radius, backing):
-    """Return both without what is much brighter than the colour around (u, v); the rest levelled."""
+    """Return both levelled, and without what is much brighter than the colour at (u, v)."""
     total = light = 0.0
     for i in range(luma.shape[0]):
         for j in range(luma.shape[1]):

@@ -251,7 +251,7 @@ def test_a_dim_marker_beside_a_bright_one_of_another_colour():
     for i in range(20):
         image = np.full((240, 320, 3), 20, np.uint8)
         middle = np.array([120.3 + 1.7 * i, 100.2 + 0.6 * i])
-        ends = middle, middle + (13.0, 0.0)
+        ends = middle, middle + np.array([13.0, 0.0])
         scene.paint_rectangle(image, ends[0], (6.0, 9.0), 0.0, (110, 30, 45))
         scene.paint_rectangle(image, ends[1], (6.0, 9.0), 0.0, (245, 165, 90))
         seen = tracker.update(scene.finish(image, rng), i / FPS)
