@@ -42,12 +42,44 @@ class Arrays(NamedTuple):
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
+    moving: bool  #: which derived inputs there are, as in Derived
+    swing: float  #: NaN for none
 
 
 @njit(cache=True, error_model="numpy")
 def _scaled(a, inputs, i):
     x = inputs[i] / a.input_scale[i]
     return 0.0 if abs(x) < a.dead_zone[i] else x
+
+
+@njit(cache=True, error_model="numpy")
+def network_inputs(a, inputs, x):
+    """Write what the networks are given: scaled inputs, and those derived from them.
+
+    Args:
+        a: :class:`Arrays`, or others that have its fields of inputs.
+        inputs: [I], in the dataset's units.
+        x: [I + derived], written.
+    """
+    for i in range(len(inputs)):
+        x[i] = _scaled(a, inputs, i)
+    place = len(inputs)
+    if a.moving:
+        x[place] = 0.0
+        for k in a.driven:
+            if inputs[k] != 0.0:
+                x[place] = 1.0
+        place += 1
+    if not math.isnan(a.swing):
+        now, before = (x[a.driven[0]], x[a.driven[1]]), (x[a.before[0]], x[a.before[1]])
+        x[place] = 0.0
+        if (now[0] != 0.0 or now[1] != 0.0) and (before[0] != 0.0 or before[1] != 0.0):
+            angle = math.atan2(now[1], now[0]) - math.atan2(before[1], before[0])
+            x[place] = angle / math.pi
+            if x[place] >= 1.0 - a.swing:
+                x[place] -= 2.0
+            elif x[place] < -1.0 - a.swing:
+                x[place] += 2.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -66,9 +98,11 @@ def displacement(a, member, inputs, out):
     else:
         first = max(member, -1) + a.central
         end = first + 1
+    given = np.empty(count)
+    network_inputs(a, inputs, given)
     pattern = 0
     for i in range(count):
-        if _scaled(a, inputs, i) < 0.0:
+        if given[i] < 0.0:
             pattern += 1 << i
     offset = (0.0, 0.0)
     for o in range(outputs):
@@ -76,11 +110,11 @@ def displacement(a, member, inputs, out):
         for m in range(first, end):
             total += a.bias[m, o]
             for i in range(count):
-                total += a.linear[m, o, i] * _scaled(a, inputs, i)
+                total += a.linear[m, o, i] * given[i]
             for k in range(units):
                 power = 0.0
                 for i in range(count):
-                    x = max(abs(_scaled(a, inputs, i)), a.floor)
+                    x = max(abs(given[i]), a.floor)
                     power += a.exponents[m, o, k, i] * math.log(x)
                 power = min(max(power, -LOG_LIMIT), LOG_LIMIT)
                 total += a.signed[m, o, pattern, k] * math.exp(power)

@@ -11,6 +11,7 @@ members disagree where there was little to learn from, the noise is what no netw
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ import torch
 from torch import Tensor
 
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
+from neurosim.simulators.derived import Derived, can_swing
 from neurosim.simulators.kernels import Arrays
 from neurosim.simulators.noise import (
     LASTING,
@@ -57,6 +59,7 @@ class MotionNetwork:
         noise: the noise model, or None.
         dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
             too slowly stands.
+        derived: inputs of the networks that follow from the others and stand after them.
         meta: what else simulator.json says: training, test errors, source.
     """
 
@@ -74,6 +77,7 @@ class MotionNetwork:
         noise: NoiseModel | None = None,
         dead_zone: Tensor | None = None,
         central: bool = False,
+        derived: Derived | None = None,
     ):
         """Make a simulator.
 
@@ -89,7 +93,12 @@ class MotionNetwork:
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}")
         shape = (len(genes), COORDINATES[coordinates], network.genes)
-        if len(names) != network.inputs or genes.shape != shape or len(genes) <= central:
+        derived = derived or Derived()
+        if (
+            len(names) + len(derived) != network.inputs
+            or genes.shape != shape
+            or len(genes) <= central
+        ):
             raise ValueError("inputs, network and genes do not fit each other")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
@@ -110,6 +119,9 @@ class MotionNetwork:
         given = (*remembered, *self.command_names)
         device = self.genes.device
         self._columns = CommandFeatures.of(names)
+        if derived.swing is not None and not can_swing(self._columns):
+            raise ValueError("a swing takes two remembered inputs")
+        self.derived = derived
         self._predict = Prediction(network, self.genes.flatten(0, 1))
         self._predict_mean = Prediction(network, self.genes[0]) if central else None
         self._remembered = slice(3, 3 + len(remembered))
@@ -190,22 +202,26 @@ class MotionNetwork:
             member: of the ensemble, for all rows or for each [B]; -1: the mean.
         """
         if self.central and isinstance(member, int) and member < 0:
-            outputs = self._predict_mean(self.scaled(inputs)) * self.output_scale[0]
+            outputs = self._predict_mean(self.network_inputs(inputs)) * self.output_scale[0]
         else:
             outputs = _of_member(self._outputs(inputs), member, self.central)
         return self.from_outputs(outputs)
 
     def scaled(self, inputs: Tensor) -> Tensor:
-        """Return ``inputs`` [B, I] as the networks take them."""
+        """Return ``inputs`` [B, I] scaled, those within the dead zone zero."""
         scaled = inputs / self.input_scale
         return torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+
+    def network_inputs(self, inputs: Tensor) -> Tensor:
+        """Return ``inputs`` [B, I] as the networks take them, the derived ones appended."""
+        return self.derived.append(self._columns, inputs, self.scaled(inputs))
 
     def outputs(self, inputs: Tensor) -> Tensor:
         """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
         return self._outputs(inputs)[:, int(self.central) :]
 
     def _outputs(self, inputs: Tensor) -> Tensor:
-        outputs = self._predict(self.scaled(inputs))
+        outputs = self._predict(self.network_inputs(inputs))
         return outputs.unflatten(-1, (len(self.genes), -1)) * self.output_scale
 
     def from_outputs(self, outputs: Tensor) -> Tensor:
@@ -266,6 +282,8 @@ class MotionNetwork:
             driven=np.array(self._columns.driven, np.int64),
             before=np.array(self._columns.before, np.int64),
             duration=self._columns.duration,
+            moving=self.derived.moving,
+            swing=math.nan if self.derived.swing is None else self.derived.swing,
         )
 
     def write(self, folder: str | Path) -> None:

@@ -13,6 +13,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.derived import Derived
 from neurosim.simulators.motion import COORDINATES, OUTPUTS, MotionNetwork
 from neurosim.simulators.noise import (
     COMPONENTS,
@@ -51,6 +52,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
             **{k: v for k, v in asdict(simulator.network).items() if k != "inputs"},
         },
         "coordinates": simulator.coordinates,
+        "derived": asdict(simulator.derived),
         "members": simulator.members,
         "central": simulator.central,
         "noise": None if simulator.noise is None else NOISE,
@@ -82,17 +84,20 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     inputs = content["inputs"]
     if not all(isinstance(i, dict) and isinstance(i.get("name"), str) for i in inputs):
         raise FileError(path, "expected a list of {name, unit}", field="inputs")
+    derived = _derived(path, content)
     try:
         shape = dict(content["network"])
         kinds = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
-        network = kinds[shape.pop("kind", "product-summation")](len(inputs), **shape)
+        make = kinds[shape.pop("kind", "product-summation")]
+        network = make(len(inputs) + len(derived), **shape)
     except (KeyError, TypeError, ValueError) as error:
         raise FileError(path, f"is no network ({error})", field="network") from None
     members, noisy = _members_and_noise(path, content)
     if content["coordinates"] not in COORDINATES:
         raise FileError(path, f"expected one of {', '.join(COORDINATES)}", field="coordinates")
     central = content.get("central", False) is True
-    expected = _tensors(network, members + central, COORDINATES[content["coordinates"]])
+    outputs = COORDINATES[content["coordinates"]]
+    expected = _tensors(network, len(inputs), members + central, outputs)
     if noisy:
         expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
     if content["version"] == 1:
@@ -103,7 +108,8 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         weights = Path(folder) / "weights.safetensors"
         raise FileError(weights, "expected numbers above 0", field="input_scale")
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-    described = ("format", "version", "outputs", "members", "central", "noise", *fields)
+    known = ("format", "version", "outputs", "members", "central", "noise", "derived")
+    described = (*known, *fields)
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(
@@ -117,6 +123,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             _noise(loaded) if noisy else None,
             loaded.get("dead_zone"),
             central,
+            derived,
         )
     except ValueError as error:
         raise FileError(path, f"is no motion network ({error})") from None
@@ -137,16 +144,27 @@ def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, boo
     return members, noise is not None
 
 
+def _derived(path: Path, content: Mapping[str, Any]) -> Derived:
+    found = content.get("derived", {})
+    if isinstance(found, dict) and set(found) <= {"moving", "swing"}:
+        moving, swing = found.get("moving", False), found.get("swing")
+        number = isinstance(swing, int | float) and not isinstance(swing, bool) and abs(swing) < 1
+        if isinstance(moving, bool) and (swing is None or number):
+            return Derived(moving, swing)
+    expected = "expected moving (true, false) and swing (number or null)"
+    raise FileError(path, expected, field="derived")
+
+
 def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
     return NoiseModel(**{name: tensors[f"noise.{name}"] for name in NoiseModel.SHAPES})
 
 
 def _tensors(
-    network: ProductSummationNetwork | Perceptron, members: int, outputs: int
+    network: ProductSummationNetwork | Perceptron, inputs: int, members: int, outputs: int
 ) -> dict[str, tuple[int, ...]]:
     return {
         "genes": (members, outputs, network.genes),
-        "input_scale": (network.inputs,),
+        "input_scale": (inputs,),
         "output_scale": (members, outputs),
-        "dead_zone": (network.inputs,),
+        "dead_zone": (inputs,),
     }

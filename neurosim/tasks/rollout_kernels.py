@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit, prange
 
 from neurosim.networks import LOG_LIMIT
-from neurosim.simulators.kernels import SIZES, Arrays, shake, spread
+from neurosim.simulators.kernels import SIZES, Arrays, network_inputs, shake, spread
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -45,6 +45,10 @@ class Ensemble(NamedTuple):
     bias: np.ndarray  #: [R]
     input_scale: np.ndarray  #: [I]
     dead_zone: np.ndarray  #: [I]
+    driven: np.ndarray  #: this and the next three as in Arrays
+    before: np.ndarray
+    moving: bool
+    swing: float
     floor: float
     twist: bool
 
@@ -99,6 +103,10 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
         bias=np.ascontiguousarray(bias.reshape(-1)),
         input_scale=a.input_scale,
         dead_zone=a.dead_zone,
+        driven=a.driven,
+        before=a.before,
+        moving=a.moving,
+        swing=a.swing,
         floor=a.floor,
         twist=a.twist,
     )
@@ -166,21 +174,19 @@ def displacements(e, inputs, x, log2, units, rows, out):
     Args:
         e: :class:`Ensemble`.
         inputs: [I], in the dataset's units.
-        x, log2, units, rows: scratch, [I], [I], [U] and [R].
+        x, log2, units, rows: scratch, [J], [J], [U] and [R], J inputs of a network.
         out: [M, 3], written.
     """
+    network_inputs(e, inputs, x)
     pattern = 0
-    for i in range(len(inputs)):
-        x[i] = inputs[i] / e.input_scale[i]
-        if abs(x[i]) < e.dead_zone[i]:
-            x[i] = 0.0
+    for i in range(len(x)):
         if x[i] < 0.0:
             pattern += 1 << i
         log2[i] = math.log2(max(abs(x[i]), e.floor))
     _units(e.exponents, log2, units)
     for r in range(len(rows)):
         total = e.bias[r]
-        for i in range(len(inputs)):
+        for i in range(len(x)):
             total += e.linear[r, i] * x[i]
         rows[r] = total
     signed = e.signed[pattern]
@@ -227,7 +233,8 @@ def mean_poses(e, source, start, commands, given, stop):
     batch, count, width = commands.shape
     poses = np.empty((batch, count + 2, 3))
     for b in prange(batch):
-        inputs, x, log2 = np.empty(len(source)), np.empty(len(source)), np.empty(len(source))
+        inputs = np.empty(len(source))
+        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
         units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
         moved, before = np.empty((1, 3)), np.zeros(width)
         px, py, theta = start[0], start[1], start[2]
@@ -266,7 +273,8 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
     draws = len(starts)
     poses = np.empty((batch, draws, count + 2, 3))
     for b in prange(batch):
-        inputs, x, log2 = np.empty(len(source)), np.empty(len(source)), np.empty(len(source))
+        inputs = np.empty(len(source))
+        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
         units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
         means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
         moved, before = np.empty(3), np.zeros(width)

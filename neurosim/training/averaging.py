@@ -66,6 +66,7 @@ def average(found: list[MotionNetwork]) -> MotionNetwork:
         first.output_scale,
         first.coordinates,
         dead_zone=first.dead_zone,
+        derived=first.derived,
     )
 
 

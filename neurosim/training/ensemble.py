@@ -30,6 +30,7 @@ from torch import Tensor
 
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.derived import Derived
 from neurosim.training.averaging import average, widened
 from neurosim.training.base import PursuitSettings, Trainer, TrainingData
 from neurosim.training.exponents import ExponentsSettings
@@ -126,9 +127,10 @@ class EnsembleTrainer:
     def _begin(self, search: int) -> Trainer:
         seen, data, settings = self._seen[search], self._data, self._settings
         if isinstance(settings, ExponentsSettings) and self._finished:
-            # The first search, of all rows, has found it.
+            # The first search, of all rows, has found them.
             zone = tuple(self._finished[0]["dead_zone"].tolist())
-            settings = replace(settings, dead_zone=zone)
+            derived = Derived.of(self._finished[0]["derived"])
+            settings = replace(settings, dead_zone=zone, derived=derived)
         # Searches differ by seed too, for all that is drawn in them.
         if seen.all():
             return self._make(data, settings, self._seed + search)
@@ -237,6 +239,7 @@ def _together(found: list[MotionNetwork], central: bool) -> MotionNetwork:
         torch.cat([member.output_scale for member in found]),
         first.coordinates,
         dead_zone=first.dead_zone,
+        derived=first.derived,
         central=central,
     )
 

@@ -19,9 +19,15 @@ from torch import Tensor
 
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.derived import Derived, can_swing
+from neurosim.simulators.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData, one_thread, root_mean_square
 from neurosim.training.dead_zone import find_dead_zone
 from neurosim.training.pursuit import Pursuit
+from neurosim.training.swing import find_swing
+
+#: With fewer rows than these, finer searches and inputs that are derived find what is not there.
+MANY_ROWS = 1000
 
 
 @dataclass(frozen=True)
@@ -32,10 +38,12 @@ class ExponentsSettings(PursuitSettings):
         floor: the smallest magnitude of an input in a product unit.
         dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
+        derived: inputs that follow from the others; found from the data if not given.
     """
 
     floor: float = 0.02
     dead_zone: tuple[float, ...] | None = None
+    derived: Derived | None = None
 
 
 class ExponentsTrainer:
@@ -67,8 +75,7 @@ class ExponentsTrainer:
     ):
         if not network.linear or network.summations < 1 or network.products < 1:
             raise ValueError("exponents are trained for linear activations and units of both kinds")
-        self._data = data
-        self._network = replace(network, phases=True, floor=settings.floor)
+        self._data, self._settings = data, settings
         self._generator = torch.Generator(device).manual_seed(seed)
         self._device = device
         x, y = data.scaled_inputs.to(device), data.y.to(device)
@@ -79,14 +86,35 @@ class ExponentsTrainer:
         else:
             self._dead_zone = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)
         x = torch.where(x.abs() < self._dead_zone, 0.0, x)
+        self._derived, x = self._derive(x, y[:, 2])
+        self._network = replace(network, inputs=x.shape[1], phases=True, floor=settings.floor)
         targets, factors = half_way(y)
         self._scale = root_mean_square(targets)[[0, 2]]  # of translations and of turns
         translation = translation_factors(y[:, 2], factors[:, 0])
         search = (settings, network.products, self._generator, settings.floor)
-        self._turn = Pursuit(
-            x, torch.ones_like(y[:, 2])[None, None], targets[:, 2:].T / self._scale[1], *search
-        )
+        # It is one function, whose exponents can all be moved together after every unit.
+        often = settings
+        if len(x) >= MANY_ROWS:
+            often = replace(settings, refine_every=1, refine_steps=2 * settings.refine_steps)
+        turn = targets[:, 2:].T / self._scale[1]
+        self._turn = Pursuit(x, torch.ones_like(turn)[None], turn, often, *search[1:])
         self._shift = Pursuit(x, translation, targets[:, :2].T / self._scale[0], *search)
+
+    def _derive(self, x: Tensor, turn: Tensor) -> tuple[Derived, Tensor]:
+        """Return which derived inputs there are, and the scaled inputs with them."""
+        columns = CommandFeatures.of(tuple(entry["name"] for entry in self._data.inputs))
+        inputs, settings = self._data.x.to(x), self._settings
+        derived = settings.derived
+        if derived is None and len(x) < MANY_ROWS:
+            derived = Derived()
+        elif derived is None:
+            derived = Derived(moving=bool(self._dead_zone.any()))
+            if can_swing(columns):
+                with one_thread(self._device):
+                    derived = find_swing(
+                        derived, columns, inputs, x, turn, settings, settings.floor
+                    )
+        return derived, derived.append(columns, inputs, x)
 
     def advance(self) -> Tensor:
         """Give the turn one unit more and the translation two; return the mean squared errors.
@@ -119,6 +147,7 @@ class ExponentsTrainer:
             torch.tensor([translation, translation, turn, translation, translation]),
             coordinates="twist-offset",
             dead_zone=self._dead_zone.cpu(),
+            derived=self._derived,
         )
 
     def _functions(self, search: Pursuit) -> list[Tensor]:
@@ -149,7 +178,11 @@ class ExponentsTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Return the state of both searches."""
-        state = {"generator": self._generator.get_state(), "dead_zone": self._dead_zone.cpu()}
+        state = {
+            "generator": self._generator.get_state(),
+            "dead_zone": self._dead_zone.cpu(),
+            "derived": self._derived.tensor(),
+        }
         for name, search in (("turn", self._turn), ("shift", self._shift)):
             state |= {f"{name}.{key}": value for key, value in search.state().items()}
         return state

@@ -30,8 +30,9 @@ class Readout:
         self._data = data
         self._network = network = simulator.network
         self._coordinates = simulator.coordinates
-        self._ridge, self._dead_zone = ridge, simulator.dead_zone
-        x = simulator.scaled(data.x)
+        self._ridge = ridge
+        self._dead_zone, self._derived = simulator.dead_zone, simulator.derived
+        x = simulator.network_inputs(data.x)
         self._units = w = network.split(simulator.genes[0])
         units = network.product_units(w.exponents, x, w.phases).transpose(-1, -2)  # [O, N, P]
         # A unit that says nothing may be one that is not there.
@@ -114,6 +115,7 @@ class Readout:
             self._scale,
             self._coordinates,
             dead_zone=self._dead_zone,
+            derived=self._derived,
         )
 
 

@@ -6,6 +6,7 @@ import torch
 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.derived import Derived
 from neurosim.simulators.noise import NoiseModel
 from neurosim.tasks.rollouts import RUN_DOWN, CompiledRollouts, SteppedRollouts, rollouts, stepped
 
@@ -19,12 +20,15 @@ def normal(seed, *shape):
     return torch.randn(*shape, generator=generator, dtype=torch.float64)
 
 
-def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False, central=False):
-    network = ProductSummationNetwork(inputs=5, products=7, summations=2)
-    genes = 0.5 * normal(1, members + central, OUTPUTS[coordinates], network.genes)
+def simulator(
+    members, coordinates, *, noisy=True, names=NAMES, shared=False, central=False, derived=None
+):
+    inputs = 5 + len(derived or ())
+    network = ProductSummationNetwork(inputs=inputs, products=7, summations=2)
+    genes = 2.5 / inputs * normal(1, members + central, OUTPUTS[coordinates], network.genes)
     if shared:  # networks with the same exponents, as read-outs of one search have
-        genes[:, :, : 7 * 5] = genes[:1, :1, : 7 * 5]
-        genes[:, :, 7 * 5] = 0.0
+        genes[:, :, : 7 * inputs] = genes[:1, :1, : 7 * inputs]
+        genes[:, :, 7 * inputs] = 0.0
     noise = None
     if noisy:
         shapes = NoiseModel.SHAPES
@@ -45,35 +49,42 @@ def simulator(members, coordinates, *, noisy=True, names=NAMES, shared=False, ce
         noise=noise,
         dead_zone=torch.tensor([0.06 if name != "duration" else 0.0 for name in names]),
         central=central,
+        derived=derived,
     )
 
 
 def plans(batch, count):
     rng = np.random.default_rng(0)
     commands = rng.uniform((-50, -50, 0.5), (50, 50, 3), (batch, count, 3))
-    # Zeros, speeds within the dead zone, and equal speeds.
+    # Zeros, speeds within the dead zone, equal speeds, and the same speeds backwards.
     commands[0, 0, :2] = 0.0
     commands[1, :, 0] = 2.0
     commands[2, :, 1] = commands[2, :, 0]
+    commands[-1, 1:, :2] = -commands[-1, :-1, :2]
+    commands[-1, 1::2, :2] *= 0.5
     given = rng.random((batch, count)) < 0.75
     given[3] = False
     return commands, given
 
 
+@pytest.mark.parametrize("derived", [None, Derived(moving=True), Derived(True, 0.03)])
 @pytest.mark.parametrize("names", [NAMES, (*NAMES[2:], *NAMES[:2])])
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize(
     ("members", "coordinates", "central"),
     [(1, "displacement", False), (3, "twist-offset", False), (3, "twist-offset", True)],
 )
-def test_expected_paths_are_those_of_single_steps(members, coordinates, central, shared, names):
-    sim = simulator(members, coordinates, names=names, shared=shared, noisy=False, central=central)
+def test_expected_paths_are_those_of_single_steps(
+    members, coordinates, central, shared, names, derived
+):
+    how = {"names": names, "shared": shared, "noisy": False, "derived": derived}
+    sim = simulator(members, coordinates, central=central, **how)
     commands, given = plans(8, 6)
     fast, slow = rollouts(sim, START), SteppedRollouts(sim, START)
     assert isinstance(fast, CompiledRollouts)
     expected = slow.expected(commands, given)
     assert np.abs(expected - np.array(START)).max() > 0.1
-    assert fast.expected(commands, given) == pytest.approx(expected, rel=1e-9, abs=1e-9)
+    assert fast.expected(commands, given) == pytest.approx(expected, rel=1e-8, abs=1e-8)
 
 
 @pytest.mark.parametrize(

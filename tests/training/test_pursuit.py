@@ -5,6 +5,8 @@ import pytest
 import torch
 
 from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators.derived import Derived
+from neurosim.simulators.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData
 from neurosim.training.dead_zone import find_dead_zone
 from neurosim.training.exponents import (
@@ -14,6 +16,7 @@ from neurosim.training.exponents import (
     translation_factors,
 )
 from neurosim.training.pursuit import Pursuit, row_weights
+from neurosim.training.swing import find_swing
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 FEW = {"candidates": 100, "parents": 6, "children": 30}
@@ -153,3 +156,17 @@ def test_the_trainer_s_errors_are_those_of_its_simulator(robot_data):
     moved = trainer.result().displacement(inputs)
     found = (moved - outputs)[:, 2].square().mean()
     assert found.item() == pytest.approx(errors[2].item(), rel=1e-4)
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0, 0.0])
+def test_a_swing_is_found_where_there_is_one(side):
+    """A robot whose caster turns it by 0.1 rad for every half turn of its own."""
+    columns = CommandFeatures.of(tuple(NAMES))
+    x, g = rows(500)
+    x[::4, 2] = x[::4, 3]
+    x[::2, :2] = -0.7 * x[::2, 2:4]  # reversals
+    swing = Derived(swing=0.03 * (side or 1.0)).append(columns, x, x)[:, -1]
+    target = (x[:, 3] - x[:, 2]) * x[:, 4] + 0.1 * abs(side) * swing
+    target = target + 0.005 * torch.randn(500, generator=g, dtype=torch.float64)
+    found = find_swing(Derived(), columns, x, x, target, PursuitSettings(**FEW), 0.02)
+    assert found == Derived(swing=0.03 * side if side else None)
