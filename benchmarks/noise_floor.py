@@ -47,9 +47,9 @@ from tracking.colours import parse_colour
 from tracking.dataset import Dataset
 from tracking.displacements import Settings as TrackSettings
 from tracking.displacements import Track
+from tracking.follow import Track as Seen
+from tracking.poses import board_poses, marker_geometry
 from tracking.recordings import DEFAULT_MARKERS
-from tracking.track import Track as Seen
-from tracking.track import board_poses, marker_geometry
 from tracking.tracker import Tracker
 
 FORMAT, VERSION = "neurosim-noise-floor", 1

@@ -44,8 +44,8 @@ from tracking_scenes import ARUCO, DICTIONARY, FPS, MARKERS, SCENARIOS, Clip, Fr
 from neurosim.lab.world import read_truth
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
+from tracking.poses import board_poses, marker_geometry
 from tracking.recordings import Recording
-from tracking.track import board_poses, marker_geometry
 from tracking.tracker import Tracker
 
 #: A pose further off than this (m, rad) is a false one.

@@ -22,9 +22,10 @@ from neurosim.spotter import Spotter
 from tracking.camera import Camera, VideoSink
 from tracking.camera_model import CameraModel
 from tracking.live import Seen
+from tracking.poses import marker_geometry
 from tracking.recordings import Recording
 from tracking.sightings import seen_live
-from tracking.track import marker_geometry, track
+from tracking.track import track
 
 __all__ = ["BatteryLow", "Guard", "RecordSettings", "record"]
 

@@ -13,7 +13,7 @@ from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
 from tracking.live import LiveTracker, Seen
 from tracking.palette import Found, warning
-from tracking.track import marker_geometry, marker_poses
+from tracking.poses import marker_geometry, marker_poses
 
 #: The user is told when the robot was not seen for so long, s.
 WARN_AFTER = 0.5

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from neurosim.base.files import integer, number, optional_number, read_csv
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
+from tracking.follow import Track
 from tracking.palette import find_colours, unless_still
+from tracking.poses import marker_geometry
 from tracking.recordings import SIGHTING_COLUMNS, Recording
-from tracking.track import Track, marker_geometry
 from tracking.tracker import Tracker
 from tracking.video import Video
 

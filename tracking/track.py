@@ -5,135 +5,23 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import atomic_path, new_folder, write_csv, write_json
-from neurosim.base.progress import Progress
+from neurosim.base.files import new_folder, write_csv, write_json
 from tracking.camera_model import CameraModel
-from tracking.colours import Colour, parse_colour
+from tracking.follow import Track, follow
 from tracking.motion import disagreement, fit_clock_to_motion
 from tracking.motor_delay import Delay, motion_delay
-from tracking.overlay import Overlay, check_overlay
 from tracking.pair import Geometry
-from tracking.palette import unless_still
-from tracking.pointing import colour_at
+from tracking.poses import board_poses, marker_geometry, unwrap
 from tracking.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
-from tracking.tracker import Tracker
-from tracking.video import Video
-
-
-@dataclass(frozen=True)
-class Track:
-    """What was seen in one video, one row a frame; pixels, seconds of the camera's clock.
-
-    Attributes:
-        frame: [N] index within the video.
-        time: [N] camera time.
-        front, rear: [N, 2] pixels of the markers' centres, NaN where the pair was not found.
-        quality: [N] 0 not found, up to 1.
-        lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
-        size: width and height of the video in pixels.
-        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
-            what speaks against them where they are not sure.
-    """
-
-    frame: NDArray
-    time: NDArray
-    front: NDArray
-    rear: NDArray
-    quality: NDArray
-    lamp: NDArray
-    size: tuple[int, int]
-    colours: tuple[dict[str, Any], dict[str, Any]]
-
-    @property
-    def found(self) -> NDArray:
-        """[N] whether the pair was found."""
-        return self.quality > 0
-
-
-def follow(
-    path: str | Path,
-    front: Colour | str,
-    rear: Colour | str,
-    *,
-    geometry: Geometry | None = None,
-    times: NDArray | None = None,
-    overlay: str | Path | None = None,
-    expected_size: tuple[int, int] | None = None,
-    clicks: ArrayLike | None = None,
-) -> Track:
-    """Follow two coloured markers through a video.
-
-    Args:
-        path: the video; one that was cut off is read as far as it goes.
-        front: the front marker's colour: a name, ``#rrggbb`` or ``hsv:h,s,v``.
-        rear: the rear marker's.
-        geometry: what is known of the pair.
-        times: camera time [N] of the frames in seconds; without, the container's.
-        overlay: write a video with the markers drawn over it here.
-        expected_size: the calibration's image size in pixels.
-        clicks: pixels [2, 2] of the front and the rear marker in the first frame; their colours
-            are then taken from there.
-
-    Raises:
-        UserError: if the video cannot be read, has another size than expected, or shows no
-            such pair in any frame.
-    """
-    path = Path(path)
-    rows: list[tuple] = []
-    with ExitStack() as stack:
-        video = stack.enter_context(Video(path, times))
-        if clicks is not None:
-            front, rear = (colour_at(video.first, click).colour for click in np.asarray(clicks))
-        colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
-        if colours[0].name == colours[1].name:
-            raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
-        tracker = Tracker(*colours, geometry, None if clicks is None else np.asarray(clicks, float))
-        if expected_size is not None and video.size != tuple(expected_size):
-            raise UserError(
-                f"{path} has {video.size[0]} x {video.size[1]} pixels, the calibration was made "
-                f"at {expected_size[0]} x {expected_size[1]}; calibrate at the video's size"
-            )
-        drawing = None
-        if overlay is not None:
-            check_overlay(overlay, path)
-            partial = stack.enter_context(atomic_path(overlay))
-            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, colours))
-        progress = stack.enter_context(
-            Progress(f"tracking {path.name}", video.frames or None, "frames")
-        )
-        for index, time, frame in video:
-            sighting = tracker.update(frame, time)
-            rows.append(
-                (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
-            )
-            if drawing is not None:
-                drawing.write(frame, time, sighting)
-            progress.advance()
-    table = np.array(rows, float)
-    if tracker.found is None:
-        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
-    founds = tracker.found
-    if clicks is None:
-        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
-    return Track(
-        table[:, 0].astype(int),
-        table[:, 1],
-        table[:, 2:4],
-        table[:, 4:6],
-        table[:, 6],
-        table[:, 7],
-        video.size,
-        tuple(found.told for found in founds),
-    )
 
 
 def track(
@@ -333,64 +221,6 @@ def track_video(
     return {**summary, "poses": columns}
 
 
-def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
-    """Return what recording.json's ``markers`` say to the tracker, seen by a camera."""
-    front, rear = (np.array([markers[m]["x"], markers[m]["y"]], float) for m in ("front", "rear"))
-    height = float(markers.get("height", 0.0))
-    axis = front - rear
-    separation = float(np.hypot(*axis))
-    if separation < 1e-3:
-        raise UserError("recording.json puts both markers in one place; correct markers.front.x")
-    lamp = markers.get("lamp")
-    share = (0.5, 0.0)
-    if lamp is not None:
-        way = np.array([lamp["x"], lamp["y"]], float) - rear
-        share = (
-            float(way @ axis) / separation**2,
-            float(axis[0] * way[1] - axis[1] * way[0]) / separation**2,
-        )
-    return Geometry(
-        lambda pixels: camera.to_board(pixels, height),
-        separation,
-        markers.get("diameter"),
-        share,
-    )
-
-
-def board_poses(seen: Track, markers: Mapping[str, Any], camera: CameraModel) -> NDArray:
-    """Return poses [N, 3] of the middle of the axle from the two markers of every frame.
-
-    The rigid fit of two points: heading from the line between them, position so that the
-    squares of what is left over are least. NaN where the pair was not found.
-    """
-    return marker_poses(seen.front, seen.rear, markers, camera)
-
-
-def marker_poses(
-    front: NDArray, rear: NDArray, markers: Mapping[str, Any], camera: CameraModel
-) -> NDArray:
-    """Return poses [N, 3] from the pixels [N, 2] of the two markers; see :func:`board_poses`."""
-    height = float(markers.get("height", 0.0))
-    front, rear = (camera.to_board(p, height) for p in (front, rear))
-    own = np.array([[markers[m]["x"], markers[m]["y"]] for m in ("front", "rear")], float)
-    axis, own_axis = front - rear, own[0] - own[1]
-    theta = unwrap(np.arctan2(axis[:, 1], axis[:, 0]) - math.atan2(own_axis[1], own_axis[0]))
-    cos, sin = np.cos(theta), np.sin(theta)
-    x, y = own.mean(axis=0)
-    middle = (front + rear) / 2
-    return np.stack(
-        [middle[:, 0] - cos * x + sin * y, middle[:, 1] - sin * x - cos * y, theta], axis=-1
-    )
-
-
-def unwrap(angles: NDArray) -> NDArray:
-    """Return angles [N] in radians without jumps of a full turn, across NaN as well."""
-    angles = np.array(angles, float)
-    seen = np.isfinite(angles)
-    angles[seen] = np.unwrap(angles[seen])
-    return angles
-
-
 def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
     """Return the video of every session, the given ones where the recording has none."""
     own = [source.video(session) for session in range(1, source.sessions + 1)]
@@ -457,19 +287,3 @@ def _session_summary(
         },
         "motor_delay": None if delay is None else asdict(delay),
     }
-
-
-def _not_found(
-    path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool], known: bool
-) -> str:
-    missing = [c.name for c, there in zip(colours, seen, strict=True) if not there]
-    if missing:
-        return (
-            f"{path}: nothing {' and nothing '.join(missing)} was found in any frame; "
-            "name the markers' colours, such as --colours pink,blue"
-        )
-    return (
-        f"{path}: no {colours[0].name} and {colours[1].name} marker were found together in any "
-        "frame; are these the markers' colours"
-        + (", and are their distance and size as they were said to be?" if known else "?")
-    )

@@ -66,8 +66,8 @@ def watch(
     from tracking.colours import parse_colour
     from tracking.live import LiveTracker
     from tracking.pair import Geometry
+    from tracking.poses import marker_geometry
     from tracking.recordings import DEFAULT_BOARD
-    from tracking.track import marker_geometry
 
     known = marker_settings(markers, "camera")
     colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))

@@ -21,8 +21,8 @@ from tracking.colours import Colour
 from tracking.live import Seen
 from tracking.palette import Found
 from tracking.pointing import Pointed, colour_at, told_apart
+from tracking.poses import marker_poses
 from tracking.recordings import write_markers
-from tracking.track import marker_poses
 
 #: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
 #: which x runs to the right: the order in which they are clicked.

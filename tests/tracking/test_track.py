@@ -12,8 +12,9 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import number, read_csv
 from neurosim.cli.track import track as verb
 from tracking.camera_model import CameraModel
+from tracking.poses import board_poses, marker_geometry, unwrap
 from tracking.recordings import Recording
-from tracking.track import board_poses, marker_geometry, track, track_video, unwrap
+from tracking.track import track, track_video
 from tracking.video import Video
 
 SIZE, FPS, HEIGHT = (320, 240), 30.0, 0.10

@@ -12,7 +12,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
 from tracking_accuracy import ArUco, Ours, rate
 from tracking_scenes import ARUCO, MARKERS, SCENARIOS, Clip
 
-from tracking.track import board_poses
+from tracking.poses import board_poses
 
 SIZE = (640, 480)
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}

@@ -15,8 +15,8 @@ from neurosim.watch import PageServer, Viewer
 from tracking.camera_model import CameraModel
 from tracking.colours import parse_colour
 from tracking.live import LiveTracker
+from tracking.poses import marker_geometry
 from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, read_markers
-from tracking.track import marker_geometry
 from tracking.tracker import Geometry
 
 POSE = np.array([0.62, -0.31, 0.8])

@@ -1,0 +1,145 @@
+"""One video, from its first frame to its last: where both markers were seen in each."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import atomic_path
+from neurosim.base.progress import Progress
+from tracking.colours import Colour, parse_colour
+from tracking.overlay import Overlay, check_overlay
+from tracking.pair import Geometry
+from tracking.palette import unless_still
+from tracking.pointing import colour_at
+from tracking.tracker import Tracker
+from tracking.video import Video
+
+
+@dataclass(frozen=True)
+class Track:
+    """What was seen in one video, one row a frame; pixels, seconds of the camera's clock.
+
+    Attributes:
+        frame: [N] index within the video.
+        time: [N] camera time.
+        front, rear: [N, 2] pixels of the markers' centres, NaN where the pair was not found.
+        quality: [N] 0 not found, up to 1.
+        lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
+        size: width and height of the video in pixels.
+        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
+            what speaks against them where they are not sure.
+    """
+
+    frame: NDArray
+    time: NDArray
+    front: NDArray
+    rear: NDArray
+    quality: NDArray
+    lamp: NDArray
+    size: tuple[int, int]
+    colours: tuple[dict[str, Any], dict[str, Any]]
+
+    @property
+    def found(self) -> NDArray:
+        """[N] whether the pair was found."""
+        return self.quality > 0
+
+
+def follow(
+    path: str | Path,
+    front: Colour | str,
+    rear: Colour | str,
+    *,
+    geometry: Geometry | None = None,
+    times: NDArray | None = None,
+    overlay: str | Path | None = None,
+    expected_size: tuple[int, int] | None = None,
+    clicks: ArrayLike | None = None,
+) -> Track:
+    """Follow two coloured markers through a video.
+
+    Args:
+        path: the video; one that was cut off is read as far as it goes.
+        front: the front marker's colour: a name, ``#rrggbb`` or ``hsv:h,s,v``.
+        rear: the rear marker's.
+        geometry: what is known of the pair.
+        times: camera time [N] of the frames in seconds; without, the container's.
+        overlay: write a video with the markers drawn over it here.
+        expected_size: the calibration's image size in pixels.
+        clicks: pixels [2, 2] of the front and the rear marker in the first frame; their colours
+            are then taken from there.
+
+    Raises:
+        UserError: if the video cannot be read, has another size than expected, or shows no
+            such pair in any frame.
+    """
+    path = Path(path)
+    rows: list[tuple] = []
+    with ExitStack() as stack:
+        video = stack.enter_context(Video(path, times))
+        if clicks is not None:
+            front, rear = (colour_at(video.first, click).colour for click in np.asarray(clicks))
+        colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
+        if colours[0].name == colours[1].name:
+            raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
+        tracker = Tracker(*colours, geometry, None if clicks is None else np.asarray(clicks, float))
+        if expected_size is not None and video.size != tuple(expected_size):
+            raise UserError(
+                f"{path} has {video.size[0]} x {video.size[1]} pixels, the calibration was made "
+                f"at {expected_size[0]} x {expected_size[1]}; calibrate at the video's size"
+            )
+        drawing = None
+        if overlay is not None:
+            check_overlay(overlay, path)
+            partial = stack.enter_context(atomic_path(overlay))
+            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, colours))
+        progress = stack.enter_context(
+            Progress(f"tracking {path.name}", video.frames or None, "frames")
+        )
+        for index, time, frame in video:
+            sighting = tracker.update(frame, time)
+            rows.append(
+                (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
+            )
+            if drawing is not None:
+                drawing.write(frame, time, sighting)
+            progress.advance()
+    table = np.array(rows, float)
+    if tracker.found is None:
+        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
+    founds = tracker.found
+    if clicks is None:
+        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
+    return Track(
+        table[:, 0].astype(int),
+        table[:, 1],
+        table[:, 2:4],
+        table[:, 4:6],
+        table[:, 6],
+        table[:, 7],
+        video.size,
+        tuple(found.told for found in founds),
+    )
+
+
+def _not_found(
+    path: Path, colours: tuple[Colour, ...], seen: tuple[bool, bool], known: bool
+) -> str:
+    missing = [c.name for c, there in zip(colours, seen, strict=True) if not there]
+    if missing:
+        return (
+            f"{path}: nothing {' and nothing '.join(missing)} was found in any frame; "
+            "name the markers' colours, such as --colours pink,blue"
+        )
+    return (
+        f"{path}: no {colours[0].name} and {colours[1].name} marker were found together in any "
+        "frame; are these the markers' colours"
+        + (", and are their distance and size as they were said to be?" if known else "?")
+    )

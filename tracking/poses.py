@@ -1,0 +1,73 @@
+"""From the pixels of two markers to poses on the board."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from tracking.camera_model import CameraModel
+from tracking.follow import Track
+from tracking.pair import Geometry
+
+
+def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
+    """Return what recording.json's ``markers`` say to the tracker, seen by a camera."""
+    front, rear = (np.array([markers[m]["x"], markers[m]["y"]], float) for m in ("front", "rear"))
+    height = float(markers.get("height", 0.0))
+    axis = front - rear
+    separation = float(np.hypot(*axis))
+    if separation < 1e-3:
+        raise UserError("recording.json puts both markers in one place; correct markers.front.x")
+    lamp = markers.get("lamp")
+    share = (0.5, 0.0)
+    if lamp is not None:
+        way = np.array([lamp["x"], lamp["y"]], float) - rear
+        share = (
+            float(way @ axis) / separation**2,
+            float(axis[0] * way[1] - axis[1] * way[0]) / separation**2,
+        )
+    return Geometry(
+        lambda pixels: camera.to_board(pixels, height),
+        separation,
+        markers.get("diameter"),
+        share,
+    )
+
+
+def board_poses(seen: Track, markers: Mapping[str, Any], camera: CameraModel) -> NDArray:
+    """Return poses [N, 3] of the middle of the axle from the two markers of every frame.
+
+    The rigid fit of two points: heading from the line between them, position so that the
+    squares of what is left over are least. NaN where the pair was not found.
+    """
+    return marker_poses(seen.front, seen.rear, markers, camera)
+
+
+def marker_poses(
+    front: NDArray, rear: NDArray, markers: Mapping[str, Any], camera: CameraModel
+) -> NDArray:
+    """Return poses [N, 3] from the pixels [N, 2] of the two markers; see :func:`board_poses`."""
+    height = float(markers.get("height", 0.0))
+    front, rear = (camera.to_board(p, height) for p in (front, rear))
+    own = np.array([[markers[m]["x"], markers[m]["y"]] for m in ("front", "rear")], float)
+    axis, own_axis = front - rear, own[0] - own[1]
+    theta = unwrap(np.arctan2(axis[:, 1], axis[:, 0]) - math.atan2(own_axis[1], own_axis[0]))
+    cos, sin = np.cos(theta), np.sin(theta)
+    x, y = own.mean(axis=0)
+    middle = (front + rear) / 2
+    return np.stack(
+        [middle[:, 0] - cos * x + sin * y, middle[:, 1] - sin * x - cos * y, theta], axis=-1
+    )
+
+
+def unwrap(angles: NDArray) -> NDArray:
+    """Return angles [N] in radians without jumps of a full turn, across NaN as well."""
+    angles = np.array(angles, float)
+    seen = np.isfinite(angles)
+    angles[seen] = np.unwrap(angles[seen])
+    return angles
