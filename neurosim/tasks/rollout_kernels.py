@@ -140,13 +140,18 @@ def _exp2(z):
 def _units(exponents, log2, out):
     """Write the magnitude of every product unit."""
     count = out.shape[0]
-    if exponents.shape[0] == 5:
-        # Without the detour through memory; both kinds of robots have five inputs.
+    inputs = exponents.shape[0]
+    if 5 <= inputs <= 7:
+        # Without the detour through memory; both kinds of robots have five inputs, and up to two
+        # derived from them. One that is not there counts as the first to the power of 0.
         l0, l1, l2, l3, l4 = log2[0], log2[1], log2[2], log2[3], log2[4]
+        l5, e5 = (log2[5], exponents[5]) if inputs > 5 else (0.0, exponents[0])
+        l6, e6 = (log2[6], exponents[6]) if inputs > 6 else (0.0, exponents[0])
         e0, e1, e2 = exponents[0], exponents[1], exponents[2]
         e3, e4 = exponents[3], exponents[4]
         for u in range(count):
             z = e0[u] * l0 + e1[u] * l1 + e2[u] * l2 + e3[u] * l3 + e4[u] * l4
+            z += e5[u] * l5 + e6[u] * l6
             out[u] = _exp2(min(max(z, -_LOG2_LIMIT), _LOG2_LIMIT))
         return
     for u in range(count):
