@@ -1,0 +1,213 @@
+"""What networks evolved in tables do on the virtual robot: Lund and Miglino 1996, Figures 3 and 4.
+
+Five robots of the virtual lab sample themselves, through their serial line. In simulators made of
+these samples, of a tenth of them (every second distance, every fifth angle, 36 of 441 motor
+settings) and of hand-written formulas without any, networks are evolved for 200 generations. The
+population then goes on for 20 generations on the robot, in the lab's own time. Of every run:
+
+  - fitness of the simulator's best network in the simulator, with the noise of its evolution and
+    without, and on the robot, put down at the same 50 starts;
+  - mean fitness of the population on the robot, in the first generation there and the last, and
+    of the best after it, from the same starts again;
+  - how far apart the paths of simulator (without noise) and robot are over 10 s from the same
+    starts: the median over time and starts, and the same between two drives of the robot.
+
+    python benchmarks/transfer.py                       three quarters of an hour on one core
+    python benchmarks/transfer.py --tables samples
+    python benchmarks/transfer.py --quick
+
+The hand-written simulator: sensors sit where the robot's manual has them, and read
+(20 mm / d)^2 cos^2 a, at most 1, of an object at the distance d and the angle a from where they
+look; wheels are ideal and nothing is late.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import math
+import statistics
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
+from neurosim.robots.khepera_dialects import dialect_named
+from neurosim.sampling import SampleSettings, sample, sampled_reaction
+from neurosim.simulators import TableSimulator
+from neurosim.simulators.arena import paper_arena
+from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.samples import Samples
+from neurosim.simulators.sensor_table import SensorTable
+from neurosim.tasks.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
+from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance
+from neurosim.tasks.robot_trials import RobotTrials
+
+TABLES = ("samples", "tenth", "formulas")
+TASK = ObstacleAvoidance()
+PATH_STARTS, PATH_STEPS = 10, 100
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("--runs", type=int, nargs="+", default=[1, 2, 3, 4, 5], help="robots")
+    parser.add_argument("--tables", nargs="+", choices=TABLES, default=list(TABLES))
+    parser.add_argument("--generations", type=int, default=200)
+    parser.add_argument("--on-robot", type=int, default=20, help="generations more")
+    parser.add_argument("--baud", type=int, default=38400, help="of the robot's line")
+    parser.add_argument("--quick", action="store_true")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if options.quick:
+        options.runs, options.generations, options.on_robot = options.runs[:1], 40, 1
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        sampled = {robot: sample_robot(Path(folder), robot, options.baud) for robot in options.runs}
+        for kind in options.tables:
+            for robot in options.runs:
+                row = transfer(kind, robot, sampled[robot], options)
+                rows.append({"tables": kind, "robot": robot, **row})
+                if not options.json:
+                    told(rows[-1])
+    if options.json:
+        print(json.dumps({"baud": options.baud, "rows": rows}))
+        return
+    for kind in options.tables:
+        found = [row for row in rows if row["tables"] == kind]
+        print(f"{kind}, medians of {len(found)} runs")
+        told({name: typical([row[name] for row in found]) for name in found[0]})
+
+
+def sample_robot(folder: Path, robot: int, baud: int) -> Path:
+    """Have a robot sample itself and return the folder."""
+    out = folder / str(robot)
+    arena, poses = sampling_places()
+    rig = VirtualKheperaRig(
+        robot, noise_seed=100 + robot, arena=arena, start=poses["open"], baud=baud
+    )
+    with rig, rig.robot as driver:
+
+        def place(where: str) -> None:
+            slack = 0.0 if where == "open" else math.radians(1)
+            rig.lab.place(*poses[where], placing=(0.0, slack))
+
+        sample(out, driver, SampleSettings(), place, seed=robot, progress=False)
+    return out
+
+
+def simulator_of(kind: str, folder: Path) -> TableSimulator:
+    """Return the simulator that is made of a robot's samples, or without them."""
+    if kind == "formulas":
+        return TableSimulator(formulas())
+    samples = {name: Samples.read(folder / f"{name}.sample") for name in ("wall", "cylinder")}
+    motors = MotorTable.read_csv(folder / "motors.csv", resolution=10.0)
+    if kind == "tenth":
+        samples = {
+            name: Samples(one.activations[::2, ::5], one.first_distance, 2 * one.distance_step)
+            for name, one in samples.items()
+        }
+        motors = MotorTable(motors.levels[::4], motors.twist[::4, ::4], None, motors.resolution)
+    table = SensorTable.from_samples({name: [one] for name, one in samples.items()})
+    return TableSimulator(table, motors, reaction=sampled_reaction(folder))
+
+
+def formulas() -> SensorTable:
+    """Return tables of the hand-written formulas."""
+    distance = 0.005 + 0.002 * np.arange(30)[:, None, None]
+    turned = np.radians(2.0 * np.arange(180))[None, :, None]
+    off = turned + np.radians(dialect_named("khepera").angles)
+    seen = np.minimum((0.02 / distance) ** 2, 1.0) * np.maximum(np.cos(off), 0.0) ** 2
+    samples = Samples(seen, 0.005, 0.002)
+    return SensorTable.from_samples({"wall": [samples], "cylinder": [samples]})
+
+
+def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, float]:
+    """Evolve in a simulator and on, and return what is told of a run."""
+    simulator = simulator_of(kind, folder)
+    trials, arena = TableTrials(simulator, TASK), paper_arena()
+    evolution = NetworkEvolution(NetworkSettings(), robot)
+    for _ in range(options.generations):
+        population = evolution.population.copy()
+        evolution.generation(trials)
+    genes, _, _ = choose(trials, population, robot)
+    starts = arena.free_poses(CHOICE_STARTS, simulator.radius, np.random.default_rng([robot, 1]))
+    noisy = trials.drive(genes[None], starts, np.random.default_rng(robot))
+    quiet = trials.drive(genes[None], starts[:PATH_STARTS], steps=PATH_STEPS)
+    row = {
+        "simulated": per_trial(noisy),
+        "simulated_without_noise": per_trial(trials.drive(genes[None], starts)),
+    }
+    rig = VirtualKheperaRig(
+        robot, noise_seed=robot, arena=LabArena.of(arena), start=starts[0], baud=options.baud
+    )
+    with rig, rig.robot as driver:
+        real = RobotTrials(driver, TASK, simulator.reaction.hold)
+
+        def put_down(network: np.ndarray, start: np.ndarray) -> Any:
+            real.rest()
+            rig.lab.place(*start)
+            return real.drive(network, PATH_STEPS, lambda: rig.lab.pose)
+
+        def from_starts(network: np.ndarray) -> float:
+            fitness = [FITNESS["avoidance"](put_down(network, start)) for start in starts]
+            return TASK.starts * float(np.mean(fitness))
+
+        paths = np.stack(
+            [[put_down(genes, start).poses for start in starts[:PATH_STARTS]] for _ in range(2)]
+        )
+        row["path_apart"] = apart(quiet.poses[0], paths[0])
+        row["robot_apart"] = apart(paths[1], paths[0])
+        row["robot"] = from_starts(genes)
+        row["change"] = row["robot"] / row["simulated"] - 1.0
+        row["change_without_noise"] = row["robot"] / row["simulated_without_noise"] - 1.0
+        for _ in range(options.on_robot):
+            population = evolution.population.copy()
+            fitness = evolution.generation(real)
+        if options.on_robot:
+            row["mean_first"] = evolution.mean[options.generations]
+            row["mean_last"] = evolution.mean[-1]
+            best = population[np.argsort(-fitness)[:AGAIN]]
+            rng = np.random.default_rng([robot, 3])
+            again = np.mean([real(best, rng) for _ in range(TRIALS_AGAIN)], axis=0)
+            row["robot_after"] = from_starts(best[again.argmax()])
+    return row
+
+
+def per_trial(trajectory: Any) -> float:
+    """Return a trial's fitness, of trajectories [1, R] from many starts."""
+    return TASK.starts * float(FITNESS["avoidance"](trajectory).mean())
+
+
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Return the median distance (m) between paths [R, T, 3]."""
+    return float(np.median(np.linalg.norm(one[..., :2] - other[..., :2], axis=-1)))
+
+
+def typical(values: list[Any]) -> Any:
+    """Return the median of numbers, what all have in common otherwise."""
+    return values[0] if isinstance(values[0], str) else statistics.median(values)
+
+
+def told(row: dict[str, Any]) -> None:
+    after = ""
+    if "robot_after" in row:
+        after = (
+            f" {row['robot_after']:.0f} after, its population {row['mean_first']:.0f} to "
+            f"{row['mean_last']:.0f};"
+        )
+    print(
+        f"  {row['tables']:8} {row['robot']:3}: fitness {row['simulated']:.0f} in the simulator "
+        f"({row['simulated_without_noise']:.0f} without noise), {row['robot']:.0f} on the robot "
+        f"({100 * row['change']:+.1f} %; {100 * row['change_without_noise']:+.1f} %);{after} paths "
+        f"{100 * row['path_apart']:.2f} cm apart, two of the robot "
+        f"{100 * row['robot_apart']:.2f} cm"
+    )
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    main()
