@@ -70,7 +70,7 @@ def main() -> None:
         for kind in options.tables:
             for robot in options.runs:
                 row = transfer(kind, robot, sampled[robot], options)
-                rows.append({"tables": kind, "robot": robot, **row})
+                rows.append({"tables": kind, "run": robot, **row})
                 if not options.json:
                     told(rows[-1])
     if options.json:
@@ -200,7 +200,7 @@ def told(row: dict[str, Any]) -> None:
             f"{row['mean_last']:.0f};"
         )
     print(
-        f"  {row['tables']:8} {row['robot']:3}: fitness {row['simulated']:.0f} in the simulator "
+        f"  {row['tables']:8} {row['run']:3}: fitness {row['simulated']:.0f} in the simulator "
         f"({row['simulated_without_noise']:.0f} without noise), {row['robot']:.0f} on the robot "
         f"({100 * row['change']:+.1f} %; {100 * row['change_without_noise']:+.1f} %);{after} paths "
         f"{100 * row['path_apart']:.2f} cm apart, two of the robot "
