@@ -47,7 +47,7 @@ class ExponentsSettings(PursuitSettings):
 
 
 class ExponentsTrainer:
-    """One search for the turn, and one for twist and offset of the translation.
+    """A search or two for the turn, and one for twist and offset of the translation.
 
     The displacement of a constant body twist (vx, vy, omega) over unit time is, seen from
     half way round, (vx, vy) times the chord factor sinc(omega / 2). Fitting that factor times the
@@ -92,12 +92,16 @@ class ExponentsTrainer:
         self._scale = root_mean_square(targets)[[0, 2]]  # of translations and of turns
         translation = translation_factors(y[:, 2], factors[:, 0])
         search = (settings, network.products, self._generator, settings.floor)
-        # It is one function, whose exponents can all be moved together after every unit.
-        often = settings
+        # It is one function, whose exponents can all be moved together after every unit; and its
+        # search is short, so that the average of two can be had (Breiman 1996).
+        often, turns = settings, 1
         if len(x) >= MANY_ROWS:
             often = replace(settings, refine_every=1, refine_steps=2 * settings.refine_steps)
+            turns = 2
         turn = targets[:, 2:].T / self._scale[1]
-        self._turn = Pursuit(x, torch.ones_like(turn)[None], turn, often, *search[1:])
+        self._turns = [
+            Pursuit(x, torch.ones_like(turn)[None], turn, often, *search[1:]) for _ in range(turns)
+        ]
         self._shift = Pursuit(x, translation, targets[:, :2].T / self._scale[0], *search)
 
     def _derive(self, x: Tensor, turn: Tensor) -> tuple[Derived, Tensor]:
@@ -121,27 +125,33 @@ class ExponentsTrainer:
 
         Returns:
             [3], in SI units, of the units there are now. Those of dx and dy are of the
-            displacement seen from half way round, the turn taken as measured.
+            displacement seen from half way round, the turn taken as measured; that of the turn is
+            the searches' average.
         """
         with one_thread(self._device):
-            self._turn.grow()
+            for search in self._turns:
+                search.grow()
             for _ in range(2):
                 self._shift.grow()
-        errors = torch.cat([self._shift.mean_squared_error, self._turn.mean_squared_error])
+        turn = torch.stack([search.mean_squared_error for search in self._turns]).mean(0)
+        errors = torch.cat([self._shift.mean_squared_error, turn])
         return (errors * self._scale[[0, 0, 1]].square()).cpu()
 
     def result(self) -> MotionNetwork:
         """Return the networks that promise to generalise best."""
         state = self.state()
-        for search in (self._turn, self._shift):
+        for search in (*self._turns, self._shift):
             search.settle()
-        (vx, vy, ox, oy), (omega,) = (self._functions(s) for s in (self._shift, self._turn))
+        turns = sum(search.units for search in self._turns)
+        network = replace(self._network, products=max(self._network.products, turns))
+        vx, vy, ox, oy = self._functions([self._shift], network)
+        (omega,) = self._functions(self._turns, network)
         genes = torch.stack([vx, vy, omega, ox, oy]).cpu()
         self.load(state)
         translation, turn = self._scale.tolist()
         return MotionNetwork(
             self._data.inputs,
-            self._network,
+            network,
             genes,
             self._data.input_scale,
             torch.tensor([translation, translation, turn, translation, translation]),
@@ -150,12 +160,18 @@ class ExponentsTrainer:
             derived=self._derived,
         )
 
-    def _functions(self, search: Pursuit) -> list[Tensor]:
-        """Return the genes of each function, the units that it lacks being nothing."""
-        network = self._network
+    def _functions(self, searches: list[Pursuit], network: ProductSummationNetwork) -> list[Tensor]:
+        """Return the genes of each function, the searches' average.
+
+        The units that it lacks count for nothing.
+        """
+        readouts = [search.readout() for search in searches]
         genes = []
-        units = zip(search.exponents, search.phases, search.readout(), strict=True)
-        for exponents, phases, (weights, linear) in units:
+        for o in range(len(readouts[0])):
+            exponents = torch.cat([search.exponents[o] for search in searches])
+            phases = torch.cat([search.phases[o] for search in searches])
+            weights = torch.cat([readout[o][0] for readout in readouts]) / len(searches)
+            linear = torch.stack([readout[o][1] for readout in readouts]).mean(0)
             missing = network.products - len(exponents)
             summation = linear.new_zeros(network.summations, network.inputs)
             summation_weights = linear.new_zeros(network.summations)
@@ -177,20 +193,25 @@ class ExponentsTrainer:
         return genes
 
     def state(self) -> dict[str, Tensor]:
-        """Return the state of both searches."""
+        """Return the state of all searches."""
         state = {
             "generator": self._generator.get_state(),
             "dead_zone": self._dead_zone.cpu(),
             "derived": self._derived.tensor(),
         }
-        for name, search in (("turn", self._turn), ("shift", self._shift)):
+        for name, search in self._searches():
             state |= {f"{name}.{key}": value for key, value in search.state().items()}
         return state
 
+    def _searches(self) -> list[tuple[str, Pursuit]]:
+        turns = [(f"turn{number}", search) for number, search in enumerate(self._turns)]
+        return [*turns, ("shift", self._shift)]
+
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a state, bit for bit."""
-        for name, search in (("turn.", self._turn), ("shift.", self._shift)):
-            search.load({k.removeprefix(name): v for k, v in state.items() if k.startswith(name)})
+        for name, search in self._searches():
+            begin = f"{name}."
+            search.load({k.removeprefix(begin): v for k, v in state.items() if k.startswith(begin)})
         self._generator.set_state(state["generator"])
 
 

@@ -151,11 +151,32 @@ def test_the_trainer_s_errors_are_those_of_its_simulator(robot_data):
     trainer = ExponentsTrainer(data, ProductSummationNetwork(5, 6, 1), settings, seed=0)
     for _ in range(3):
         errors = trainer.advance()
-    trainer._turn._best = (trainer._turn.exponents, trainer._turn.phases)
+    (turn,) = trainer._turns
+    turn._best = (turn.exponents, turn.phases)
     trainer._shift._best = (trainer._shift.exponents, trainer._shift.phases)
     moved = trainer.result().displacement(inputs)
     found = (moved - outputs)[:, 2].square().mean()
     assert found.item() == pytest.approx(errors[2].item(), rel=1e-4)
+
+
+def test_of_many_rows_the_turn_is_the_average_of_two_searches(robot_data, monkeypatch):
+    monkeypatch.setattr("neurosim.training.exponents.MANY_ROWS", 200)
+    inputs, outputs = map(torch.tensor, robot_data(200, 6))
+    data = TrainingData([{"name": n} for n in NAMES], inputs, outputs)
+    settings = ExponentsSettings(**FEW, patience=100, dead_zone=(0.0,) * 5, derived=Derived())
+    trainer = ExponentsTrainer(data, ProductSummationNetwork(5, 6, 1), settings, seed=0)
+    for _ in range(4):
+        trainer.advance()
+    simulator = trainer.result()
+    state = trainer.state()
+    said = []
+    for number in range(2):  # each of them in the place of both
+        own = {k.removeprefix(f"turn{number}."): v for k, v in state.items() if "turn" in k}
+        both = {f"turn{n}.{k}": v for n in range(2) for k, v in own.items() if "turn" not in k}
+        trainer.load({**state, **both})
+        said.append(trainer.result().outputs(inputs)[..., 2])
+    assert not torch.allclose(said[0], said[1])
+    torch.testing.assert_close(simulator.outputs(inputs)[..., 2], (said[0] + said[1]) / 2)
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0, 0.0])
