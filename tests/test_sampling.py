@@ -30,7 +30,9 @@ class Interrupted(Exception):
     pass
 
 
-def sampled(out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0, params=None):
+def sampled(
+    out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0, params=None, baud=BAUD
+):
     """Sample robot 1; with ``stop_at`` the person walks away when asked for that."""
     arena, poses = sampling_places()
     asked = []
@@ -40,7 +42,7 @@ def sampled(out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0,
             noise_seed=noise_seed,
             arena=arena,
             start=poses["open"],
-            baud=BAUD,
+            baud=baud,
             params=params,
         ) as rig,
         rig.robot as robot,
@@ -144,6 +146,8 @@ def test_interrupted_sampling_goes_on(tmp_path, whole):
     (out / "sensors.csv").write_bytes(before + torn)
     with pytest.raises(FileError, match="other settings"):
         sampled(out, SampleSettings(angles=20), resume=True)
+    with pytest.raises(FileError, match="was begun at 9600 baud, not 38400"):
+        sampled(out, resume=True, baud=38400)
     with pytest.raises(UserError, match="not empty"):
         sampled(out)
     result, asked, _, _ = sampled(out, resume=True)
@@ -204,6 +208,7 @@ def test_a_robot_that_is_held_is_reported(tmp_path):
         (["--grid", "4"], "a grid of 4 does not fall on the robot's 21 whole speeds"),
         (["--robot", "khepera"], "give --port"),
         (["--port", "COM3"], "--port is for a real robot"),
+        (["--dialect", "epuck"], "--dialect is for a real robot"),
         (["--step", "0"], "distances must be above 0"),
     ],
 )
@@ -218,16 +223,17 @@ def test_resume_takes_the_options_it_was_begun_with(tmp_path, monkeypatch):
     out, seen = tmp_path / "out", []
 
     def interrupted(out, robot, settings, place, **others):
-        seen.append((settings, others["seed"], robot.describe()["virtual"]))
+        about = robot.describe()
+        seen.append((settings, others["seed"], about["virtual"], about["baud"]))
         if not others["resume"]:
             files.write_json(out / "sampling.json", FORMAT, VERSION, {"options": others["options"]})
         raise KeyboardInterrupt
 
     monkeypatch.setattr("neurosim.sampling.sample", interrupted)
-    begun = ["--angles", "24", "--grid", "5", "--seed", "3", "--lab-seed", "2"]
+    begun = ["--angles", "24", "--grid", "5", "--seed", "3", "--lab-seed", "2", "--baud", "38400"]
     for words in (begun, ["--resume"], ["--resume", "--angles", "30"]):
         with pytest.raises(click.Abort):
             cli.main(["sample", str(out), *words], standalone_mode=False)
     assert seen[0] == seen[1]
-    assert (seen[1][0].angles, seen[1][0].grid, *seen[1][1:]) == (24, 5, 3, True)
+    assert (seen[1][0].angles, seen[1][0].grid, *seen[1][1:]) == (24, 5, 3, True, 38400)
     assert (seen[2][0].angles, seen[2][0].grid) == (30, 5)

@@ -11,8 +11,10 @@ from typing import Any
 import click
 import numpy as np
 
+from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, given_options, next_step
+from neurosim.cli._robots import khepera, virtual_khepera_baud
 
 
 def evolve_network(
@@ -45,7 +47,7 @@ def evolve_network(
     from neurosim.simulators import TableSimulator, read_simulator
     from neurosim.simulators.arena import Arena
     from neurosim.tasks.base import make_task
-    from neurosim.tasks.evolve_networks import evolve_networks
+    from neurosim.tasks.evolve_networks import begun_with, evolve_networks
     from neurosim.tasks.network_evolution import NetworkSettings
 
     found = read_simulator(simulator)
@@ -58,13 +60,17 @@ def evolve_network(
         found = found.changed(arena=Arena.read(arena))
     if noise is not None:
         found = found.changed(noise=noise)
-    wanted = make_task("obstacle-avoidance", **task)
+    wanted, settings = make_task("obstacle-avoidance", **task), NetworkSettings(**genetic)
+    if resume:
+        # Said before a robot is looked for.
+        begun = begun_with(found, wanted, settings, simulator, seed, robot["then_on_robot"])
+        Checkpoint(out, "evolution").resume(begun)
     with _on_robot(robot, found, wanted, seed) as then:
         made = evolve_networks(
             found,
             out,
             wanted,
-            NetworkSettings(**genetic),
+            settings,
             source=simulator,
             seed=seed,
             resume=resume,
@@ -139,19 +145,33 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
         }
 
     if kind == "khepera":
-        from neurosim.cli._robots import khepera
-
-        with khepera(options) as robot:
+        robot = khepera(options)
+        _same_line(simulator, robot.describe()["baud"])
+        with robot:
             yield settings(robot, _ask, lambda start: odometry(robot, start))
         return
     from neurosim.lab import LabArena, VirtualKheperaRig
 
+    baud = virtual_khepera_baud(options)
+    _same_line(simulator, baud)
     start = tuple(arena.free_poses(1, 0.03, np.random.default_rng(seed))[0])
     with (
-        VirtualKheperaRig(lab_seed, noise_seed=seed, arena=LabArena.of(arena), start=start) as rig,
+        VirtualKheperaRig(
+            lab_seed, noise_seed=seed, arena=LabArena.of(arena), start=start, baud=baud
+        ) as rig,
         rig.robot as robot,
     ):
         yield settings(robot, lambda p: rig.lab.place(*p), lambda _: lambda: rig.lab.pose)
+
+
+def _same_line(simulator: Any, baud: int) -> None:
+    """Refuse a robot on a line of another speed than the reaction time was measured on."""
+    sampled = simulator.meta.get("baud")
+    if sampled not in (None, baud):
+        raise UserError(
+            f"the simulator's reaction time was measured at {sampled} baud, and the robot's line "
+            f"is at {baud}: give --baud {sampled}, or sample again at {baud}"
+        )
 
 
 def _ask(start: Any) -> None:

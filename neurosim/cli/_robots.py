@@ -27,7 +27,7 @@ _KHEPERA_OPTIONS = [
     ),
     click.option(
         "--baud",
-        type=click.IntRange(min=1),
+        type=click.IntRange(min=300),
         help="Khepera: speed of its line.  [9600; khepera3, epuck: 115200]",
     ),
 ]
@@ -105,6 +105,20 @@ def khepera(options: dict[str, Any]) -> Any:
             "a Khepera is reached by its serial port: give --port, such as /dev/ttyUSB0 or COM3"
         )
     return Khepera(port, dialect=dialect or "khepera", baud=baud)
+
+
+def virtual_khepera_baud(options: dict[str, Any]) -> int:
+    """Return the speed of a virtual Khepera's line, as :func:`khepera_options` say.
+
+    Raises:
+        UserError: for an option that only a real one has.
+    """
+    from neurosim.robots.khepera_dialects import dialect_named
+
+    for name, option in (("serial_port", "--port"), ("dialect", "--dialect")):
+        if options[name] is not None:
+            raise UserError(f"{option} is for a real robot: add --robot khepera")
+    return options["baud"] or dialect_named("khepera").baud
 
 
 @dataclass

@@ -19,7 +19,7 @@ from neurosim.cli._common import (
     next_step,
     seed_option,
 )
-from neurosim.cli._robots import khepera, khepera_options
+from neurosim.cli._robots import khepera, khepera_options, virtual_khepera_baud
 
 _PROMPTS = {
     "wall": "Put the robot in front of a long wall, facing it and touching it, and press Enter",
@@ -127,16 +127,14 @@ def _opened(
         with khepera(options) as robot:
             yield robot, _ask
         return
-    from neurosim.base.errors import UserError
     from neurosim.lab import VirtualKheperaRig, sampling_places
 
-    given = [name for name, value in options.items() if value is not None]
-    if given:
-        name = given[0].removeprefix("serial_")
-        raise UserError(f"--{name} is for a real robot: add --robot khepera")
+    baud = virtual_khepera_baud(options)
     arena, poses = sampling_places()
     with (
-        VirtualKheperaRig(lab_seed, noise_seed=seed, arena=arena, start=poses["open"]) as rig,
+        VirtualKheperaRig(
+            lab_seed, noise_seed=seed, arena=arena, start=poses["open"], baud=baud
+        ) as rig,
         rig.robot as robot,
     ):
 

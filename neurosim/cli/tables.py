@@ -62,7 +62,7 @@ def tables(
     """
     from neurosim.base.errors import UserError
     from neurosim.base.files import new_folder
-    from neurosim.sampling import sampled_reaction
+    from neurosim.sampling import sampled_baud, sampled_reaction
     from neurosim.simulators.arena import Arena, paper_arena
     from neurosim.simulators.motor_table import MotorTable
     from neurosim.simulators.sensor_table import SensorTable
@@ -77,7 +77,8 @@ def tables(
         if motors is None
         else MotorTable.read_csv(motors, resolution=100.0 / units)
     )
-    reaction = sampled_reaction((motors or samples[0]).parent)
+    sampling = (motors or samples[0]).parent
+    reaction, baud = sampled_reaction(sampling), sampled_baud(sampling)
     used = [*samples, *([] if motors is None else [motors])]
     simulator = TableSimulator(
         table,
@@ -85,7 +86,7 @@ def tables(
         paper_arena() if arena_path is None else Arena.read(arena_path),
         noise=noise or "uniform",
         reaction=reaction,
-        meta=sources(used),
+        meta={**sources(used), **({} if baud is None else {"baud": baud})},
     )
     with new_folder(out) as partial:
         simulator.write(partial)

@@ -246,7 +246,7 @@ class Khepera:
         if not heard:
             raise RobotError(
                 f"nothing answers on {where}: is the {self.dialect.robot} on, in its serial mode "
-                "and set to this speed?"
+                "and set to this speed, or does another program hold the line?"
             )
         if letter in heard:
             raise RobotError(f"{where} sends back its own input, as a terminal does: no robot")

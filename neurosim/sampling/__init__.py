@@ -41,6 +41,7 @@ __all__ = [
     "interpolation_cost",
     "read_turns",
     "sample",
+    "sampled_baud",
     "sampled_reaction",
 ]
 
@@ -146,6 +147,21 @@ def sampled_reaction(folder: str | Path) -> Reaction:
         raise FileError(path, f"expected times ({error})", field="result.reaction") from None
 
 
+def sampled_baud(folder: str | Path) -> int | None:
+    """Return the speed of the line over which a sampling was made; None where it is not known.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return None
+    baud = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"].get("baud")
+    if baud is not None and (isinstance(baud, bool) or not isinstance(baud, int) or baud <= 0):
+        raise FileError(path, f"expected a baud rate, found {baud!r:.60}", field="robot.baud")
+    return baud
+
+
 def _once(place: Place, where: str) -> Callable[[], None]:
     """Return what asks for a place the first time that it is called."""
     return cache(lambda: place(where))
@@ -162,3 +178,6 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         raise FileError(
             path, "was begun with other settings; give the same to go on", field="settings"
         )
+    then, now = found["robot"].get("baud"), about["robot"].get("baud")
+    if then not in (None, now):
+        raise FileError(path, f"was begun at {then} baud, not {now}", field="robot.baud")

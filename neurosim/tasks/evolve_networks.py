@@ -95,13 +95,7 @@ def evolve_networks(
         "arena": simulator.arena.to_json(),
     }
     made_in = {} if source is None else named(source)
-    begun = {
-        **about["settings"],
-        **{name: about[name] for name in ("seed", "noise", "arena")},
-        "task": task.describe(),
-        "simulator_sha256": made_in.get("sha256"),
-        "robot_generations": robot_generations,
-    }
+    begun = begun_with(simulator, task, settings, source, seed, robot_generations)
     if resume:
         check_new_folder(out, overwrite=_is_unfinished(out))
         run.resume(begun)
@@ -162,6 +156,26 @@ def evolve_networks(
             run.checkpoint.remove()  # nothing came of it
     run.checkpoint.remove()
     return controller
+
+
+def begun_with(
+    simulator: TableSimulator,
+    task: ObstacleAvoidance,
+    settings: NetworkSettings,
+    source: str | Path | None,
+    seed: int,
+    robot_generations: int,
+) -> dict[str, Any]:
+    """Return what must be the same when an evolution is resumed; see :func:`evolve_networks`."""
+    return {
+        **asdict(settings),
+        "seed": seed,
+        "noise": {"kind": simulator.noise, "level": simulator.noise_level},
+        "arena": simulator.arena.to_json(),
+        "task": task.describe(),
+        "simulator_sha256": None if source is None else named(source).get("sha256"),
+        "robot_generations": robot_generations,
+    }
 
 
 class _Run:

@@ -127,10 +127,35 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
         with pytest.raises(LinkLost, match="go on with --resume"):
             call(*begun)
     with pytest.raises(UserError, match="begun with generations = 2, not 3"):
-        call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3)
+        call(
+            "evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3,
+            "--robot", "khepera", "--port", "/dev/no-such-port",
+        )  # fmt: skip
     done = call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--json")
     assert json.loads(done.output)["transfer"] == 2
     assert read_controller(folder / "resumed").evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+
+
+def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
+    for name in ("wall", "cylinder"):
+        shutil.copy(folder / f"{name}.sample", tmp_path)
+    write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": {"baud": 38400}})
+    sim = tmp_path / "sim"
+    call("tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", sim)
+    words = [
+        "evolve", sim, "--task", "obstacle-avoidance", "-o", tmp_path / "net", "--generations", 1,
+        "--population", 20, "--steps", 10, "--starts", 1, "--then-on-robot", 1,
+    ]  # fmt: skip
+    for line in ([], ["--robot", "khepera", "--port", "/dev/no-such-port"]):
+        with pytest.raises(UserError, match=r"measured at 38400 baud.*is at 9600: give --baud 384"):
+            call(*words, *line)
+    with pytest.raises(UserError, match="--port is for a real robot"):
+        call(*words, "--port", "COM3")
+    assert not (tmp_path / "net").exists()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(RobotTrials, "__call__", lambda trials, genes, rng: np.ones(len(genes)))
+        call(*words, "--baud", 38400)
+    assert read_controller(tmp_path / "net").evolution["robot"]["baud"] == 38400
 
 
 def lost(trials, genes, rng):
