@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -12,7 +14,61 @@ from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork
 
 
-def average(found: list[MotionNetwork]) -> MotionNetwork:
+class Expansion(NamedTuple):
+    """What a network with linear activations is: product units, inputs and one, each weighed."""
+
+    exponents: Tensor  #: of the product units, [P, I]
+    phases: Tensor  #: [P, I]
+    weights: Tensor  #: of the product units, [P]
+    linear: Tensor  #: weights of the inputs, [I]
+    bias: Tensor  #: []
+
+    @staticmethod
+    def of(network: ProductSummationNetwork, genes: Tensor) -> Expansion:
+        """Return what a chromosome [G] is, without units that count for nothing."""
+        w, (linear, bias) = network.split(genes), network.collapsed(genes)
+        counts = w.product_weights != 0
+        return Expansion(
+            w.exponents[counts], w.phases[counts], w.product_weights[counts], linear, bias
+        )
+
+    @staticmethod
+    def mean(parts: Sequence[Expansion], scales: Sequence[float] | None = None) -> Expansion:
+        """Return the average of functions, each times its scale: the units of all of them."""
+        shares = [scale / len(parts) for scale in scales or [1.0] * len(parts)]
+        pairs = list(zip(parts, shares, strict=True))
+        return Expansion(
+            exponents=torch.cat([part.exponents for part in parts]),
+            phases=torch.cat([part.phases for part in parts]),
+            weights=torch.cat([part.weights * share for part, share in pairs]),
+            linear=torch.stack([part.linear * share for part, share in pairs]).sum(0),
+            bias=torch.stack([part.bias * share for part, share in pairs]).sum(0),
+        )
+
+    def genes(self, network: ProductSummationNetwork) -> Tensor:
+        """Return the function as a chromosome [G] of a network with units enough for it.
+
+        The linear map goes into the first summation unit; the others have nothing to add, nor
+        have product units that the function lacks.
+        """
+        missing = network.products - len(self.weights)
+        summation = self.linear.new_zeros(network.summations, network.inputs)
+        summation_weights = self.linear.new_zeros(network.summations)
+        summation[0], summation_weights[0] = self.linear, 1.0
+        return network.join(
+            Weights(
+                exponents=pad(self.exponents, (0, 0, 0, missing)),
+                product_weights=pad(self.weights, (0, missing)),
+                summation=summation,
+                summation_bias=self.linear.new_zeros(network.summations),
+                summation_weights=summation_weights,
+                bias=self.bias,
+                phases=pad(self.phases, (0, 0, 0, missing)),
+            )
+        )
+
+
+def average(found: Sequence[MotionNetwork]) -> MotionNetwork:
     """Return the network whose outputs are the average of several networks' outputs.
 
     It has the product units of all of them, as far as they count for something.
@@ -23,45 +79,17 @@ def average(found: list[MotionNetwork]) -> MotionNetwork:
     first = found[0]
     if len(found) == 1:
         return first
-    parts = [network.network.split(network.genes[0]) for network in found]
-    # In units of the first one's outputs.
-    shares = [n.output_scale[0] / first.output_scale[0] / len(found) for n in found]
-
-    def mean(outputs: list[Tensor]) -> Tensor:
-        return sum(
-            (s.view(-1, *[1] * (o.ndim - 1)) * o for s, o in zip(shares, outputs, strict=True)),
-            start=torch.zeros_like(outputs[0]),
-        )
-
-    weights = torch.cat(
-        [w.product_weights * s.unsqueeze(-1) for w, s in zip(parts, shares, strict=True)], dim=-1
-    )
-    # Units that count come first; as many are kept as the output has that needs most.
-    order = (weights == 0).to(torch.int8).argsort(dim=-1, stable=True)
-    order = order[:, : max(int((weights != 0).sum(-1).max()), first.network.products)]
-    of_units = order.unsqueeze(-1).expand(-1, -1, first.network.inputs)
-    network = replace(first.network, products=order.shape[-1])
-    linear = [torch.einsum("os,osi->oi", w.summation_weights, w.summation) for w in parts]
-    bias = [w.bias + (w.summation_weights * w.summation_bias).sum(-1) for w in parts]
-    # The linear map goes into the first summation unit; the others have nothing to add.
-    summation = torch.zeros_like(parts[0].summation)
-    summation_weights = torch.zeros_like(parts[0].summation_weights)
-    summation[:, 0], summation_weights[:, 0] = mean(linear), 1.0
-    genes = network.join(
-        Weights(
-            exponents=torch.cat([w.exponents for w in parts], dim=-2).gather(-2, of_units),
-            phases=torch.cat([w.phases for w in parts], dim=-2).gather(-2, of_units),
-            product_weights=weights.gather(-1, order),
-            summation=summation,
-            summation_bias=torch.zeros_like(parts[0].summation_bias),
-            summation_weights=summation_weights,
-            bias=mean(bias),
-        )
-    )
+    functions = []
+    for output, unit in enumerate(first.output_scale[0]):
+        parts = [Expansion.of(one.network, one.genes[0, output]) for one in found]
+        scales = [(one.output_scale[0, output] / unit).item() for one in found]
+        functions.append(Expansion.mean(parts, scales))
+    products = max(first.network.products, *(len(one.weights) for one in functions))
+    network = replace(first.network, products=products)
     return MotionNetwork(
         first.inputs,
         network,
-        genes,
+        torch.stack([function.genes(network) for function in functions]),
         first.input_scale,
         first.output_scale,
         first.coordinates,

@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from neurosim.networks import ProductSummationNetwork, Weights
+from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.derived import Derived, can_swing
 from neurosim.simulators.noise import CommandFeatures
+from neurosim.training.averaging import Expansion
 from neurosim.training.base import PursuitSettings, TrainingData, one_thread, root_mean_square
 from neurosim.training.dead_zone import find_dead_zone
 from neurosim.training.pursuit import Pursuit
@@ -142,11 +143,11 @@ class ExponentsTrainer:
         state = self.state()
         for search in (*self._turns, self._shift):
             search.settle()
-        turns = sum(search.units for search in self._turns)
-        network = replace(self._network, products=max(self._network.products, turns))
-        vx, vy, ox, oy = self._functions([self._shift], network)
-        (omega,) = self._functions(self._turns, network)
-        genes = torch.stack([vx, vy, omega, ox, oy]).cpu()
+        vx, vy, ox, oy = expansions(self._shift)
+        omega = Expansion.mean([function for turn in self._turns for function in expansions(turn)])
+        products = max(self._network.products, len(omega.weights))
+        network = replace(self._network, products=products)
+        genes = torch.stack([function.genes(network) for function in (vx, vy, omega, ox, oy)]).cpu()
         self.load(state)
         translation, turn = self._scale.tolist()
         return MotionNetwork(
@@ -159,38 +160,6 @@ class ExponentsTrainer:
             dead_zone=self._dead_zone.cpu(),
             derived=self._derived,
         )
-
-    def _functions(self, searches: list[Pursuit], network: ProductSummationNetwork) -> list[Tensor]:
-        """Return the genes of each function, the searches' average.
-
-        The units that it lacks count for nothing.
-        """
-        readouts = [search.readout() for search in searches]
-        genes = []
-        for o in range(len(readouts[0])):
-            exponents = torch.cat([search.exponents[o] for search in searches])
-            phases = torch.cat([search.phases[o] for search in searches])
-            weights = torch.cat([readout[o][0] for readout in readouts]) / len(searches)
-            linear = torch.stack([readout[o][1] for readout in readouts]).mean(0)
-            missing = network.products - len(exponents)
-            summation = linear.new_zeros(network.summations, network.inputs)
-            summation_weights = linear.new_zeros(network.summations)
-            # The linear map goes into the first summation unit; the others have nothing to add.
-            summation[0], summation_weights[0] = linear[:-1], 1.0
-            genes.append(
-                network.join(
-                    Weights(
-                        exponents=torch.nn.functional.pad(exponents, (0, 0, 0, missing)),
-                        product_weights=torch.nn.functional.pad(weights, (0, missing)),
-                        summation=summation,
-                        summation_bias=linear.new_zeros(network.summations),
-                        summation_weights=summation_weights,
-                        bias=linear[-1],
-                        phases=torch.nn.functional.pad(phases, (0, 0, 0, missing)),
-                    )
-                )
-            )
-        return genes
 
     def state(self) -> dict[str, Tensor]:
         """Return the state of all searches."""
@@ -213,6 +182,15 @@ class ExponentsTrainer:
             begin = f"{name}."
             search.load({k.removeprefix(begin): v for k, v in state.items() if k.startswith(begin)})
         self._generator.set_state(state["generator"])
+
+
+def expansions(search: Pursuit) -> list[Expansion]:
+    """Return each function that a search has found."""
+    found = zip(search.exponents, search.phases, search.readout(), strict=True)
+    return [
+        Expansion(exponents, phases, weights, linear[:-1], linear[-1])
+        for exponents, phases, (weights, linear) in found
+    ]
 
 
 def half_way(displacement: Tensor) -> tuple[Tensor, Tensor]:

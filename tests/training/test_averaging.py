@@ -5,7 +5,7 @@ from hypothesis import strategies as st
 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.averaging import average, widened
+from neurosim.training.averaging import Expansion, average, widened
 from neurosim.training.ensemble import searches
 
 INPUTS = [{"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right")]
@@ -46,6 +46,26 @@ def test_the_averages_outputs_are_the_average_outputs(count, phases, seed, silen
 def test_units_that_count_for_nothing_take_no_room():
     found = simulators(4, True, 0, 1.0)
     assert average(found).network.products == 3
+
+
+def test_a_chromosome_of_an_expansion_is_the_function():
+    exponents = torch.tensor([[2.0, 0.0], [0.0, 1.0]])
+    phases = torch.tensor([[0.0, 0.0], [0.0, 1.0]])
+    product = Expansion(
+        exponents, phases, torch.tensor([3.0, 5.0]), torch.tensor([7.0, 0.0]), torch.tensor(1.0)
+    )
+    plain = Expansion(
+        exponents[:0], phases[:0], torch.zeros(0), torch.tensor([0.0, 2.0]), torch.tensor(-1.0)
+    )
+    network = ProductSummationNetwork(inputs=2, products=3, summations=2, floor=0.01, phases=True)
+    mean = Expansion.mean([product, plain], scales=[1.0, 4.0])
+    x = torch.tensor([[-0.5, 0.5], [0.5, -0.25]])
+    # (3 x1^2 + 5 x2 + 7 x1 + 1 + 4 (2 x2 - 1)) / 2
+    said = network.forward(mean.genes(network)[None], x)[0]
+    torch.testing.assert_close(said, torch.tensor([0.375, -1.0]))
+    again = Expansion.of(network, mean.genes(network))
+    for part, same in zip(mean, again, strict=True):
+        torch.testing.assert_close(part, same)
 
 
 def test_wider_networks_say_the_same():
