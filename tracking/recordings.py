@@ -69,6 +69,14 @@ DEFAULT_MARKERS: dict[str, Any] = {
     "diameter": 0.06,
     "lamp": {"x": -0.01, "y": 0.0},
 }
+#: Markers of a Khepera unless others are given: two discs of 12 mm on its lid, 20 mm above the
+#: floor, 32 mm apart along its middle (m, in the robot's frame).
+KHEPERA_MARKERS: dict[str, Any] = {
+    "front": {"colour": "pink", "x": 0.014, "y": 0.0},
+    "rear": {"colour": "blue", "x": -0.018, "y": 0.0},
+    "height": 0.020,
+    "diameter": 0.012,
+}
 #: The paper's board (section 6.1), in metres.
 DEFAULT_BOARD = {"length": 2.76, "width": 1.84}
 

@@ -164,7 +164,7 @@ def open_rig(
     try:
         # The robot before the camera: what is wrong with it is said first.
         robot.connect()
-        yield Rig(robot, _camera(source, robot.clock.now, size, fps), None, None)
+        yield Rig(robot, open_camera(source, robot.clock.now, size, fps), None, None)
     finally:
         robot.close()
 
@@ -256,7 +256,8 @@ def _or_none(text: str | None) -> str | None:
     return None if text in (None, "none") else text
 
 
-def _camera(source: str | None, now: Callable[[], float], size: Any, fps: float | None) -> Any:
+def open_camera(source: str | None, now: Callable[[], float], size: Any, fps: float | None) -> Any:
+    """Open the camera that ``--camera`` names; None where it says none."""
     if source == "none":
         return None
     from tracking.camera import OpenCVCamera

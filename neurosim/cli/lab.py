@@ -143,20 +143,30 @@ def _ways(address: dict[str, str | int]) -> tuple[dict, str]:
 @click.argument("out", type=PATH)
 @click.option("--count", type=click.IntRange(min=3), default=20, show_default=True)
 @click.option("--camera-size", type=Size(), default="640x480", show_default=True)
+@click.option(
+    "--over",
+    type=click.Choice(["nxt", "khepera"]),
+    default="nxt",
+    show_default=True,
+    help="Under the roof, or the small one above a Khepera (sample --camera lab).",
+)
 @seed_option
 @json_option
 def photographs(
-    out: Path, count: int, camera_size: tuple[int, int], seed: int, as_json: bool
+    out: Path, count: int, camera_size: tuple[int, int], over: str, seed: int, as_json: bool
 ) -> None:
     """Take photographs of a chessboard and of the board with the lab's camera, into OUT."""
+    from neurosim.lab.khepera_camera import SCALE
     from neurosim.lab.params import CameraParams
-    from neurosim.lab.photographs import render_photographs
+    from neurosim.lab.photographs import SQUARE, render_photographs
 
-    render_photographs(out, CameraParams(size=camera_size), seed, count)
+    scale = SCALE if over == "khepera" else 1.0
+    render_photographs(out, CameraParams(size=camera_size), seed, count, scale=scale)
+    square = f"{1000 * scale * SQUARE:g}"
     emit(
         {"folder": str(out), "photographs": count},
         as_json,
         f"{out}: {count} photographs of a chessboard, a picture of the board, and points.csv "
         f"with the points that a person marked in it.\n"
-        + next_step("calibrate", out, "--square", 40, "--points", out / "points.csv"),
+        + next_step("calibrate", out, "--square", square, "--points", out / "points.csv"),
     )

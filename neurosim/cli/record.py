@@ -270,10 +270,15 @@ def _page(
 
 
 def marker_settings(colours: str, robot: str) -> dict[str, Any]:
-    """Return the markers of a robot of this kind: a file's, or the default with these colours."""
+    """Return the markers of a robot: a file's, or the default with these colours.
+
+    Args:
+        colours: FRONT,REAR or a markers.json.
+        robot: as ``--robot`` names it; ``virtual khepera`` for that.
+    """
     from neurosim.base.errors import UserError
     from tracking.colours import parse_colour
-    from tracking.recordings import DEFAULT_MARKERS, read_markers
+    from tracking.recordings import DEFAULT_MARKERS, KHEPERA_MARKERS, read_markers
 
     if colours.endswith(".json"):
         markers = read_markers(colours)
@@ -285,13 +290,14 @@ def marker_settings(colours: str, robot: str) -> dict[str, Any]:
         raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")
     for name in names:
         parse_colour(name)  # says what colours there are
-    if robot == "virtual" and names != ["pink", "blue"]:
+    if robot.startswith("virtual") and names != ["pink", "blue"]:
         raise UserError("the virtual robot's markers are pink and blue; leave --markers out")
+    known = KHEPERA_MARKERS if robot.endswith("khepera") else DEFAULT_MARKERS
     front, rear = (
-        {**DEFAULT_MARKERS[which], "colour": name}
+        {**known[which], "colour": name}
         for which, name in zip(("front", "rear"), names, strict=True)
     )
-    return {**DEFAULT_MARKERS, "front": front, "rear": rear}
+    return {**known, "front": front, "rear": rear}
 
 
 def _sessions(out: Path) -> int:

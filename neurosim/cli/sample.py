@@ -5,27 +5,32 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
+from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     PATH,
     Resumable,
     emit,
     given_options,
+    is_given,
     json_option,
     next_step,
     seed_option,
 )
-from neurosim.cli._robots import khepera, khepera_options, virtual_khepera_baud
+from neurosim.cli._robots import khepera, khepera_options, open_camera, virtual_khepera_baud
+from neurosim.cli.record import marker_settings
 
 _PROMPTS = {
     "wall": "Put the robot in front of a long wall, facing it and touching it, and press Enter",
     "cylinder": "Put the robot in front of a round obstacle, facing it and touching it, nothing "
     "else near, and press Enter",
-    "open": "Put the robot on open floor, 20 cm free all around, and press Enter",
+    "open": "Put the robot on open floor, 20 cm free all around, under the camera if there is one, "
+    "and press Enter",
 }
 
 
@@ -68,6 +73,18 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     help="Drive a grid of so many speeds of each motor, and some settings beside it to see what "
     "interpolation costs.  [every setting]",
 )
+@click.option(
+    "--camera",
+    help="A camera above the robot measures the motor settings, not the counters: its number, a "
+    "file or URL that OpenCV opens, or lab for the virtual robot's.  [none]",
+)
+@click.option("--calibration", type=PATH, help="Of the camera, with its place above the floor.")
+@click.option(
+    "--markers",
+    default="pink,blue",
+    show_default=True,
+    help="Colours FRONT,REAR of the robot's markers, or a markers.json that says where they are.",
+)
 @click.option("--resume", is_flag=True, help="Go on with sampling that was interrupted.")
 @seed_option
 @json_option
@@ -81,6 +98,9 @@ def sample(
     step: float,
     repeats: int,
     grid: int | None,
+    camera: str | None,
+    calibration: Path | None,
+    markers: str,
     resume: bool,
     seed: int,
     as_json: bool,
@@ -89,15 +109,24 @@ def sample(
     """Let a robot sample a wall, a round obstacle and its motors, into the folder OUT.
 
     Put it in front of each as asked. It turns on the spot, backs off, turns again; on open floor
-    it drives its motor settings.
+    it drives its motor settings, and its counters tell how far it got; or a camera does, which sees
+    wheels slip, and differ.
     """
     from neurosim.sampling import SampleSettings
     from neurosim.sampling import sample as sample_
 
     settings = SampleSettings(angles, distances, first / 1000, step / 1000, repeats, grid or 0)
-    with _opened(robot, lab_seed, seed, options) as (driver, place):
+    eye = _Eye.of(robot, camera, calibration, markers)
+    with _opened(robot, lab_seed, seed, eye, options) as (driver, place, opened):
         result = sample_(
-            out, driver, settings, place, resume=resume, seed=seed, options=given_options()
+            out,
+            driver,
+            settings,
+            place,
+            resume=resume,
+            seed=seed,
+            eye=opened,
+            options=given_options(),
         )
     files = [out / name for name in result["samples"]]
     text = (
@@ -119,21 +148,61 @@ def sample(
     )
 
 
+@dataclass(frozen=True)
+class _Eye:
+    """The options of a camera above the robot: which, its calibration, the robot's markers."""
+
+    camera: str
+    model: Any
+    markers: dict[str, Any]
+
+    @staticmethod
+    def of(robot: str, camera: str | None, calibration: Path | None, markers: str) -> _Eye | None:
+        from tracking.camera_model import CameraModel
+
+        if camera is None:
+            for name, option in (("calibration", "--calibration"), ("markers", "--markers")):
+                if is_given(name):
+                    raise UserError(f"{option} is of a camera: name it with --camera")
+            return None
+        if calibration is None:
+            raise UserError(
+                "--camera needs --calibration calibration.json (neurosim calibrate makes one, of "
+                "the camera where it is now)"
+            )
+        kind = "khepera" if robot == "khepera" else "virtual khepera"
+        return _Eye(camera, CameraModel.read(calibration), marker_settings(markers, kind))
+
+    def opened(self, camera: Any, clock: Any) -> Any:
+        from neurosim.sampling import Eye
+
+        return Eye(camera, self.model, self.markers, clock)
+
+
 @contextmanager
 def _opened(
-    kind: str, lab_seed: int, seed: int, options: dict[str, Any]
-) -> Iterator[tuple[Any, Callable[[str], None]]]:
+    kind: str, lab_seed: int, seed: int, eye: _Eye | None, options: dict[str, Any]
+) -> Iterator[tuple[Any, Callable[[str], None], Any]]:
     if kind == "khepera":
+        if eye is not None and eye.camera == "lab":
+            raise UserError("--camera lab is the virtual robot's; name a camera that there is")
         with khepera(options) as robot:
-            yield robot, _ask
+            camera = eye and open_camera(eye.camera, robot.clock.now, None, None)
+            yield robot, _ask, eye and eye.opened(camera, robot.clock)
         return
-    from neurosim.lab import VirtualKheperaRig, sampling_places
+    from neurosim.lab import CameraParams, VirtualKheperaRig, sampling_places
 
     baud = virtual_khepera_baud(options)
+    if eye is not None and eye.camera != "lab":
+        raise UserError(
+            f"--camera {eye.camera} does not see the virtual robot: use --camera lab, or add "
+            "--robot khepera"
+        )
     arena, poses = sampling_places()
+    params = eye and CameraParams(size=tuple(eye.model.image_size))
     with (
         VirtualKheperaRig(
-            lab_seed, noise_seed=seed, arena=arena, start=poses["open"], baud=baud
+            lab_seed, noise_seed=seed, arena=arena, start=poses["open"], baud=baud, camera=params
         ) as rig,
         rig.robot as robot,
     ):
@@ -142,7 +211,7 @@ def _opened(
             exact = where == "open"
             rig.lab.place(*poses[where], placing=(0.0, 0.0 if exact else math.radians(1)))
 
-        yield robot, place
+        yield robot, place, eye and eye.opened(rig.camera, robot.clock)
 
 
 def _ask(where: str) -> None:

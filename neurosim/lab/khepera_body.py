@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.lab import khepera_physics as physics
+from neurosim.lab.khepera_camera import KheperaCamera
 from neurosim.lab.khepera_params import PULSES_PER_METRE, SPEED_UNIT, KheperaParams, LabArena
 from neurosim.lab.khepera_physics import S, U
 from neurosim.lab.world import LabTime
@@ -147,6 +148,9 @@ class KheperaLab(LabTime):
         seed: of every random draw.
         start: where it stands at first (m, m, rad).
 
+    Attributes:
+        camera: one above it, or None.
+
     Raises:
         UserError: if it cannot stand there.
     """
@@ -160,6 +164,7 @@ class KheperaLab(LabTime):
     ):
         super().__init__()
         self.arena = arena
+        self.camera: KheperaCamera | None = None
         self.body = KheperaBody(params, arena, seed, start)
         self._rng = np.random.default_rng([seed, 0x6B50])
         self.place(*start)
@@ -209,4 +214,8 @@ class KheperaLab(LabTime):
             self.body.place(x + noise[0], y + noise[1], theta + noise[2])
 
     def _advance(self, time: float) -> None:
+        # Pictures that fall due on the way are delivered to whoever started the camera.
+        while self.camera is not None and self.camera.due <= time:
+            self.body.advance(self.camera.due)
+            self.camera.look(self.body.pose, 0.0)
         self.body.advance(time)

@@ -10,8 +10,10 @@ import numpy as np
 
 from neurosim.base.errors import RobotError
 from neurosim.lab.khepera_body import KheperaLab
+from neurosim.lab.khepera_camera import KheperaCamera
 from neurosim.lab.khepera_firmware import KheperaFirmware
 from neurosim.lab.khepera_params import RADIUS, KheperaParams, LabArena
+from neurosim.lab.params import CameraParams
 from neurosim.lab.server import PtyEnd, SocketEnd, receive, send
 from neurosim.robots.base import Clock
 from neurosim.robots.khepera import Khepera
@@ -126,9 +128,12 @@ class VirtualKheperaRig:
         real_time: the lab's time will be the wall clock's (see
             :class:`neurosim.lab.world.Pacer`).
         params: a robot in place of the drawn one.
+        camera: a camera above the place where the robot stands at first, in the terms of the
+            roof camera (see :class:`neurosim.lab.khepera_camera.KheperaCamera`); none by default.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
+        camera: the camera, or None.
         robot: the driver, not connected yet, in the lab's own time.
         address: what the driver takes as port.
     """
@@ -145,6 +150,7 @@ class VirtualKheperaRig:
         baud: int = 9600,
         real_time: bool = False,
         params: KheperaParams | None = None,
+        camera: CameraParams | None = None,
     ):
         self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         rng = np.random.default_rng([noise_seed, robot_seed, 0x6B52])
@@ -154,6 +160,11 @@ class VirtualKheperaRig:
             int(rng.integers(2**31)),
             start,
         )
+        if camera is not None:
+            self.lab.camera = KheperaCamera(
+                camera, robot_seed, self.lab.clock.now, (start[0], start[1])
+            )
+        self.camera = self.lab.camera
         # Compiled before anybody waits for an answer.
         self.lab.body.proximity()
         self.lab.body.advance(0.01)

@@ -42,7 +42,12 @@ class Photographs:
 
 
 def render_photographs(
-    folder: str | Path, camera_params: CameraParams, seed: int, count: int = 20
+    folder: str | Path,
+    camera_params: CameraParams,
+    seed: int,
+    count: int = 20,
+    *,
+    scale: float = 1.0,
 ) -> Photographs:
     """Render what ``neurosim calibrate`` needs into a new folder.
 
@@ -55,6 +60,8 @@ def render_photographs(
         camera_params: the camera.
         seed: of the lab that the camera hangs in.
         count: chessboard photographs, at least 1.
+        scale: size of all that is in the pictures, and of the camera's height, over the roof
+            camera's: chessboard and crosses are so much smaller.
 
     Raises:
         UserError: if ``folder`` is not empty or ``count`` is not positive.
@@ -77,7 +84,8 @@ def render_photographs(
         _write(partial / "board.jpg", camera.render(None))
         marks = np.column_stack([scene.MARKS, np.zeros(len(scene.MARKS))])
         clicks = optics.project(marks) + CLICK_ERROR * rng.standard_normal((len(marks), 2))
-        columns = {"u": clicks[:, 0], "v": clicks[:, 1], "x": marks[:, 0], "y": marks[:, 1]}
+        x, y = scale * marks[:, 0], scale * marks[:, 1]
+        columns = {"u": clicks[:, 0], "v": clicks[:, 1], "x": x, "y": y}
         write_csv(partial / "points.csv", columns)
     folder = Path(folder)
     return Photographs(

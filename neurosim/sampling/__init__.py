@@ -3,7 +3,7 @@
 In front of an object the robot turns on the spot and writes down what its sensors say, backs off,
 and so on (:mod:`.turns`); in the open it drives its motor settings (:mod:`.motors`), and measures
 how late it answers a command (:mod:`.reaction`). Its position counters say how far it turned and
-drove.
+drove; at the motor settings a camera can say it better (:mod:`.eye`).
 
 Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``reaction.csv``); the
 ``.sample`` files and the reaction in ``sampling.json`` are made of that.
@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from dataclasses import asdict
 from functools import cache
 from pathlib import Path
@@ -22,6 +23,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
 from neurosim.robots import Khepera
+from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
 from neurosim.sampling.settings import SampleSettings
@@ -36,6 +38,7 @@ from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.sensor_table import OBJECTS
 
 __all__ = [
+    "Eye",
     "SampleSettings",
     "full_turn",
     "interpolation_cost",
@@ -60,6 +63,7 @@ def sample(
     resume: bool = False,
     seed: int = 0,
     progress: bool = True,
+    eye: Eye | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Sample both objects and the motors into a folder.
@@ -73,6 +77,7 @@ def sample(
         resume: go on where an earlier call was interrupted, with the same settings.
         seed: of the choice of settings held out.
         progress: whether to show progress on stderr.
+        eye: a camera that measures the motors' settings; without it the counters do.
         options: kept in ``sampling.json``, for whoever resumes.
 
     Returns:
@@ -87,7 +92,12 @@ def sample(
     """
     out = Path(out)
     levels = settings.levels(robot.full_speed)
-    about = {"settings": asdict(settings), "seed": seed, "robot": robot.describe()}
+    about = {
+        "settings": asdict(settings),
+        "seed": seed,
+        "robot": robot.describe(),
+        "motors": "counters" if eye is None else "camera",
+    }
     _begin(out, {**about, "options": dict(options or {})}, resume)
     total = settings.repeats * settings.distances * len(OBJECTS)
     bar = Progress("sample", total, "turns") if progress else None
@@ -109,7 +119,8 @@ def sample(
     ]
     in_the_open = _once(place, "open")
     try:
-        sample_motors(out, robot, settings, levels, wheel_base, in_the_open, seed)
+        with eye or nullcontext():
+            sample_motors(out, robot, settings, levels, wheel_base, in_the_open, seed, eye)
         sample_reaction(out, robot, in_the_open)
     finally:
         robot.stop()
@@ -125,7 +136,9 @@ def sample(
         result["interpolation"] = cost
     content = files.read_json(out / "sampling.json", FORMAT, VERSION)
     described = {
-        key: content[key] for key in ("settings", "seed", "robot", "options") if key in content
+        key: content[key]
+        for key in ("settings", "seed", "robot", "motors", "options")
+        if key in content
     }
     files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
     return result
@@ -177,6 +190,11 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
     if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
             path, "was begun with other settings; give the same to go on", field="settings"
+        )
+    then, now = found.get("motors", "counters"), about["motors"]
+    if then != now:
+        raise FileError(
+            path, f"was begun with motors measured by {then}, not {now}", field="motors"
         )
     then, now = found["robot"].get("baud"), about["robot"].get("baud")
     if then not in (None, now):

@@ -1,4 +1,4 @@
-"""A robot drives its motor settings and counts how far it got."""
+"""A robot drives its motor settings; its counters, or a camera, say how far it got."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, se2
 from neurosim.robots import Khepera
+from neurosim.sampling.eye import Eye
 from neurosim.sampling.settings import SampleSettings
 from neurosim.simulators.motor_table import MotorTable
 
 #: Seconds that motors get to reach their speed before a motor sample, and to stop after it.
 SETTLE = 0.3
+
+#: Waits so many seconds; returns how many they were and the displacement [3] in them.
+Measure = Callable[[float], tuple[float, NDArray[np.float64]]]
 
 _COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta", "repeat")
 
@@ -28,6 +32,7 @@ def sample_motors(
     wheel_base: float,
     in_the_open: Callable[[], None],
     seed: int,
+    eye: Eye | None = None,
 ) -> None:
     """Drive every setting that was not driven yet, there and back.
 
@@ -39,7 +44,9 @@ def sample_motors(
         wheel_base: m.
         in_the_open: has the robot put down where nothing is near.
         seed: of the choice of settings held out.
+        eye: measures how the robot moves; without it the counters do.
     """
+    measure = _Counters(robot, wheel_base).measure if eye is None else eye.measure
     full = robot.full_speed
     pairs = [(int(a), int(b)) for a in levels for b in levels]
     others = [
@@ -65,28 +72,40 @@ def sample_motors(
                     if (*speeds, repeat) in done:
                         continue
                     in_the_open()
-                    moved = _drive(robot, left, right, settings.duration, wheel_base)
-                    log.append(*speeds, *moved, repeat)
+                    time, moved = _drive(robot, left, right, settings.duration, measure)
+                    log.append(*speeds, time, *map(float, moved), repeat)
+
+
+class _Counters:
+    """Measures steady motions by the robot's counters."""
+
+    def __init__(self, robot: Khepera, wheel_base: float):
+        self._robot, self._wheel_base = robot, wheel_base
+
+    def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
+        """Wait ``duration`` s; return how long it was and the displacement [3] in it."""
+        robot, clock = self._robot, self._robot.clock
+        before, first = robot.read_counts(), clock.now()
+        clock.sleep_until(first + duration)
+        after, last = robot.read_counts(), clock.now()
+        ways = [(b - a) / robot.pulses_per_metre for a, b in zip(before, after, strict=True)]
+        return last - first, se2.exp([sum(ways) / 2, 0.0, (ways[1] - ways[0]) / self._wheel_base])
 
 
 def _drive(
-    robot: Khepera, left: int, right: int, duration: float, wheel_base: float
-) -> tuple[float, ...]:
+    robot: Khepera, left: int, right: int, duration: float, measure: Measure
+) -> tuple[float, NDArray[np.float64]]:
     """Drive at a setting and back; return the time (s) and the displacement (m, m, rad)."""
     clock = robot.clock
     robot.set_speeds(left, right)
     begin = clock.now()
     clock.sleep_until(begin + SETTLE)
-    before, first = robot.read_counts(), clock.now()
-    clock.sleep_until(first + duration)
-    after, last = robot.read_counts(), clock.now()
+    found = measure(duration)
     robot.set_speeds(-left, -right)
     clock.sleep_until(2 * clock.now() - begin)
     robot.stop()
     clock.sleep_until(clock.now() + SETTLE)
-    ways = [(b - a) / robot.pulses_per_metre for a, b in zip(before, after, strict=True)]
-    twist = [sum(ways) / 2, 0.0, (ways[1] - ways[0]) / wheel_base]
-    return (last - first, *map(float, se2.exp(twist)))
+    return found
 
 
 def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:

@@ -1,20 +1,8 @@
 """A body and a clock that only remember: what stands behind a virtual brick in tests."""
 
 import threading
-from dataclasses import dataclass
 
-
-@dataclass
-class Output:
-    power: int = 0
-    mode: int = 0
-    regulation: int = 0
-    turn_ratio: int = 0
-    run_state: int = 0
-    tacho_limit: int = 0
-    tacho_count: int = 0
-    block_tacho_count: int = 0
-    rotation_count: int = 0
+from neurosim.lab.body import Output
 
 
 class Body:

@@ -1,0 +1,140 @@
+"""A camera above the robot measures how it moves: what counters cannot see it does.
+
+A wheel that is larger than the other, or slips, counts the same.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from neurosim.base.errors import UserError
+from neurosim.robots.base import Clock
+from tracking.camera import Camera
+from tracking.camera_model import CameraModel
+from tracking.colours import parse_colour
+from tracking.live import LiveTracker, Seen
+from tracking.poses import marker_geometry, marker_poses, unwrap
+
+#: Pictures that arrive now may be so old, s.
+LATE = 0.3
+#: A motion is measured by as many pictures of the robot or more, over this share of its time.
+_PICTURES, _SHARE = 6, 0.6
+
+
+class Eye:
+    """Measures steady motions with a camera; use it as a context.
+
+    At steady speeds the robot goes on by the same displacement in equal times, so that how late
+    the pictures are does not matter, once they are all of the steady motion.
+
+    Args:
+        camera: above the robot.
+        model: its calibration, with its place over the floor.
+        markers: on the robot, as in recording.json.
+        clock: the robot's.
+
+    Raises:
+        UserError: if the calibration is not this camera's, or does not say where it is.
+    """
+
+    def __init__(
+        self, camera: Camera, model: CameraModel, markers: Mapping[str, Any], clock: Clock
+    ):
+        if not model.has_board:
+            raise UserError(
+                "the calibration does not say where the camera is above the floor: "
+                "neurosim calibrate needs --points, too"
+            )
+        if tuple(model.image_size) != tuple(camera.size):
+            raise UserError(
+                "the calibration is of pictures of {}x{}, but the camera's are {}x{}".format(
+                    *model.image_size, *camera.size
+                )
+            )
+        self._camera, self._model, self._markers, self._clock = camera, model, markers, clock
+        self._lock = threading.Lock()
+        self._seen: list[tuple[float, float, NDArray, NDArray]] = []
+        self._tracker: LiveTracker | None = None
+
+    def __enter__(self) -> Eye:
+        front, rear = (parse_colour(self._markers[which]["colour"]) for which in ("front", "rear"))
+        self._tracker = LiveTracker(
+            (front, rear),
+            marker_geometry(self._markers, self._model),
+            self._clock.now,
+            self._look,
+            waits=getattr(self._camera, "waits", False),
+        )
+        self._camera.start(self._tracker.take)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Let the camera go."""
+        self._camera.stop()
+        if self._tracker is not None:
+            self._tracker.close()
+
+    def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
+        """Watch a motion that has been steady for a while, for ``duration`` s.
+
+        Returns:
+            The duration (s) and the displacement [3] in it (m, m, rad), in the frame of the
+            robot at its beginning.
+
+        Raises:
+            UserError: if the robot was not in view all the while.
+        """
+        begin = self._clock.now() + LATE
+        with self._lock:
+            self._seen.clear()
+        self._clock.sleep_until(begin + duration)
+        with self._lock:
+            seen = [item for item in self._seen if item[0] >= begin]
+        times = np.array([time for _, time, _, _ in seen])
+        if len(seen) < _PICTURES or np.ptp(times) < _SHARE * duration:
+            failed = getattr(self._camera, "failed", False)
+            raise UserError(
+                "the camera delivers no more pictures; see to it and go on with --resume"
+                if failed
+                else "the camera does not see the robot: are its markers those of --markers, and "
+                "in view? Put it in the middle of the view and go on with --resume"
+            )
+        front, rear = (np.array([item[which] for item in seen]) for which in (2, 3))
+        poses = marker_poses(front, rear, self._markers, self._model)
+        return duration, se2.exp(steady_twist(times, poses) * duration)
+
+    def _look(self, seen: Seen) -> None:
+        if seen.sighting.found:
+            item = (seen.arrived, seen.time, seen.sighting.front, seen.sighting.rear)
+            with self._lock:
+                self._seen.append(item)
+
+
+def steady_twist(times: NDArray[np.float64], poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the constant body twist [3] (m/s, m/s, rad/s) that fits poses best.
+
+    Least squares, first of the heading, then, along it, of the position.
+
+    Args:
+        times: (N,) s.
+        poses: (N, 3) m, m, rad.
+    """
+    since = times - times.mean()
+    turn, middle = np.polyfit(since, unwrap(poses[:, 2]), 1)
+    # The way so far of a robot that drives straight ahead, and of one that drives to its left.
+    chord = since * np.sinc(turn * since / (2.0 * np.pi))
+    heading = middle + turn * since / 2.0
+    cos, sin, one, none = (
+        chord * np.cos(heading), chord * np.sin(heading), np.ones_like(chord), np.zeros_like(chord)
+    )  # fmt: skip
+    terms = np.concatenate(
+        [np.stack([cos, -sin, one, none], axis=1), np.stack([sin, cos, none, one], axis=1)]
+    )
+    found = np.linalg.lstsq(terms, poses[:, :2].T.ravel(), rcond=None)[0]
+    return np.array([found[0], found[1], turn])
