@@ -2,19 +2,16 @@
 
 import re
 import shlex
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+from khepera_data import made_up
 
 from neurosim.cli.main import cli
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.tasks.obstacle_avoidance import FITNESS
-
-sys.path.insert(0, str(Path(__file__).resolve().parent / "simulators"))
-from khepera_data import made_up
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

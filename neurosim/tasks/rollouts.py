@@ -72,13 +72,13 @@ def rollouts(simulator: Simulator, start: Sequence[float]) -> Rollouts:
     """Return the fastest rollouts that there are for a simulator.
 
     Args:
-        simulator: any; a motion network of linear units runs in compiled code.
+        simulator: any; motion networks of linear units and tables run in compiled code.
         start: x (m), y (m), heading (rad) of the board's frame.
 
     Raises:
         UserError: if the simulator takes other commands than left, right, duration.
     """
-    from neurosim.simulators.motion import MotionNetwork
+    from neurosim.simulators import MotionNetwork, TableSimulator
 
     if tuple(simulator.command_names) != COMMAND_NAMES:
         raise UserError(
@@ -87,6 +87,8 @@ def rollouts(simulator: Simulator, start: Sequence[float]) -> Rollouts:
         )
     if isinstance(simulator, MotionNetwork) and simulator.network.linear:
         return CompiledRollouts(simulator, start)
+    if isinstance(simulator, TableSimulator):
+        return TableRollouts(simulator, start)
     return SteppedRollouts(simulator, start)
 
 
@@ -164,6 +166,50 @@ class CompiledRollouts:
         plans = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(given, np.bool_)
         outcomes = draws.starts, draws.member, draws.kept
         return drawn_poses(self._members, self._arrays, self._source, *outcomes, *plans, self._stop)
+
+
+class TableRollouts:
+    """Rollouts of a table simulator."""
+
+    def __init__(self, simulator: Any, start: Sequence[float]):
+        """Lay out the tables; ``simulator`` is a :class:`~neurosim.simulators.TableSimulator`."""
+        self._simulator, self._start = simulator, np.asarray(start, np.float64)
+        self._stop = np.array([0.0, 0.0, RUN_DOWN])
+
+    def expected(self, commands: NDArray, given: NDArray) -> NDArray[np.float64]:
+        """Return the paths [B, K + 2, 3] without noise."""
+        still = np.zeros((1, commands.shape[1] + 1, 3))
+        return self._driven(commands, given, self._start[None], still)[:, 0]
+
+    def draw(self, count: int, commands: int, seed: int, placing: tuple[float, float]) -> Draws:
+        """Draw outcomes: where the robot is put down, and the noise of every command."""
+        generator = torch.Generator().manual_seed(seed)
+        starts = _starts(self._start, count, placing, generator)
+        shape = (count, commands + 1, 3)
+        if self._simulator.noise == "uniform":
+            z = 2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0
+        else:
+            z = torch.randn(shape, generator=generator, dtype=torch.float64)
+        return Draws(starts, None, z.numpy())
+
+    def drawn(self, commands: NDArray, given: NDArray, draws: Draws) -> NDArray[np.float64]:
+        """Return the paths [B, R, K + 2, 3]."""
+        return self._driven(commands, given, draws.starts, draws.kept)
+
+    def _driven(self, commands: NDArray, given: NDArray, starts: NDArray, z: NDArray) -> NDArray:
+        from neurosim.simulators.table_plan_kernels import drive_plans
+
+        commands = np.ascontiguousarray(commands, np.float64)
+        return drive_plans(
+            self._simulator.arrays,
+            starts,
+            z,
+            commands,
+            self._simulator.substeps(commands[..., 2]),
+            np.ascontiguousarray(given, np.bool_),
+            self._stop,
+            int(self._simulator.substeps(RUN_DOWN)),
+        )
 
 
 def stepped(

@@ -3,12 +3,11 @@
 import json
 import math
 import shutil
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from khepera_data import made_up
 from matplotlib.image import imread
 
 from neurosim.base.errors import FileError, LinkLost, UserError
@@ -20,9 +19,6 @@ from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.samples import Samples
 from neurosim.tasks.robot_trials import RobotTrials
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
-from khepera_data import made_up
 
 
 def call(*words):

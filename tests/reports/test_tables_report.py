@@ -1,20 +1,15 @@
 """The page of simulators of tables and of networks: what was sampled, Figures 3 and 4."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from khepera_data import made_up
+from test_report import Page
 
 from neurosim.base.errors import FileError
 from neurosim.controllers import NetworkController
 from neurosim.reports import write_report
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.arena import paper_arena
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
-from khepera_data import made_up
-from test_report import Page
 
 
 def simulator(folder):

@@ -1,10 +1,8 @@
 """Evolution of networks that is interrupted, in the simulator or on a robot, and gone on with."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from khepera_data import made_up
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import LinkLost, UserError
@@ -16,9 +14,6 @@ from neurosim.tasks.evolve_networks import AGAIN, TRIALS_AGAIN, evolve_networks
 from neurosim.tasks.network_evolution import NetworkSettings
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 from neurosim.tasks.robot_trials import RobotTrials
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
-from khepera_data import made_up
 
 SETTINGS = NetworkSettings(generations=3, population=6, parents=2)
 TASK = ObstacleAvoidance(steps=20, starts=2)

@@ -1,10 +1,8 @@
 """Fitness of trajectories by hand, and networks that learn to avoid obstacles."""
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
+from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers import NetworkController, Plan, read_controller
@@ -22,9 +20,6 @@ from neurosim.tasks.obstacle_avoidance import (
     cells_visited,
 )
 from neurosim.tasks.rollouts import rollouts
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "simulators"))
-from khepera_data import made_up
 
 
 def test_equation_1_by_hand():

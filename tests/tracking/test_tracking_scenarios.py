@@ -1,14 +1,9 @@
 """The tracker on the benchmark's scenes: short clips at a small size, against their known poses."""
 
 import math
-import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "benchmarks"))
-
 from tracking_accuracy import ArUco, Ours, rate
 from tracking_scenes import ARUCO, MARKERS, SCENARIOS, Clip
 
