@@ -1,76 +1,130 @@
-"""Finding out how small an input must be to do nothing: a motor's dead band."""
+"""Finding out how small an input must be to do nothing: a motor's dead zone.
+
+Forward way and turn of a robot are, but for a tenth, linear in how long it is told to drive how
+fast; and where a slow motor stands, all of its part is missing. So the zone is what a linear model
+with the inputs in the zone taken as zero fits best. Errors are taken to be distributed as
+Student's t (Lange, Little and Taylor 1989, Robust statistical modeling using the t distribution):
+a command that the linear model is no good for says little about zones.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import replace
 
 import torch
 from torch import Tensor
 
-from neurosim.training.base import PursuitSettings
-from neurosim.training.pursuit import Pursuit
+from neurosim.simulators.noise import CommandFeatures, half_way_frame
 
-#: Dead zones tried, as shares of an input's largest magnitude.
-_TRIED = (0.0, 0.03, 0.05, 0.07, 0.09, 0.11, 0.13)
-#: A dead zone must lessen the cross-validation score by this share to be believed.
-_BELIEVED = 0.05
-_UNITS = 8
+#: The largest dead zone, as a share of an input's largest magnitude, and how many sizes are tried.
+_LARGEST, _TRIED = 0.5, 64
+#: A dead zone must raise the log-likelihood by this much to be believed.
+_BELIEVED = 3.0
+#: Degrees of freedom of the errors.
+_FREEDOM = 2.0
+#: Steps of the robust regression, and rounds in which all inputs' zones are sought.
+_STEPS, _ROUNDS = 8, 2
+#: Where Huber's loss begins to be linear, in standard deviations.
+_HUBER = 1.345
 
 
-def find_dead_zone(
-    names: Sequence[str], x: Tensor, target: Tensor, settings: PursuitSettings, floor: float
-) -> Tensor:
-    """Return the dead zone of each input, [I], that a small network predicts a target best with.
+def find_dead_zone(names: Sequence[str], x: Tensor, y: Tensor) -> Tensor:
+    """Return the dead zone of each input, [I]: smaller magnitudes do nothing.
 
     Only inputs that take both signs can have one, and an input has that of its predecessor
-    (``left`` and ``prev_left`` are the same motor): first one for all is sought, then each for
-    itself about that.
+    (``left`` and ``prev_left`` are the same motor). It lies half way between two magnitudes that
+    were given. First one zone for all is sought, because where both motors creep neither can be
+    judged while the other is thought to move; then each for itself.
 
     Args:
         names: of the inputs.
         x: scaled inputs, [N, I].
-        target: [N].
-        settings: of the search; it is shortened.
-        floor: the smallest magnitude of an input in a product unit.
+        y: displacements, [N, 3] (m, m, rad).
     """
-    quick = replace(settings, candidates=200, refine_every=_UNITS, reweigh_at=(), patience=_UNITS)
-    both = (x.amin(0) < 0) & (x.amax(0) > 0)
-    groups = {
-        name: torch.tensor([n.removeprefix("prev_") == name for n in names], device=x.device)
-        for name, signed in zip(names, both.tolist(), strict=True)
-        if signed and not name.startswith("prev_")
-    }
+    columns = CommandFeatures.of(tuple(names))
+    pairs = zip(columns.driven, columns.before, strict=True)
+    motors = [pair for pair in pairs if x[:, pair[0]].amin() < 0 < x[:, pair[0]].amax()]
     zone = torch.zeros_like(x[0])
-    best = none = _score(x, target, zone, quick, floor)
-    together = sum(groups.values(), torch.zeros_like(both))
-    for group in (together, *groups.values()):
-        for size in _TRIED:
-            tried = torch.where(group.bool(), size, zone)
-            # What no row distinguishes needs no fit.
-            if torch.equal(tried, zone) or (size > 0 and not _matters(x, tried)):
-                continue
-            score = _score(x, target, tried, quick, floor)
-            if score < best * (1.0 - _BELIEVED / 5):
-                best, zone = score, tried
-        if group is together and not zone.any():
-            break
-    return zone if best < none * (1.0 - _BELIEVED) else torch.zeros_like(zone)
+    if not motors:
+        return zone
+    rows = _Rows(columns, x, y)
+    for group in (motors, *[[motor] for motor in motors] * _ROUNDS):
+        zone = rows.settled(zone, group)
+    return zone
 
 
-def _matters(x: Tensor, zone: Tensor) -> bool:
-    return bool(((x.abs() < zone) & (x != 0)).any())
+class _Rows:
+    """What a linear model says of rows under the assumption of a dead zone.
+
+    Seen from half way round, forward way and turn are those of a constant twist, the way times
+    the chord factor sinc(dtheta / 2).
+    """
+
+    def __init__(self, columns: CommandFeatures, x: Tensor, y: Tensor):
+        self._columns, self._x = columns, x
+        turn, ahead, _ = half_way_frame(y).unbind(-1)
+        self._moved = torch.stack([ahead, turn])
+        self._chord = torch.stack([torch.sinc(turn / (2.0 * math.pi)), torch.ones_like(turn)])
+
+    def settled(self, zone: Tensor, motors: Sequence[tuple[int, int]]) -> Tensor:
+        """Return a zone in which that of these inputs, the same for all, is the likeliest.
+
+        Args:
+            zone: assumed so far, [I].
+            motors: places of an input and of its predecessor, -1 if it has none.
+        """
+        places = [place for pair in motors for place in pair if place >= 0]
+        group = torch.zeros_like(zone, dtype=torch.bool)
+        group[places] = True
+        features = self._features(zone)
+        fits = [_robust_fit(c.unsqueeze(1) * features, m) for c, m in self._outputs()]
+        given = self._x[:, [now for now, _ in motors]].abs()
+        given = given[(given > 0) & (given <= _LARGEST)].unique()
+        sizes = [0.0, *((given[1:] + given[:-1]) / 2.0)[:: len(given) // _TRIED + 1].tolist()]
+        tried = [torch.where(group, size, zone) for size in sizes]
+        costs = [self._cost(one, fits) for one in tried]
+        best = min(range(len(costs)), key=costs.__getitem__)
+        return tried[best if costs[0] - costs[best] > _BELIEVED else 0]
+
+    def _outputs(self) -> zip:
+        return zip(self._chord, self._moved, strict=True)
+
+    def _features(self, zone: Tensor) -> Tensor:
+        """Return what ways are linear in, [N, F].
+
+        A wheel that follows its command u, after u', with a lag makes the way
+        u * duration + (u' - u) * lag.
+        """
+        columns = self._columns
+        x = torch.where(self._x.abs() < zone, 0.0, self._x)
+        now = x[:, list(columns.driven)]
+        before = x[:, [place for place in columns.before if place >= 0]]
+        if columns.duration < 0:
+            return torch.cat([now, before], dim=1)
+        return torch.cat([now * x[:, columns.duration, None], now, before], dim=1)
+
+    def _cost(self, zone: Tensor, fits: Sequence[tuple[Tensor, Tensor]]) -> float:
+        """Return minus the log-likelihood of the rows, but for a constant."""
+        features = self._features(zone)
+        cost = 0.0
+        for (chord, moved), (weights, size) in zip(self._outputs(), fits, strict=True):
+            error = (chord * (features @ weights) - moved) / size
+            each = (error.square() / _FREEDOM).log1p()
+            cost += (_FREEDOM + 1.0) / 2.0 * each.sum().item()
+        return cost
 
 
-def _score(
-    x: Tensor, target: Tensor, zone: Tensor, settings: PursuitSettings, floor: float
-) -> float:
-    x = torch.where(x.abs() < zone, 0.0, x)
-    generator = torch.Generator(x.device).manual_seed(0)
-    factor = torch.ones_like(target)[None, None]
-    scaled = (target / target.square().mean().sqrt().clamp(min=1e-12))[None]
-    search = Pursuit(x, factor, scaled, settings, _UNITS, generator, floor)
-    while not search.finished:
-        search.grow()
-    search.settle()
-    return search.score()
+def _robust_fit(features: Tensor, target: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the weights [F] of a regression with Huber's loss, and the size of its errors, []."""
+    shares = torch.ones_like(target)
+    for _ in range(_STEPS):
+        weighed = features * shares.unsqueeze(1)
+        square = weighed.T @ features
+        square.diagonal().add_(1e-9 * square.diagonal().mean())
+        weights = torch.linalg.solve(square, weighed.T @ target)
+        error = (features @ weights - target).abs()
+        # The median of the magnitude is 0.67 standard deviations of a normal distribution.
+        size = (1.4826 * error.median()).clamp(min=1e-12)
+        shares = (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
+    return weights, size

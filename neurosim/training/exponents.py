@@ -83,7 +83,7 @@ class ExponentsTrainer:
         if settings.dead_zone is None:
             names = [entry["name"] for entry in data.inputs]
             with one_thread(device):
-                self._dead_zone = find_dead_zone(names, x, y[:, 2], settings, settings.floor)
+                self._dead_zone = find_dead_zone(names, x, y)
         else:
             self._dead_zone = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)
         x = torch.where(x.abs() < self._dead_zone, 0.0, x)

@@ -8,7 +8,6 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators.derived import Derived
 from neurosim.simulators.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData
-from neurosim.training.dead_zone import find_dead_zone
 from neurosim.training.exponents import (
     ExponentsSettings,
     ExponentsTrainer,
@@ -110,18 +109,6 @@ def test_rows_with_larger_errors_weigh_less():
     assert weights.square().mean().item() == pytest.approx(1.0)
     long, short = weights[0, x[:, 4] > 0.9].mean(), weights[0, x[:, 4] < 0.3].mean()
     assert short > 1.5 * long
-
-
-@pytest.mark.parametrize("width", [0.0, 0.07])
-def test_a_dead_zone_is_found_where_there_is_one(width):
-    x, g = rows(600)
-    x[::3, 2:4] *= 0.15  # enough slow commands to tell
-    felt = torch.where(x.abs() < width, 0.0, x)
-    target = (felt[:, 3] - felt[:, 2]) * x[:, 4]
-    target = target + 0.002 * torch.randn(600, generator=g, dtype=torch.float64)
-    found = find_dead_zone(NAMES, x, target, PursuitSettings(**FEW), 0.02)
-    assert found[4] == 0.0
-    assert found[0] == found[2] == pytest.approx(width, abs=0.021)
 
 
 def test_twist_and_offset_give_the_displacement():
