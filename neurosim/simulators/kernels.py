@@ -16,7 +16,7 @@ from neurosim.networks.product_units import LOG_LIMIT
 from neurosim.simulators.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
-SIZES = 13
+SIZES = 10
 
 
 class Arrays(NamedTuple):
@@ -32,13 +32,11 @@ class Arrays(NamedTuple):
     twist: bool  #: whether the first three outputs are a body twist; two more: an offset
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
-    noise_unit: np.ndarray  #: [3], this and the next six as in NoiseModel
+    noise_unit: np.ndarray  #: [3], this and the next four as in NoiseModel
     noise_log_scale: np.ndarray  #: [3, F]
     noise_coupling: np.ndarray  #: [3, F]
     noise_tail: np.ndarray  #: [F]
     noise_motion: np.ndarray  #: [3, F]
-    noise_lasting: np.ndarray  #: [3]
-    noise_memory: np.ndarray  #: [1]
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
@@ -142,7 +140,7 @@ def disturb(a, inputs, mean, z, out):
         a: :class:`Arrays` of a simulator with a noise model.
         inputs: [I], in the dataset's units.
         mean: [3], of :func:`displacement`.
-        z: [7], of :meth:`NoiseModel.draw`.
+        z: [4], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
     size = np.empty(SIZES)
@@ -157,13 +155,12 @@ def spread(a, inputs, mean, out):
     Args:
         a, inputs, mean: as in :func:`disturb`.
         out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the couplings c_1, c_2, c_3,
-            r^2 of the three, tau, and what lasts by its share of this motion: turn, forward, bend
-            (rad, m, rad).
+            r^2 of the three, and tau.
     """
     duration = 1.0
     if a.duration >= 0:
         duration = max(_scaled(a, inputs, a.duration), 0.0)
-    travel, jump, reversal = 0.0, 0.0, 0.0
+    travel, jump, reversal, speed = 0.0, 0.0, 0.0, 0.0
     for k in range(len(a.driven)):
         u = _scaled(a, inputs, a.driven[k])
         v = u
@@ -172,13 +169,14 @@ def spread(a, inputs, mean, out):
         travel += abs(u) * duration / len(a.driven)
         jump += abs(u - v)
         reversal += max(-u * v, 0.0)
+        speed += abs(v) / len(a.driven)
     cos, sin = math.cos(0.5 * mean[2]), math.sin(0.5 * mean[2])
     t = mean[2] / a.noise_unit[0]
     f = (cos * mean[0] + sin * mean[1]) / a.noise_unit[1]
     log_travel = math.log(travel + 0.01)
     log_turn, log_forward = math.log(abs(t) + 0.02), math.log(abs(f) + 0.02)
     log_jump, log_time = math.log(jump + 0.02), math.log(duration + 0.02)
-    root = math.sqrt(reversal)
+    root, log_before = math.sqrt(reversal), math.log(speed + 0.02)
     product = t * f / (t * t + f * f + 0.01)
     turning, going = t / math.sqrt(t * t + 0.05), f / math.sqrt(f * f + 0.05)
     for j in range(3):
@@ -192,17 +190,14 @@ def spread(a, inputs, mean, out):
             + w[5] * log_jump
             + w[6] * root
             + w[7] * log_time
+            + w[8] * log_before
         )
         out[j] = math.exp(2.0 * log_s)
         out[3 + j] = c[0] + c[1] * product + c[2] * turning + c[3] * going
         r = a.noise_motion[j]
         out[6 + j] = r[0] + r[1] * t * t + r[2] * f * f
-    ahead = cos * mean[0] + sin * mean[1]
     tail = a.noise_tail
     out[9] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
-    out[10] = a.noise_lasting[0] * mean[2]
-    out[11] = a.noise_lasting[1] * ahead
-    out[12] = a.noise_lasting[2] * ahead
 
 
 @njit(cache=True, error_model="numpy")
@@ -212,15 +207,15 @@ def shake(mean, size, z, out):
     Args:
         mean: [3], of :func:`displacement`.
         size: [SIZES], of :func:`spread`.
-        z: [7], of :meth:`NoiseModel.draw`.
+        z: [4], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.
     """
     width = math.exp(2.0 * size[9] * z[3])
     s_t = math.sqrt(size[0] * width + size[6])
     s_f = math.sqrt(size[1] * width + size[7])
     s_s = math.sqrt(size[2] * width + size[8])
-    e_t = s_t * z[0] + size[10] * z[4] + size[12] * z[6]
-    e_f = s_f * (z[1] + size[3] * z[0]) + size[11] * z[5]
+    e_t = s_t * z[0]
+    e_f = s_f * (z[1] + size[3] * z[0])
     e_s = s_s * (z[2] + size[4] * z[0] + size[5] * z[1])
     theta = mean[2] + e_t
     cos, sin = math.cos(0.5 * e_t), math.sin(0.5 * e_t)

@@ -23,12 +23,7 @@ from torch import Tensor
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.simulators.derived import Derived, can_swing
 from neurosim.simulators.kernels import Arrays
-from neurosim.simulators.noise import (
-    LASTING,
-    CommandFeatures,
-    NoiseModel,
-    disturb,
-)
+from neurosim.simulators.noise import CommandFeatures, NoiseModel, disturb
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
@@ -114,8 +109,6 @@ class MotionNetwork:
         self.state_names = ("x", "y", "theta", *remembered)
         if self.members > 1:
             self.state_names += ("member",)
-        if noise is not None:
-            self.state_names += tuple(f"lasting_{name}" for name in LASTING)
         given = (*remembered, *self.command_names)
         device = self.genes.device
         self._columns = CommandFeatures.of(names)
@@ -152,8 +145,7 @@ class MotionNetwork:
 
         Args:
             pose: x (m), y (m), heading (rad).
-            generator: each trajectory draws its member, and what of the noise lasts; without
-                one it follows the mean.
+            generator: each trajectory draws its member; without one it follows the mean.
             member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
         """
         pose = pose.to(self.genes)
@@ -163,8 +155,6 @@ class MotionNetwork:
             if member is None:
                 member = -1 if generator is None else self.draw_members(rows, generator)
             state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
-        if generator is not None and self.noise is not None:
-            state[:, -len(LASTING) :] = self.noise.draw(rows, 1, generator)[:, 0, 4:]
         return state
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
@@ -186,9 +176,7 @@ class MotionNetwork:
         rest = state[:, self._remembered.stop :]
         if generator is not None and self.noise is not None:
             z = self.noise.draw(len(moved), 1, generator)[:, 0]
-            kept, lasting = rest.split([rest.shape[1] - len(LASTING), len(LASTING)], dim=1)
-            rest = torch.cat([kept, self.noise.later(lasting, z[:, 4:])], dim=1)
-            moved = self.disturbed(inputs, moved, torch.cat([z[:, :4], lasting], dim=1))
+            moved = self.disturbed(inputs, moved, z)
         pose = compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], rest], dim=1)
 

@@ -18,7 +18,6 @@ from neurosim.simulators.motion import COORDINATES, OUTPUTS, MotionNetwork
 from neurosim.simulators.noise import (
     COMPONENTS,
     COUPLING_FEATURES,
-    LASTING,
     MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
@@ -27,13 +26,12 @@ from neurosim.simulators.noise import (
 
 #: What simulator.json says of a noise model; its numbers stand beside the weights.
 NOISE = {
-    "kind": "lasting-cholesky-lognormal",
+    "kind": "cholesky-lognormal-sum",
     "components": list(COMPONENTS),
     "scale_features": list(SCALE_FEATURES),
     "coupling_features": list(COUPLING_FEATURES),
     "tail_features": list(TAIL_FEATURES),
     "motion_features": list(MOTION_FEATURES),
-    "lasting": list(LASTING),
 }
 
 

@@ -6,11 +6,11 @@ The noise stands in the frame half way round the command's turn. With the mean d
 .. math:: \theta = \bar\theta + e_t, \qquad
           p = R(e_t / 2)\, \bar p + R(\theta / 2)\, (e_f, e_s)
 
-so that a turn that came out larger carries the robot round with it. But for what
-lasts (l, below) the three are a linear map of standard normal draws z, a Cholesky decomposition of
-their covariance (Pourahmadi 1999, Biometrika 86), which is positive definite whatever its numbers:
+so that a turn that came out larger carries the robot round with it. The three are a linear map of
+standard normal draws z, a Cholesky decomposition of their covariance (Pourahmadi 1999, Biometrika
+86), which is positive definite whatever its numbers:
 
-.. math:: e_t = S_t z_t + l_t \bar\theta + l_b d, \qquad e_f = S_f (z_f + c_1 z_t) + l_f d, \qquad
+.. math:: e_t = S_t z_t, \qquad e_f = S_f (z_f + c_1 z_t), \qquad
           e_s = S_s (z_s + c_2 z_t + c_3 z_f)
 
 Each c is linear in features of the command. A size S is of two parts, whose variances add up:
@@ -20,14 +20,11 @@ Each c is linear in features of the command. A size S is of two parts, whose var
 What happens in the course of the motion, as slip does, has variance :math:`r^2`, linear in the
 squares of turn and distance. What else there is has heavy tails, as if its scale itself were
 uncertain (Clark 1973, Econometrica 41): g is standard normal, the same for all three, and ln s and
-:math:`\ln \tau` are linear in features of the command (how far, how much of a turn, how sudden).
+:math:`\ln \tau` are linear in features of the command (how far, how much of a turn, how sudden,
+how fast the motors ran before it: where they stood, the motion before that, which no input tells,
+has left the caster in some direction).
 A product of features alone would say that a robot that goes straight ahead hardly strays, and
 plans would be looked for where it says so.
-
-What the ground of a place or the battery does lasts for longer than a command. It is a share of
-the motion, and no pull to one side: of the turn :math:`\bar\theta`, of the distance ahead d (as
-seen from half way round), and a bend, a turn for every metre ahead. The three numbers l are
-normal, and change slowly from command to command: a first-order autoregression.
 """
 
 from __future__ import annotations
@@ -41,17 +38,24 @@ from torch import Tensor
 #: The three components of the noise, in the order of every array here.
 COMPONENTS = ("turn", "forward", "sideways")
 
-#: What lasts from command to command: a share of the turn, one of the distance, and rad/m.
-LASTING = ("turn", "forward", "bend")
-
-#: Draws of a command: one a component; g, on which the width of all three depends; what lasts.
-DRAWS = 4 + len(LASTING)
+#: Draws of a command: one a component, and g, on which the width of all three depends.
+DRAWS = 4
 
 #: The heaviest tails, as :math:`\tau`.
 HEAVIEST = 1.5
 
 #: What ln s is linear in, what a coupling c, and what ln tau; see :func:`features`.
-SCALE_FEATURES = ("one", "travel", "travel_squared", "turn", "forward", "jump", "reversal", "time")
+SCALE_FEATURES = (
+    "one",
+    "travel",
+    "travel_squared",
+    "turn",
+    "forward",
+    "jump",
+    "reversal",
+    "time",
+    "before",
+)
 COUPLING_FEATURES = ("one", "product", "turn", "forward")
 #: What r^2 is linear in: the squares of these.
 MOTION_FEATURES = ("one", "turn", "forward")
@@ -69,8 +73,6 @@ class NoiseModel:
         coupling: [3, len(COUPLING_FEATURES)] of c_1, c_2 and c_3.
         tail: [len(TAIL_FEATURES)] of ln tau.
         motion: [3, len(MOTION_FEATURES)] of r_t^2 (rad^2), r_f^2 and r_s^2 (m^2).
-        lasting: [len(LASTING)] standard deviations of what lasts: 1, 1, rad/m.
-        memory: [1] correlation of what lasts from one command to the next.
     """
 
     unit: Tensor
@@ -78,8 +80,6 @@ class NoiseModel:
     coupling: Tensor
     tail: Tensor
     motion: Tensor
-    lasting: Tensor
-    memory: Tensor
 
     SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {
         "unit": (3,),
@@ -87,8 +87,6 @@ class NoiseModel:
         "coupling": (3, len(COUPLING_FEATURES)),
         "tail": (len(TAIL_FEATURES),),
         "motion": (3, len(MOTION_FEATURES)),
-        "lasting": (len(LASTING),),
-        "memory": (1,),
     }
 
     def __post_init__(self) -> None:
@@ -99,13 +97,11 @@ class NoiseModel:
             object.__setattr__(self, name, value.detach().cpu().double())
         if (self.unit <= 0).any():
             raise ValueError("noise unit must be above 0")
-        if (self.motion < 0).any() or (self.lasting < 0).any():
-            raise ValueError("noise motion and lasting must not be negative")
-        if not 0 <= self.memory <= 1:
-            raise ValueError("noise memory must lie in 0..1")
+        if (self.motion < 0).any():
+            raise ValueError("noise motion must not be negative")
 
     def widened(self, factor: Tensor) -> NoiseModel:
-        """Return the model with each component [3] as many times as wide, but for what lasts."""
+        """Return the model with each component [3] as many times as wide."""
         log_scale = self.log_scale.clone()
         log_scale[:, 0] += factor.log()
         motion = self.motion * factor.square().unsqueeze(-1)
@@ -117,17 +113,9 @@ class NoiseModel:
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""
-        z = torch.randn(
+        return torch.randn(
             rows, steps, DRAWS, generator=generator, dtype=torch.float64, device=generator.device
         )
-        for step in range(1, steps):
-            z[:, step, 4:] = self.later(z[:, step - 1, 4:], z[:, step, 4:])
-        return z
-
-    def later(self, lasting: Tensor, fresh: Tensor) -> Tensor:
-        """Return what lasts [B, len(LASTING)] a command later, given standard normal draws."""
-        memory = self.memory.to(lasting)
-        return memory * lasting + (1.0 - memory.square()).sqrt() * fresh
 
 
 @dataclass(frozen=True)
@@ -169,13 +157,14 @@ def features(
     """
     one = torch.ones_like(mean[:, 0])
     duration = inputs[:, columns.duration].clamp(min=0) if columns.duration >= 0 else one
-    travel, jump, reversal = 0.0 * one, 0.0 * one, 0.0 * one
+    travel, jump, reversal, speed = torch.zeros(4, len(one)).to(one)
     for now, before in zip(columns.driven, columns.before, strict=True):
         u = inputs[:, now]
         v = inputs[:, before] if before >= 0 else u
         travel = travel + u.abs() * duration / len(columns.driven)
         jump = jump + (u - v).abs()
         reversal = reversal + (-u * v).clamp(min=0.0)
+        speed = speed + v.abs() / len(columns.driven)
     turn, forward, _ = (half_way_frame(mean) / unit).unbind(-1)
     log_travel = (travel + 0.01).log()
     scale = [
@@ -187,6 +176,7 @@ def features(
         (jump + 0.02).log(),
         reversal.sqrt(),
         (duration + 0.02).log(),
+        (speed + 0.02).log(),
     ]
     coupling = [
         one,
@@ -217,10 +207,8 @@ def disturb(
     width = (heaviness(tail, noise.tail.to(mean)) * z[:, 3]).exp()
     s = (scale @ noise.log_scale.to(mean).T).exp() * width.unsqueeze(-1)
     s = (s.square() + in_motion(noise, mean)).sqrt()
-    lasting = z[:, 4:] * noise.lasting.to(mean)
-    ahead = half_way_frame(mean)[:, 1]
-    turn = s[:, 0] * t + lasting[:, 0] * mean[:, 2] + lasting[:, 2] * ahead
-    forward = s[:, 1] * (f + c[:, 0] * t) + lasting[:, 1] * ahead
+    turn = s[:, 0] * t
+    forward = s[:, 1] * (f + c[:, 0] * t)
     sideways = s[:, 2] * (side + c[:, 1] * t + c[:, 2] * f)
     theta = mean[:, 2] + turn
     a = rotate(turn / 2, mean[:, :2])
@@ -264,10 +252,7 @@ def residual(mean: Tensor, actual: Tensor) -> Tensor:
 def standardised(
     noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
 ) -> Tensor:
-    """Return the draws [B, 3] that make ``actual`` of ``mean``, by the sizes' root mean squares.
-
-    As if nothing lasted: what does is in them.
-    """
+    """Return the draws [B, 3] that make ``actual`` of ``mean``, by the sizes' root mean squares."""
     _, coupling, _ = features(noise.unit.to(mean), columns, inputs, mean)
     s = typical_size(noise, columns, inputs, mean)
     c = coupling @ noise.coupling.to(mean).T

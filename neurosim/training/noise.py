@@ -3,9 +3,6 @@
 Scales, couplings and tails are fitted together by maximum likelihood, with a weak pull to zero
 for what few rows say little about. The noise of the poses at both ends of a command, as the camera
 saw them, is part of what is learned: it is what is left of the noise where a robot stands still.
-
-What lasts is read off the products of the residuals of commands that were given soon after each
-other (the method of moments), and the rest of the noise then fitted anew beside it.
 """
 
 from __future__ import annotations
@@ -17,7 +14,6 @@ from torch import Tensor
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.noise import (
     COUPLING_FEATURES,
-    LASTING,
     MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
@@ -28,7 +24,6 @@ from neurosim.simulators.noise import (
     heaviness,
     motion_features,
     residual,
-    typical_size,
 )
 from neurosim.training.base import TrainingData, one_thread, root_mean_square
 
@@ -38,17 +33,11 @@ PULL = 1.0
 #: Residuals are not told apart below this, m and rad.
 FINEST = 1e-6
 
-#: The most that members and what lasts may explain of a row, in mean squares.
+#: The most that members may explain of a row, in mean squares.
 MOST = 4.0
 
 #: Of r^2 where nothing is known, as the logarithm of its share in the mean square.
 LITTLE = -3.0
-
-#: Commands ahead that residuals are compared over; no residual counts as larger, in deviations.
-LAGS, OUTLYING = 12, 3.0
-
-#: What lasts is kept where it stands out as far as one in a hundred does by chance.
-CHANCE = 2.33
 
 #: Places and weights of Gauss-Hermite quadrature over a standard normal number.
 _PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
@@ -68,10 +57,7 @@ def fit_noise(simulator: MotionNetwork, data: TrainingData, outputs: Tensor) -> 
     mean = simulator.from_outputs(outputs)
     columns = CommandFeatures.of(simulator.input_names)
     inputs = simulator.scaled(data.x)
-    said = _spread(simulator, data, mean)
-    noise = _most_likely(columns, inputs, mean, data.y, said)
-    lasting = _lasting(noise, columns, inputs, mean, data.y)
-    return _most_likely(columns, inputs, mean, data.y, said, *lasting)
+    return _most_likely(columns, inputs, mean, data.y, _spread(simulator, data, mean))
 
 
 def search_optimism(
@@ -108,62 +94,18 @@ def _spread(simulator: MotionNetwork, data: TrainingData, mean: Tensor) -> Tenso
     return torch.stack(strays).square().sum(0) / (simulator.members - 1)
 
 
-def _lasting(
-    noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Return what lasts of the noise [len(LASTING)] and its memory [1].
-
-    Residuals e, l commands apart, of motions m have products of mean m m' v memory^l; v is fitted
-    to them by least squares, weighted by their variances.
-
-    Args:
-        noise: fitted as if nothing lasted.
-        columns, inputs, mean, actual: rows, in the order of time.
-    """
-    size = typical_size(noise, columns, inputs, mean)
-    error = (residual(mean, actual) / size)[:, [0, 1, 0]].clamp(-OUTLYING, OUTLYING)
-    turn, ahead, _ = half_way_frame(mean).unbind(-1)
-    motion = torch.stack([turn, ahead, ahead], dim=-1) / size[:, [0, 1, 0]]
-    products, squares = torch.zeros(2, LAGS, len(LASTING), dtype=torch.float64)
-    for lag in range(1, min(LAGS + 1, len(error))):
-        both = motion[lag:] * motion[:-lag]
-        products[lag - 1] = (both * error[lag:] * error[:-lag]).sum(0)
-        squares[lag - 1] = both.square().sum(0)
-    memories = torch.linspace(0.05, 0.95, 19, dtype=torch.float64).unsqueeze(-1)
-    fading = memories ** torch.arange(1, LAGS + 1)
-    information = (fading.square() @ squares).clamp(min=1e-12)
-    variance = fading @ products / information
-    # Of a variance of zero the products give as much by chance, in one of a hundred.
-    certain = variance * information.sqrt() > CHANCE
-    variance = torch.where(certain, variance, 0.0)
-    best = (variance.square() * information).sum(1).argmax()
-    return variance[best].sqrt(), memories[best]
-
-
 def _most_likely(
-    columns: CommandFeatures,
-    inputs: Tensor,
-    mean: Tensor,
-    actual: Tensor,
-    said: Tensor,
-    lasting: Tensor | None = None,
-    memory: Tensor | None = None,
+    columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor, said: Tensor
 ) -> NoiseModel:
-    """Fit the noise, beside what the members say [N, 3] and, if that is given, what lasts."""
+    """Fit the noise, beside what the members say [N, 3]."""
     unit = root_mean_square(half_way_frame(mean))
     scale, coupling, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = len(error)
-    if lasting is None:
-        lasting, memory = torch.zeros(len(LASTING)), torch.zeros(1)
-    ahead = half_way_frame(mean)[:, 1]
-    besides = said.clone()
-    besides[:, 0] += (lasting[0] * mean[:, 2]).square() + (lasting[2] * ahead).square()
-    besides[:, 1] += (lasting[1] * ahead).square()
     # A member may be wild on some row; the row itself says how far that can be believed.
-    besides = (besides / size.square()).clamp(max=MOST)
+    besides = (said / size.square()).clamp(max=MOST)
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
     c = torch.zeros(3, len(COUPLING_FEATURES), dtype=torch.float64, requires_grad=True)
     h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
@@ -204,6 +146,4 @@ def _most_likely(
         coupling=c,
         tail=h.detach(),
         motion=v.detach().exp() * size.square().unsqueeze(-1),
-        lasting=lasting,
-        memory=memory,
     )

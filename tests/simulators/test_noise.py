@@ -15,7 +15,6 @@ from neurosim.simulators import MotionNetwork, kernels, read_simulator
 from neurosim.simulators.noise import (
     DRAWS,
     HEAVIEST,
-    LASTING,
     CommandFeatures,
     NoiseModel,
     disturb,
@@ -43,8 +42,7 @@ def noise_model(seed=0, size=-3.0):
     }
     drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
     drawn["log_scale"][:, 0] += size
-    for name in ("motion", "lasting", "memory"):
-        drawn[name] = (0.1 * drawn[name]).abs()
+    drawn["motion"] = (0.1 * drawn["motion"]).abs()
     return NoiseModel(**drawn)
 
 
@@ -76,7 +74,7 @@ def test_without_a_generator_the_answer_is_the_mean(seed):
     quiet, noisy = simulator(seed), simulator(seed, noise=noise_model(seed))
     start = normal(seed, 6, 3)
     states = [s.step(s.start(start), commands(seed, 6)) for s in (quiet, noisy)]
-    assert torch.equal(states[0], states[1][:, : -len(LASTING)])
+    assert torch.equal(*states)
 
 
 @settings(max_examples=20, deadline=None)
@@ -126,7 +124,7 @@ def test_draws_are_found_again_in_what_they_made(seed):
     noise, columns = noise_model(seed), CommandFeatures.of(NAMES)
     noise = replace(noise, tail=torch.tensor([-40.0, 0.0, 0.0]))  # no tails to speak of
     x, mean = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3)
-    z = torch.cat([normal(seed, 8, 4), torch.zeros(8, len(LASTING))], 1)
+    z = normal(seed, 8, DRAWS)
     moved = disturb(noise, columns, x, mean, z)
     assert torch.allclose(standardised(noise, columns, x, mean, moved), z[:, :3], atol=1e-9)
 
@@ -158,7 +156,7 @@ def test_noise_worked_by_hand():
     numbers["tail"][0] = math.log(0.5)
     noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
     mean = torch.tensor([[0.2, 0.0, 0.0]], dtype=torch.float64)
-    z = torch.tensor([[0.0, 1.0, -2.0, 2.0, 0.0, 0.0, 0.0]], dtype=torch.float64)
+    z = torch.tensor([[0.0, 1.0, -2.0, 2.0]], dtype=torch.float64)
     x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
     # No turn: 0.02 ahead and 0.06 to the right, times e^(0.5 * 2).
     moved = disturb(noise, columns, x, mean, z)
@@ -169,47 +167,17 @@ def test_noise_worked_by_hand():
     assert turned[0].tolist() == pytest.approx(expected)
 
 
-def test_what_happens_in_the_motion_and_what_lasts_worked_by_hand():
+def test_what_happens_in_the_motion_worked_by_hand():
     numbers = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
     numbers["unit"] = torch.ones(3)
     numbers["log_scale"][:, 0] = -40.0
     numbers["motion"][1] = torch.tensor([0.03, 0.0, 1.0])
-    numbers["lasting"] = torch.tensor([0.02, 0.1, 0.4])
     noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
     x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
     ahead = torch.tensor([[0.1, 0.0, 0.0]], dtype=torch.float64)
-    # r_f^2 = 0.03 + 0.1^2, and of what lasts a tenth of the 0.1 m, as far the other way.
-    z = torch.tensor([[0.0, 1.0, 0.0, 0.0, 5.0, -1.0, 0.0]], dtype=torch.float64)
-    assert disturb(noise, columns, x, ahead, z)[0].tolist() == pytest.approx([0.29, 0.0, 0.0])
-    # A bend of 0.4 rad/m over 0.1 m, and half of it seen in where the robot came to.
-    z = torch.eye(DRAWS, dtype=torch.float64)[6:]
-    bent = disturb(noise, columns, x, ahead, z)[0].tolist()
-    assert bent == pytest.approx([0.1 * math.cos(0.02), 0.1 * math.sin(0.02), 0.04])
-    # A turn on the spot comes out larger by its share.
-    spot = torch.tensor([[0.0, 0.0, -3.0]], dtype=torch.float64)
-    z = torch.eye(DRAWS, dtype=torch.float64)[4:5]
-    assert disturb(noise, columns, x, spot, z)[0].tolist() == pytest.approx([0.0, 0.0, -3.06])
-
-
-def test_what_lasts_fades_from_command_to_command():
-    noise = replace(noise_model(), memory=torch.tensor([0.7]))
-    z = noise.draw(20_000, 4, torch.Generator().manual_seed(0))
-    for lag in (1, 2, 3):
-        related = (z[:, 0] * z[:, lag]).mean(0)
-        assert related[4:].tolist() == pytest.approx([0.7**lag] * 3, abs=0.03)
-        assert related[:4].tolist() == pytest.approx([0.0] * 4, abs=0.03)
-    assert z[:, 3].var(0).tolist() == pytest.approx([1.0] * DRAWS, abs=0.05)
-
-
-def test_a_trajectory_carries_what_lasts():
-    noisy = simulator(noise=replace(noise_model(), memory=torch.ones(1)))
-    generator = torch.Generator().manual_seed(1)
-    first = noisy.start(normal(1, 30, 3), generator)
-    assert noisy.state_names[-3:] == ("lasting_turn", "lasting_forward", "lasting_bend")
-    assert first[:, -3:].std() > 0.5
-    later = noisy.step(first, commands(1, 30), generator)
-    assert torch.equal(later[:, -3:], first[:, -3:])
-    assert not noisy.start(normal(1, 5, 3))[:, -3:].any()
+    # r_f^2 = 0.03 + 0.1^2, whatever the width.
+    z = torch.tensor([[0.0, 1.0, 0.0, 5.0]], dtype=torch.float64)
+    assert disturb(noise, columns, x, ahead, z)[0].tolist() == pytest.approx([0.3, 0.0, 0.0])
 
 
 def test_tails_have_a_limit():
@@ -265,7 +233,7 @@ def test_a_noise_model_of_another_kind_is_refused(tmp_path):
     simulator(noise=noise_model()).write(tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text())
-    content["noise"]["kind"] = "cholesky-lognormal"
+    content["noise"]["kind"] = "lasting-cholesky-lognormal"
     path.write_text(json.dumps(content))
     with pytest.raises(FileError, match=r"'noise': is no noise model.*train the simulator anew"):
         read_simulator(tmp_path)

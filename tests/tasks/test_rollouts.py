@@ -35,8 +35,7 @@ def simulator(
         drawn = {name: 0.1 * normal(2, *shape) for name, shape in shapes.items()}
         drawn["log_scale"][:, 0] -= 3.0
         drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
-        for name in ("motion", "lasting", "memory"):
-            drawn[name] = drawn[name].abs()
+        drawn["motion"] = drawn["motion"].abs()
         noise = NoiseModel(**drawn)
     scale = [3.0 if name == "duration" else 50.0 for name in names]
     return MotionNetwork(
@@ -133,9 +132,9 @@ def test_outcomes_spread_as_the_steps_of_the_protocol_do():
     commands, given = plans(8, 3)
     commands, given = commands[4:5], np.ones((1, 3), bool)
     fast = rollouts(sim, START)
-    fast = fast.drawn(commands, given, fast.draw(6000, 3, 1, (0.003, 0.01)))[0]
+    fast = fast.drawn(commands, given, fast.draw(24_000, 3, 1, (0.003, 0.01)))[0]
     slow = SteppedRollouts(sim, START)
-    slow = slow.drawn(commands, given, slow.draw(6000, 3, 2, (0.003, 0.01)))[0]
+    slow = slow.drawn(commands, given, slow.draw(24_000, 3, 2, (0.003, 0.01)))[0]
     for quantile in (0.1, 0.5, 0.9):
         a, b = (np.quantile(paths[:, 1:], quantile, axis=0) for paths in (fast, slow))
         assert np.abs(a - b).max() < 0.1 * slow[:, 1:].std(axis=0).max() + 1e-3
