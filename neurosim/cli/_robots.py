@@ -91,6 +91,34 @@ def khepera_options(command: Callable) -> Callable:
     return command
 
 
+def khepera_or_virtual(robot_help: str, lab_seed_help: str) -> Callable:
+    """Return what adds the options of a verb that only a Khepera, virtual or real, can do.
+
+    Args:
+        robot_help: help of ``--robot``.
+        lab_seed_help: help of ``--lab-seed``.
+    """
+
+    def add(command: Callable) -> Callable:
+        robot = click.option(
+            "--robot",
+            type=click.Choice(["virtual", "khepera"]),
+            default="virtual",
+            show_default=True,
+            help=robot_help,
+        )
+        lab_seed = click.option(
+            "--lab-seed",
+            type=click.IntRange(min=0),
+            default=0,
+            show_default=True,
+            help=lab_seed_help,
+        )
+        return robot(khepera_options(lab_seed(command)))
+
+    return add
+
+
 def khepera(options: dict[str, Any]) -> Any:
     """Make the driver that the options of :func:`khepera_options` stand for, not connected.
 

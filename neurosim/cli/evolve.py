@@ -23,7 +23,7 @@ from neurosim.cli._common import (
     seed_option,
 )
 from neurosim.cli._networks import evolve_network
-from neurosim.cli._robots import khepera_options
+from neurosim.cli._robots import khepera_or_virtual
 from neurosim.cli.tables import arena_option, noise_option
 
 
@@ -90,15 +90,7 @@ from neurosim.cli.tables import arena_option, noise_option
     default=0,
     help="Obstacle avoidance: generations more, on the robot, which is left to itself.",
 )
-@click.option(
-    "--robot",
-    type=click.Choice(["virtual", "khepera"]),
-    default="virtual",
-    show_default=True,
-    help="Of --then-on-robot.",
-)
-@khepera_options
-@click.option("--lab-seed", type=click.IntRange(min=0), default=0, help="Which virtual robot.  [0]")
+@khepera_or_virtual("Of --then-on-robot.", "Which virtual robot.")
 @click.option("--all", "keep_all", is_flag=True, help="Keep every run's plan: OUT-01, OUT-02, ...")
 @click.option(
     "--resume",

@@ -22,7 +22,7 @@ from neurosim.cli._common import (
     next_step,
     seed_option,
 )
-from neurosim.cli._robots import khepera, khepera_options, open_camera, virtual_khepera_baud
+from neurosim.cli._robots import khepera, khepera_or_virtual, open_camera, virtual_khepera_baud
 from neurosim.cli.record import marker_settings
 
 _PROMPTS = {
@@ -45,16 +45,8 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 
 @click.command(cls=Resumable, begun=_begun)
 @click.argument("out", type=PATH)
-@click.option(
-    "--robot",
-    type=click.Choice(["virtual", "khepera"]),
-    default="virtual",
-    show_default=True,
-    help="virtual: the lab in software, in which the robot is put down by itself.",
-)
-@khepera_options
-@click.option(
-    "--lab-seed", type=click.IntRange(min=0), default=0, show_default=True, help="Which robot."
+@khepera_or_virtual(
+    "virtual: the lab in software, in which the robot is put down by itself.", "Which robot."
 )
 @click.option("--angles", type=click.IntRange(min=4), default=180, show_default=True)
 @click.option("--distances", type=click.IntRange(min=2), default=20, show_default=True)
