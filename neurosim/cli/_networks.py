@@ -63,7 +63,9 @@ def evolve_network(
     wanted, settings = make_task("obstacle-avoidance", **task), NetworkSettings(**genetic)
     if resume:
         # Said before a robot is looked for.
-        begun = begun_with(found, wanted, settings, simulator, seed, robot["then_on_robot"])
+        begun = begun_with(
+            found, wanted, settings, simulator, seed, robot["then_on_robot"], _describe(robot)
+        )
         Checkpoint(out, "evolution").resume(begun)
     with _on_robot(robot, found, wanted, seed) as then:
         made = evolve_networks(
@@ -107,6 +109,16 @@ def evolve_network(
 _SECONDS, _STARTS = 10.0, 2
 
 
+def _describe(options: dict[str, Any]) -> dict[str, Any] | None:
+    """Return what can be said of the robot before it is reached; None where none is to be."""
+    if not options["then_on_robot"]:
+        return None
+    if options["robot"] == "khepera":
+        return khepera(options).describe()
+    baud, lab = virtual_khepera_baud(options), {"robot_seed": options["lab_seed"]}
+    return {"robot": "khepera", "dialect": "khepera", "baud": baud, "virtual_lab": lab}
+
+
 @contextmanager
 def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> Iterator[dict]:
     """Give what evolve_networks needs to go on on a robot; nothing where it is not to."""
@@ -120,7 +132,7 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
 
     arena = simulator.arena
 
-    def settings(robot: Any, place: Callable, pose: Callable) -> dict[str, Any]:
+    def settings(robot: Any, place: Callable, pose: Callable, **lab: Any) -> dict[str, Any]:
         trials = RobotTrials(robot, task, simulator.reaction.hold)
 
         def compare(genes: Any, simulated: Any) -> list[dict[str, list]]:
@@ -140,7 +152,7 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
         return {
             "on_robot": trials,
             "robot_generations": generations,
-            "robot": robot.describe(),
+            "robot": {**robot.describe(), **lab},
             "compare": compare,
         }
 
@@ -161,7 +173,12 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
         ) as rig,
         rig.robot as robot,
     ):
-        yield settings(robot, lambda p: rig.lab.place(*p), lambda _: lambda: rig.lab.pose)
+        yield settings(
+            robot,
+            lambda pose: rig.lab.place(*pose),
+            lambda _: lambda: rig.lab.pose,
+            virtual_lab=rig.describe(),
+        )
 
 
 def _same_line(simulator: Any, baud: int) -> None:

@@ -74,7 +74,8 @@ def evolve_networks(
         progress: whether to show progress on stderr.
         on_robot: tries networks on the robot, for ``robot_generations`` after the simulator's.
         robot_generations: how many; the history says where they began (``transfer``).
-        robot: what the robot says of itself, for ``evolution["robot"]``.
+        robot: what the robot says of itself, for ``evolution["robot"]``; of a virtual one
+            ``virtual_lab`` as well, what makes the same lab again.
         compare: drives the chosen network in simulator and reality, for
             ``evolution["trajectories"]``.
         resume: go on with the interrupted evolution of ``out``.
@@ -95,7 +96,7 @@ def evolve_networks(
         "arena": simulator.arena.to_json(),
     }
     made_in = {} if source is None else named(source)
-    begun = begun_with(simulator, task, settings, source, seed, robot_generations)
+    begun = begun_with(simulator, task, settings, source, seed, robot_generations, robot)
     if resume:
         check_new_folder(out, overwrite=_is_unfinished(out))
         run.resume(begun)
@@ -165,8 +166,21 @@ def begun_with(
     source: str | Path | None,
     seed: int,
     robot_generations: int,
+    robot: Mapping[str, Any] | None,
 ) -> dict[str, Any]:
-    """Return what must be the same when an evolution is resumed; see :func:`evolve_networks`."""
+    """Return what must be the same when an evolution is resumed; see :func:`evolve_networks`.
+
+    Of the robot that is which one it is and how fast its line is, not at which port.
+    """
+    same_robot = {}
+    if robot is not None:
+        lab = robot.get("virtual_lab")
+        same_robot = {
+            "robot": robot.get("robot") if lab is None else "virtual",
+            "dialect": robot.get("dialect"),
+            "baud": robot.get("baud"),
+            "lab_seed": None if lab is None else lab["robot_seed"],
+        }
     return {
         **asdict(settings),
         "seed": seed,
@@ -175,6 +189,7 @@ def begun_with(
         "task": task.describe(),
         "simulator_sha256": None if source is None else named(source).get("sha256"),
         "robot_generations": robot_generations,
+        **same_robot,
     }
 
 

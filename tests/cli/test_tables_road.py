@@ -127,9 +127,18 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
             "evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3,
             "--robot", "khepera", "--port", "/dev/no-such-port",
         )  # fmt: skip
+    for words, message in (
+        (["--lab-seed", 1], "begun with lab_seed = 0, not 1;"),
+        (["--baud", 19200], "begun with baud = 9600, not 19200;"),
+        (["--robot", "khepera", "--port", "COM3"], "begun with robot = 'virtual', not 'khepera';"),
+    ):
+        with pytest.raises(UserError, match=message):
+            call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", *words)
     done = call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--json")
     assert json.loads(done.output)["transfer"] == 2
-    assert read_controller(folder / "resumed").evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+    evolution = read_controller(folder / "resumed").evolution
+    assert evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+    assert evolution["robot"]["virtual_lab"]["robot_seed"] == 0
 
 
 def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
