@@ -97,7 +97,7 @@ def ours(simulator: TableSimulator, batch: int, repeats: int) -> float:
 
     def drive() -> None:
         starts = simulator.arena.free_poses(trials.task.starts, simulator.radius, rng)
-        trials.task.evaluate(trials.drive(genes, starts, rng))
+        trials.fitness(genes, starts, rng)
 
     drive()
     return batch * STEPS / median(drive, repeats)

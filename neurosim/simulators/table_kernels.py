@@ -281,26 +281,24 @@ def _tanh_percent(x):
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
-def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
+def drive_networks(t, genes, starts, seeds, duration, substeps, poses, readings, commands):
     """Drive every network from every start, where the robot stands still at first.
+
+    What is written may be room that was used before: new room of tens of megabytes takes as long
+    as the driving.
 
     Args:
         t: :class:`TableArrays`.
         genes: [P, 18] weights of 8 sensors and a bias, to the left motor and to the right.
         starts: [R, 3] poses.
         seeds: [R] uint64, of the noise: the same for all networks.
-        steps: T.
         duration: of a step, s.
         substeps: motions into which a step is cut; see :meth:`TableSimulator.substeps`.
-
-    Returns:
-        Poses [P, R, T + 1, 3] float64, readings [P, R, T, 8] float32 and commands
-        [P, R, T, 2] float32, %.
+        poses: [P, R, T + 1, 3] float64, written: before the first of T steps and after each.
+        readings: [P, R, T, 8] float32, written.
+        commands: [P, R, T, 2] float32, %, written.
     """
-    population, count = len(genes), len(starts)
-    poses = np.empty((population, count, steps + 1, 3))
-    readings = np.empty((population, count, steps, SENSORS), np.float32)
-    commands = np.empty((population, count, steps, 2), np.float32)
+    population, count, steps = len(genes), len(starts), readings.shape[2]
     root = math.sqrt(duration)
     timing = phases(t, duration, substeps)
     for job in prange(population * count):
@@ -361,4 +359,3 @@ def drive_networks(t, genes, starts, seeds, steps, duration, substeps):
                     x, y = to_x, to_y
             left_goal, right_goal = left, right
         poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta
-    return poses, readings, commands

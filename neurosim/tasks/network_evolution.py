@@ -65,6 +65,8 @@ class NetworkSettings:
 
 #: Where paths of the same network differ by this much (median, m), it counts for nothing.
 APART = 0.35
+#: So many networks are driven before their fitness is taken.
+TOGETHER = 100
 
 
 class TableTrials:
@@ -82,6 +84,7 @@ class TableTrials:
     def __init__(self, simulator: TableSimulator, task: ObstacleAvoidance):
         self.simulator = simulator
         self.task = task
+        self._rooms: dict[int, dict[str, NDArray]] = {}
 
     def __call__(
         self, genes: NDArray[np.float64], rng: np.random.Generator
@@ -94,15 +97,33 @@ class TableTrials:
         self, genes: NDArray[np.float64], starts: NDArray[np.float64], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return the fitness [P] of networks [P, 18] from starts [R, 3], and their merit [P]."""
-        first = self.drive(genes, starts, rng)
-        fitness = self.task.evaluate(first)
         if self.simulator.noise == "none":
+            fitness = self.fitness(genes, starts, rng)
             return fitness, fitness
-        second = self.drive(genes, starts, rng)
-        fitness = (fitness + self.task.evaluate(second)) / 2.0
-        apart = np.linalg.norm(first.poses[..., :2] - second.poses[..., :2], axis=-1)
-        share = np.median(apart, axis=(1, 2)) / APART
-        return fitness, fitness * (1.0 - np.minimum(share, 1.0))
+        noises = [_seeds(starts, rng) for _ in range(2)]
+        fitness, apart = np.empty((2, len(genes))), np.empty(len(genes))
+        for part in _parts(len(genes)):
+            driven = []
+            for time, seeds in enumerate(noises):
+                driven.append(self._driven(genes[part], starts, seeds, self._room(time)))
+                fitness[time, part] = self.task.evaluate(driven[time])
+            between = driven[0].poses[..., :2] - driven[1].poses[..., :2]
+            apart[part] = np.median(np.linalg.norm(between, axis=-1), axis=(1, 2))
+        mean = fitness.mean(axis=0)
+        return mean, mean * (1.0 - np.minimum(apart / APART, 1.0))
+
+    def fitness(
+        self,
+        genes: NDArray[np.float64],
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | None = None,
+    ) -> NDArray[np.float64]:
+        """Return the fitness [P] of networks [P, 18], each driven once from starts [R, 3]."""
+        found, seeds = np.empty(len(genes)), None if rng is None else _seeds(starts, rng)
+        for part in _parts(len(genes)):
+            driven = self._driven(genes[part], starts, seeds, self._room(0))
+            found[part] = self.task.evaluate(driven)
+        return found
 
     def drive(
         self,
@@ -120,22 +141,58 @@ class TableTrials:
             rng: of the noise; without one there is none.
             steps: of each; the task's by default.
         """
+        seeds = None if rng is None else _seeds(starts, rng)
+        return self._driven(genes, starts, seeds, {}, steps)
+
+    def _room(self, number: int) -> dict[str, NDArray]:
+        return self._rooms.setdefault(number, {})
+
+    def _driven(
+        self,
+        genes: NDArray[np.float64],
+        starts: NDArray[np.float64],
+        seeds: NDArray[np.uint64] | None,
+        room: dict[str, NDArray],
+        steps: int | None = None,
+    ) -> Trajectory:
+        """Drive networks and keep what they did in ``room``, until that is driven into again."""
         arrays = self.simulator.arrays
-        seeds = np.zeros(len(starts), np.uint64)
-        if rng is None:
-            arrays = arrays._replace(noise=0)
-        else:
-            seeds = rng.integers(0, 2**64, len(starts), dtype=np.uint64)
-        poses, readings, commands = drive_networks(
+        if seeds is None:
+            arrays, seeds = arrays._replace(noise=0), np.zeros(len(starts), np.uint64)
+        count = self.task.steps_a_start if steps is None else steps
+        shapes = {
+            "poses": ((count + 1, 3), np.float64),
+            "readings": ((count, SENSORS), np.float32),
+            "commands": ((count, 2), np.float32),
+        }
+        for name, (each, kind) in shapes.items():
+            shape = (len(genes), len(starts), *each)
+            kept = room.get(name)
+            if kept is None or kept.shape[1:] != shape[1:] or len(kept) < len(genes):
+                room[name] = np.empty(shape, kind)
+        poses, readings, commands = (room[name][: len(genes)] for name in shapes)
+        drive_networks(
             arrays,
             np.ascontiguousarray(genes, float),
             np.ascontiguousarray(starts, float),
             seeds,
-            self.task.steps_a_start if steps is None else steps,
             self.task.duration,
             int(self.simulator.substeps(self.task.duration)),
+            poses,
+            readings,
+            commands,
         )
         return Trajectory(readings, commands, poses)
+
+
+def _seeds(starts: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.uint64]:
+    """Draw the noise of every start [R]."""
+    return rng.integers(0, 2**64, len(starts), dtype=np.uint64)
+
+
+def _parts(count: int) -> list[slice]:
+    """Cut networks into so many that what they do, of a usual trial, stays near the processor."""
+    return [slice(begin, begin + TOGETHER) for begin in range(0, count, TOGETHER)]
 
 
 class NetworkEvolution:

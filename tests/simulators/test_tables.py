@@ -178,6 +178,13 @@ def test_no_such_reaction():
         Reaction(lag=(0.0, math.nan))
 
 
+def driven(sim, genes, starts, seeds, steps, duration, substeps):
+    poses = np.empty((len(genes), len(starts), steps + 1, 3))
+    readings, commands = (np.empty((*poses.shape[:2], steps, n), np.float32) for n in (8, 2))
+    drive_networks(sim.arrays, genes, starts, seeds, duration, substeps, poses, readings, commands)
+    return poses, readings, commands
+
+
 @pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
 @pytest.mark.parametrize("arena", [Arena.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
 def test_kernel_is_the_tensors(simulator, arena, reaction):
@@ -185,8 +192,8 @@ def test_kernel_is_the_tensors(simulator, arena, reaction):
     sim = simulator.changed(arena=arena, reaction=reaction)
     genes = rng.normal(0, 1.5, (12, 18)) + np.tile([0] * 8 + [1], 2)
     starts = arena.free_poses(4, sim.radius, rng)
-    poses, readings, commands = drive_networks(
-        sim.arrays, genes, starts, np.zeros(4, np.uint64), 60, 0.35, int(sim.substeps(0.35))
+    poses, readings, commands = driven(
+        sim, genes, starts, np.zeros(4, np.uint64), 60, 0.35, int(sim.substeps(0.35))
     )
     before = torch.from_numpy(poses[:, :, :-1].reshape(-1, 3))
     assert np.abs(sim.sense(before).numpy() - readings.reshape(-1, 8)).max() < 1e-5
@@ -216,7 +223,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     genes = np.zeros((1, 18))
     genes[0, [8, 17]] = np.arctanh([0.5, 0.3])
     starts, seeds = pose.numpy(), np.arange(20_000).astype(np.uint64) * 7919
-    poses, readings, _ = drive_networks(sim.arrays, genes, starts, seeds, 1, 0.1, 1)
+    poses, readings, _ = driven(sim, genes, starts, seeds, 1, 0.1, 1)
     for values in (drawn.numpy(), readings[0, :, 0]):
         off = (values - mean.numpy())[:, 2:4]
         assert np.abs(off.mean(0)).max() < 0.002

@@ -12,7 +12,12 @@ from neurosim.simulators.sensor_table import SensorTable
 from neurosim.tasks.base import make_task
 from neurosim.tasks.evolve import evolve
 from neurosim.tasks.evolve_networks import choose, evolve_networks
-from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.tasks.network_evolution import (
+    TOGETHER,
+    NetworkEvolution,
+    NetworkSettings,
+    TableTrials,
+)
 from neurosim.tasks.obstacle_avoidance import (
     ObstacleAvoidance,
     Trajectory,
@@ -100,6 +105,20 @@ def test_every_parent_has_as_many_children():
     evolution.generation(lambda genes, rng: np.arange(20.0))
     copies = (evolution.population[:, None] == first[None]).all(-1).sum(0)
     assert copies.tolist() == [0] * 16 + [5] * 4
+
+
+def test_networks_driven_part_by_part_are_driven_alike():
+    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance(steps=50))
+    genes = np.random.default_rng(0).normal(0, 1, (2 * TOGETHER + 7, 18))
+    starts = trials.simulator.arena.free_poses(5, 0.0275, np.random.default_rng(1))
+    at_once = trials.task.evaluate(trials.drive(genes, starts, np.random.default_rng(2)))
+    assert (trials.fitness(genes, starts, np.random.default_rng(2)) == at_once).all()
+    fitness, merit = trials.judge(genes, starts, np.random.default_rng(2))
+    few, few_merit = trials.judge(genes[-9:], starts, np.random.default_rng(2))
+    assert (fitness[-9:] == few).all()
+    assert (merit[-9:] == few_merit).all()
+    assert (merit <= fitness).all()
+    assert (merit < fitness).any()
 
 
 def test_the_choice_is_not_the_lucky_one():
