@@ -22,6 +22,7 @@ from tracking.pair import Geometry
 from tracking.poses import board_poses, marker_geometry, unwrap
 from tracking.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
 from tracking.sync import ClockFit, fit_clock, pulses
+from tracking.video import Video
 
 
 def track(
@@ -77,6 +78,9 @@ def track(
             sessions.append({"session": session, "left_out": "no command was sent"})
             continue
         times = source.frame_times(session)
+        ended = any(line.session == session and line.kind == "end" for line in lines)
+        if ended and not partial and session not in (live or {}):
+            _check_times(source, session, 0 if times is None else len(times))
         seen = (live or {}).get(session) or follow(
             path,
             *names,
@@ -86,7 +90,6 @@ def track(
             expected_size=camera.image_size,
         )
         missing = 0 if times is None else len(times) - len(seen.frame)
-        ended = any(line.session == session and line.kind == "end" for line in lines)
         if missing > 0 and ended and not partial:
             raise UserError(
                 f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
@@ -235,6 +238,23 @@ def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
         )
     rest = iter(given)
     return [Path(next(rest)) if path is None else path for path in own]
+
+
+def _check_times(source: Recording, session: int, count: int) -> None:
+    """Refuse a frames.csv that has times of the first ``count`` of a session's frames only."""
+    path, times = source.video(session), source.path / "frames.csv"
+    if path is None or not times.exists():
+        return
+    with Video(path) as video:
+        # What a container claims may be a guess: there is one more only if it can be read.
+        frames = video.frames
+        if frames <= count or video.at(count) is None:
+            return
+    raise FileError(
+        times,
+        f"has {count} rows of session {session}, but {path.name} has {frames} frames: it was cut "
+        "short after it was recorded; restore it, or use what there is of it with --partial",
+    )
 
 
 def _camera(source: Recording, calibration: str | Path | CameraModel | None) -> CameraModel:

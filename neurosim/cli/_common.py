@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Callable
 from pathlib import Path
@@ -14,6 +15,33 @@ from click.core import ParameterSource
 #: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
 PATH = click.Path(path_type=Path)
 
+
+class Number(click.types.FloatParamType):
+    """A finite number: click's own takes nan and inf for numbers, too."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        return _finite(self, super().convert(value, param, ctx), param, ctx)
+
+
+class NumberIn(click.FloatRange):
+    """A finite number in a range."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> float:
+        """Return the number."""
+        return _finite(self, super().convert(value, param, ctx), param, ctx)
+
+
+def _finite(kind: click.ParamType, value: float, param: Any, ctx: Any) -> float:
+    if not math.isfinite(value):
+        kind.fail(f"{value} is not a finite number.", param, ctx)
+    return value
+
+
+NUMBER = Number()
+POSITIVE = NumberIn(min=0, min_open=True)
+SHARE = NumberIn(0, 1)
+
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the result as JSON, for machines."
 )
@@ -22,7 +50,7 @@ seed_option = click.option(
 )
 placing_option = click.option(
     "--placing",
-    type=(click.FloatRange(min=0), click.FloatRange(min=0)),
+    type=(NumberIn(min=0), NumberIn(min=0)),
     default=(3.0, 0.5),
     show_default=True,
     help="How exactly the robot is put down: standard deviations, mm and degrees.",
@@ -59,6 +87,8 @@ class Range(click.ParamType):
         try:
             low, high = (float(part) for part in value.split(".."))
         except ValueError:
+            low = high = math.nan
+        if not (math.isfinite(low) and math.isfinite(high)):
             self.fail(f"{value!r} is not a range such as 0.5..3", param, ctx)
         return low, high
 

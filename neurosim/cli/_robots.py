@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import Size, is_given
+from neurosim.cli._common import NumberIn, Size, is_given
 
 _KHEPERA_OPTIONS = [
     click.option(
@@ -66,7 +66,7 @@ _OPTIONS = [
         "virtual lab has its own]",
     ),
     click.option("--camera-size", type=Size(), help="Frame size.  [virtual default: 640x480]"),
-    click.option("--fps", type=click.FloatRange(1, 240), help="Frame rate.  [virtual default: 30]"),
+    click.option("--fps", type=NumberIn(1, 240), help="Frame rate.  [virtual default: 30]"),
     click.option(
         "--lab-seed",
         type=click.IntRange(min=0),

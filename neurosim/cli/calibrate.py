@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, emit, json_option
+from neurosim.cli._common import PATH, POSITIVE, emit, json_option
 
 
 class _Pattern(click.ParamType):
@@ -27,7 +27,7 @@ class _Pattern(click.ParamType):
 
 @click.command()
 @click.argument("photographs", nargs=-1, required=True, type=PATH)
-@click.option("--marker", type=float, help="Side of a ChArUco board's markers, in mm.")
+@click.option("--marker", type=POSITIVE, help="Side of a ChArUco board's markers, in mm.")
 @click.option(
     "--dictionary", default="4X4_50", show_default=True, help="Of a ChArUco board's markers."
 )
@@ -41,7 +41,9 @@ class _Pattern(click.ParamType):
     show_default=True,
     help="Inner corners of the chessboard or ChArUco board.",
 )
-@click.option("--square", default=25.0, show_default=True, help="Side of a square, in mm.")
+@click.option(
+    "--square", type=POSITIVE, default=25.0, show_default=True, help="Side of a square, in mm."
+)
 @click.option(
     "--points",
     type=PATH,
@@ -143,7 +145,7 @@ def _points(given: tuple[str, ...]) -> list[tuple[float, ...]] | None:
             point = tuple(float(part) for part in text.split(","))
         except ValueError:
             point = ()
-        if len(point) != 4:
+        if len(point) != 4 or not all(map(math.isfinite, point)):
             raise UserError(f"--point {text!r}: expected four numbers, U,V,X,Y")
         points.append(point)
     return points or None
@@ -154,7 +156,8 @@ def _corners(text: str) -> list[tuple[float, float]]:
         corners = [tuple(float(part) for part in pair.split(",")) for pair in text.split()]
     except ValueError:
         corners = []
-    if len(corners) != 4 or any(len(corner) != 2 for corner in corners):
+    finite = all(math.isfinite(part) for corner in corners for part in corner)
+    if len(corners) != 4 or any(len(corner) != 2 for corner in corners) or not finite:
         raise UserError(
             f"--corners {text!r}: expected four pixels, such as '10,8 630,9 628,470 12,471'"
         )

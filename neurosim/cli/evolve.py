@@ -12,7 +12,10 @@ import click
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
+    NUMBER,
     PATH,
+    SHARE,
+    NumberIn,
     Range,
     Resumable,
     emit,
@@ -51,9 +54,9 @@ from neurosim.cli.tables import arena_option, noise_option
 )
 @click.option("--population", type=click.IntRange(min=2), help="[250; obstacle avoidance: 100]")
 @click.option("--tournament", type=click.IntRange(min=1), help="[5; paper: 50]")
-@click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [0.8]")
-@click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [0.05]")
-@click.option("--eta", type=click.FloatRange(min=0), help="Of the crossover.  [15]")
+@click.option("--crossover", type=SHARE, help="Probability.  [0.8]")
+@click.option("--mutation", type=SHARE, help="Probability a gene.  [0.05]")
+@click.option("--eta", type=NumberIn(min=0), help="Of the crossover.  [15]")
 @click.option(
     "--robust",
     is_flag=False,
@@ -67,7 +70,7 @@ from neurosim.cli.tables import arena_option, noise_option
     "--draws", type=click.IntRange(min=1), default=32, show_default=True, help="Outcomes."
 )
 @placing_option
-@click.option("--max-speed", default=50.0, show_default=True, help="In percent.")
+@click.option("--max-speed", type=NUMBER, default=50.0, show_default=True, help="In percent.")
 @click.option("--durations", type=Range(), default="0.5..3", show_default=True, help="In s.")
 @click.option(
     "--fitness",

@@ -8,7 +8,16 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import PATH, Size, emit, json_option, next_step, seed_option
+from neurosim.cli._common import (
+    NUMBER,
+    PATH,
+    POSITIVE,
+    Size,
+    emit,
+    json_option,
+    next_step,
+    seed_option,
+)
 
 _socket_option = click.option(
     "--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device."
@@ -17,7 +26,7 @@ _port_option = click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Of the socket; 0: any."
 )
 _seconds_option = click.option(
-    "--seconds", type=float, help="Stop by itself after so long.  [default: Ctrl-C]"
+    "--seconds", type=POSITIVE, help="Stop by itself after so long.  [default: Ctrl-C]"
 )
 
 
@@ -56,7 +65,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 )
 @click.option(
     "--start",
-    type=(float, float, float),
+    type=(NUMBER, NUMBER, NUMBER),
     help="Where the robot stands at first: x and y in cm, heading in degrees.  "
     "[the arena's own; in the default arena -22 0 0]",
 )

@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from neurosim.cli._common import (
+    NUMBER,
     PATH,
+    POSITIVE,
+    SHARE,
+    NumberIn,
     Range,
     Resumable,
     emit,
@@ -43,7 +47,9 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 @click.argument("out", type=PATH)
 @click.option("--commands", type=int, default=500, show_default=True, help="How many to send.")
 @robot_options
-@click.option("--max-speed", default=50.0, show_default=True, help="Largest speed, in percent.")
+@click.option(
+    "--max-speed", type=NUMBER, default=50.0, show_default=True, help="Largest speed, in percent."
+)
 @click.option(
     "--durations",
     type=Range(),
@@ -51,8 +57,10 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     show_default=True,
     help="Shortest and longest, in s.",
 )
-@click.option("--straight", default=0.3, show_default=True, help="Share of equal speeds.")
-@click.option("--stopped", default=0.2, show_default=True, help="Share of stops.")
+@click.option(
+    "--straight", type=SHARE, default=0.3, show_default=True, help="Share of equal speeds."
+)
+@click.option("--stopped", type=SHARE, default=0.2, show_default=True, help="Share of stops.")
 @click.option(
     "--at-line",
     type=click.Choice(["return", "end", "ignore"]),
@@ -60,12 +68,26 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     show_default=True,
     help="What to do where a light sensor sees a line.",
 )
-@click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
-@click.option("--full-speed", default=0.5, show_default=True, help="Wheels at 100 %, m/s, and")
 @click.option(
-    "--wheel-track", default=0.13, show_default=True, help="between the wheels, m: to find back."
+    "--line-contrast", type=SHARE, default=0.12, show_default=True, help="Of a line, in 0..1."
 )
-@click.option("--battery-limit", default=6.5, show_default=True, help="Pause below it, in V.")
+@click.option(
+    "--full-speed", type=POSITIVE, default=0.5, show_default=True, help="Wheels at 100 %, m/s, and"
+)
+@click.option(
+    "--wheel-track",
+    type=POSITIVE,
+    default=0.13,
+    show_default=True,
+    help="between the wheels, m: to find back.",
+)
+@click.option(
+    "--battery-limit",
+    type=NumberIn(min=0),
+    default=6.5,
+    show_default=True,
+    help="Pause below it, in V.",
+)
 @click.option(
     "--calibration",
     type=PATH,

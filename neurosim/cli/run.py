@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, emit, json_option, next_step, seed_option
+from neurosim.cli._common import PATH, SHARE, NumberIn, emit, json_option, next_step, seed_option
 from neurosim.cli._robots import open_rig, robot_options
 from neurosim.cli.record import marker_settings
 
@@ -26,8 +26,16 @@ from neurosim.cli.record import marker_settings
     show_default=True,
     help="What to do where a light sensor sees a line.",
 )
-@click.option("--line-contrast", default=0.12, show_default=True, help="Of a line, in 0..1.")
-@click.option("--battery-limit", default=6.5, show_default=True, help="Do not start below it, V.")
+@click.option(
+    "--line-contrast", type=SHARE, default=0.12, show_default=True, help="Of a line, in 0..1."
+)
+@click.option(
+    "--battery-limit",
+    type=NumberIn(min=0),
+    default=6.5,
+    show_default=True,
+    help="Do not start below it, V.",
+)
 @click.option(
     "--markers",
     default="pink,blue",

@@ -14,6 +14,8 @@ import click
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     PATH,
+    POSITIVE,
+    NumberIn,
     Resumable,
     emit,
     given_options,
@@ -50,8 +52,10 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 )
 @click.option("--angles", type=click.IntRange(min=4), default=180, show_default=True)
 @click.option("--distances", type=click.IntRange(min=2), default=20, show_default=True)
-@click.option("--first", default=5.0, show_default=True, help="Distance, mm.")
-@click.option("--step", default=2.0, show_default=True, help="From distance to distance, mm.")
+@click.option("--first", type=NumberIn(min=0), default=5.0, show_default=True, help="Distance, mm.")
+@click.option(
+    "--step", type=POSITIVE, default=2.0, show_default=True, help="From distance to distance, mm."
+)
 @click.option(
     "--repeats",
     type=click.IntRange(min=1),

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, next_step
+from neurosim.cli._common import PATH, POSITIVE, emit, json_option, next_step
 
 noise_option = click.option(
     "--noise",
@@ -28,10 +28,18 @@ arena_option = click.option(
     "[an ideal robot]",
 )
 @click.option(
-    "--wheel-base", default=53.0, show_default=True, help="Of the ideal robot, between wheels, mm."
+    "--wheel-base",
+    type=POSITIVE,
+    default=53.0,
+    show_default=True,
+    help="Of the ideal robot, between wheels, mm.",
 )
 @click.option(
-    "--full-speed", default=100.0, show_default=True, help="Of the ideal robot's wheels, mm/s."
+    "--full-speed",
+    type=POSITIVE,
+    default=100.0,
+    show_default=True,
+    help="Of the ideal robot's wheels, mm/s.",
 )
 @click.option(
     "--units",
@@ -60,7 +68,6 @@ def tables(
     repeats, from which the spread of readings is taken. How late the robot answers is read from
     the sampling.json beside the motor samples.
     """
-    from neurosim.base.errors import UserError
     from neurosim.base.files import new_folder
     from neurosim.sampling import sampled_baud, sampled_reaction
     from neurosim.simulators.arena import Arena, paper_arena
@@ -69,8 +76,6 @@ def tables(
     from neurosim.simulators.sources import sources
     from neurosim.simulators.tables import TableSimulator
 
-    if min(wheel_base, full_speed) <= 0:
-        raise UserError("wheel base and full speed must be above 0")
     table = SensorTable.from_files(samples)
     motor_table = (
         MotorTable.ideal(wheel_base / 1000, full_speed / 1000, units=units)

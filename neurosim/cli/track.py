@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, emit, json_option, next_step
+from neurosim.cli._common import NUMBER, PATH, emit, json_option, next_step
 
 
 @click.command()
@@ -41,7 +41,11 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
 )
 @click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
 @click.option(
-    "--height", default=0.0, show_default=True, help="Of a video file's markers over the board, m."
+    "--height",
+    type=NUMBER,
+    default=0.0,
+    show_default=True,
+    help="Of a video file's markers over the board, m.",
 )
 @json_option
 def track(

@@ -10,6 +10,7 @@ import click
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.cli._common import (
     PATH,
+    SHARE,
     Resumable,
     emit,
     given_options,
@@ -56,8 +57,8 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @click.option("--output-activation", type=_ACTIVATION, default="linear", show_default=True)
 @click.option("--population", type=click.IntRange(min=2), help="[ga: 250]")
 @click.option("--tournament", type=click.IntRange(min=1), help="[ga: 50]")
-@click.option("--crossover", type=click.FloatRange(0, 1), help="Probability.  [ga: 0.8]")
-@click.option("--mutation", type=click.FloatRange(0, 1), help="Probability a gene.  [ga: 0.05]")
+@click.option("--crossover", type=SHARE, help="Probability.  [ga: 0.8]")
+@click.option("--mutation", type=SHARE, help="Probability a gene.  [ga: 0.05]")
 @click.option("--device", default="cpu", show_default=True, help="As PyTorch names it.")
 @click.option(
     "--resume", is_flag=True, help="Go on with training that was interrupted, with its options."

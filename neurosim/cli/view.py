@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, seed_option
+from neurosim.cli._common import NUMBER, PATH, NumberIn, emit, json_option, seed_option
 
 
 @click.command()
@@ -16,10 +16,10 @@ from neurosim.cli._common import PATH, emit, json_option, seed_option
 @click.option("--controller", type=PATH, help="Folder of a network or plan: shows its path.")
 @click.option(
     "--pose",
-    type=(float, float, float),
+    type=(NUMBER, NUMBER, NUMBER),
     help="Where the robot starts: x and y in cm, heading in degrees.  [the arena's, or drawn]",
 )
-@click.option("--seconds", type=click.FloatRange(0.1, 3600), default=20.0, show_default=True)
+@click.option("--seconds", type=NumberIn(0.1, 3600), default=20.0, show_default=True)
 @click.option("--noise/--no-noise", default=False, show_default=True)
 @seed_option
 @json_option

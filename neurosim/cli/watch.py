@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, Size, emit, json_option
+from neurosim.cli._common import PATH, POSITIVE, NumberIn, Size, emit, json_option
 from neurosim.cli.record import marker_settings
 
 
@@ -24,7 +24,7 @@ from neurosim.cli.record import marker_settings
     help="A camera's number, a video file, a URL that OpenCV opens, or lab for the virtual lab's.",
 )
 @click.option("--camera-size", type=Size(), help="Frame size.  [lab default: 640x480]")
-@click.option("--fps", type=click.FloatRange(1, 240), help="Frame rate.  [lab default: 30]")
+@click.option("--fps", type=NumberIn(1, 240), help="Frame rate.  [lab default: 30]")
 @click.option(
     "--markers",
     default="pink,blue",
@@ -42,7 +42,7 @@ from neurosim.cli.record import marker_settings
 )
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="0: any that is free.")
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
-@click.option("--seconds", type=float, help="End by itself after so long.  [default: Ctrl-C]")
+@click.option("--seconds", type=POSITIVE, help="End by itself after so long.  [default: Ctrl-C]")
 @json_option
 def watch(
     camera: str,

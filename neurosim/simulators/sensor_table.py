@@ -103,13 +103,14 @@ class SensorTable:
         """
         samples: dict[str, list[Samples]] = {name: [] for name in OBJECTS}
         for path in paths:
+            found = Samples.read(path)
             named = [name for name in OBJECTS if name in Path(path).stem.lower()]
             if len(named) != 1:
                 raise UserError(
                     f"{path}: which object was sampled? The file's name must contain "
                     f"{' or '.join(OBJECTS)}"
                 )
-            samples[named[0]].append(Samples.read(path))
+            samples[named[0]].append(found)
         return cls.from_samples(samples)
 
 

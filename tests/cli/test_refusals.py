@@ -5,12 +5,14 @@ import os
 import shutil
 import sys
 
+import click
 import cv2
 import numpy as np
 import pytest
 
 from neurosim.base.files import write_csv, write_json
-from neurosim.cli.main import main
+from neurosim.cli._common import Range
+from neurosim.cli.main import cli, main
 from neurosim.lab import VirtualRig
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device files")
@@ -242,6 +244,41 @@ def test_a_driver_from_elsewhere_gets_only_what_was_given(refused, monkeypatch):
     assert "does not take these options" in refused(*words, "--host", "00:16")
 
 
+def options(command=cli):
+    """Return every option of every verb."""
+    for verb in command.commands.values():
+        if isinstance(verb, click.Group):
+            yield from options(verb)
+        else:
+            yield from ((verb.name, option) for option in verb.params)
+
+
+def test_no_option_takes_nan_or_infinity_for_a_number():
+    seen = 0
+    for verb, option in options():
+        parts = option.type.types if isinstance(option.type, click.Tuple) else [option.type]
+        for kind in parts:
+            if not isinstance(kind, click.types.FloatParamType | Range):
+                continue
+            seen += 1
+            for word in ("nan", "inf", "-inf"):
+                if isinstance(kind, Range):
+                    word = f"{word}..1"
+                with pytest.raises(click.BadParameter):
+                    kind.convert(word, option, None)
+                    pytest.fail(f"{verb} {option.opts[0]} takes {word}")
+    assert seen > 30
+
+
+@pytest.mark.parametrize("seconds", ["nan", "inf", "-1", "0"])
+def test_a_time_that_is_none(monkeypatch, capsys, seconds):
+    monkeypatch.setattr(sys, "argv", ["neurosim", "watch", "--camera", "lab", "--seconds", seconds])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code == 2
+    assert "--seconds" in capsys.readouterr().err
+
+
 # Recordings and videos
 
 
@@ -303,6 +340,17 @@ def test_a_video_that_was_cut_short(refused, copy, monkeypatch, capsys):
     made = json.loads(capsys.readouterr().out)
     assert 15 < made["rows"] < 50
     assert made["left_out"]["incomplete"] > 5
+
+
+@pytest.mark.parametrize("rows", [0, 200])
+def test_frame_times_that_were_cut_short(refused, copy, rows):
+    path = copy("recording") / "frames.csv"
+    lines = path.read_text().splitlines(keepends=True)
+    path.write_text("".join(lines[: 1 + rows]))
+    said = refused("track", "recording")
+    assert (
+        f"frames.csv: has {rows} rows of session 1, but video-001.avi has {len(lines) - 1}" in said
+    )
 
 
 def test_a_clock_that_goes_backwards(refused, copy):

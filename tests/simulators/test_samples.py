@@ -125,5 +125,8 @@ def test_tables_refuse_what_does_not_fit(tmp_path):
     mean[1, 2, 3, 7] = mean[1, 2, 3, 6] = np.nan
     with pytest.raises(UserError, match="2 holes in its readings, the first at the cylinder, 9 mm"):
         SensorTable(mean, None, 0.005, 0.002)
+    with pytest.raises(FileError, match=r"a\.sample: no such file"):
+        SensorTable.from_files([tmp_path / "a.sample"])
+    one.write(tmp_path / "a.sample")
     with pytest.raises(UserError, match="name must contain wall or cylinder"):
         SensorTable.from_files([tmp_path / "a.sample"])
