@@ -17,6 +17,7 @@ from neurosim.lab import khepera_physics as physics
 from neurosim.lab.khepera_params import WHEEL_BASE
 from neurosim.robots.khepera_dialects import dialect_named
 from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
+from neurosim.sampling.turns import PIVOTS
 from neurosim.simulators.motor_table import MotorTable
 from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.samples import Samples
@@ -93,6 +94,11 @@ def test_the_wheel_base_is_measured(whole):
     assert result["wheel_base"] == pytest.approx(seen, rel=0.008)
 
 
+def test_the_sizes_of_the_wheels_are_measured(whole):
+    _, result, _, params, _ = whole
+    assert result["wheel_sizes"] == pytest.approx(params.wheel / params.wheel.mean(), abs=0.003)
+
+
 def test_motors(whole):
     out, result, _, _, _ = whole
     motors = MotorTable.read_csv(out / "motors.csv")
@@ -126,7 +132,7 @@ def test_distances_hold_though_wheels_are_unequal(tmp_path):
     arena, _ = sampling_places()
     rng = np.random.default_rng(0)
     samples = Samples.read(tmp_path / "out" / "wall.sample")
-    assert len(found) == 10
+    assert len(found) == 10 + len(PIVOTS)
     for distance in range(5):
         pose = np.array([-0.0275 - 0.005 - 0.008 * distance, 0.0, 0.0])
         truth = physics.proximity(
@@ -164,7 +170,8 @@ def test_full_turn_is_where_the_sensors_repeat():
     turned = np.linspace(0, 900, 400)
     angle = 2 * np.pi * turned / 790
     where = np.zeros_like(turned)
-    rows = np.column_stack([turned, where, where, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
+    counts = np.column_stack([-turned, turned])
+    rows = np.column_stack([counts, where, where, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
     assert full_turn({("wall", 1, 0): rows}) == pytest.approx(790, rel=1e-3)
 
 

@@ -19,7 +19,7 @@ from neurosim.lab.optics import Optics
 from neurosim.lab.photographs import render_photographs
 from neurosim.sampling import Eye, SampleSettings
 from neurosim.sampling.eye import steady_twist
-from neurosim.sampling.motors import sample_motors
+from neurosim.sampling.motors import Counters, sample_motors
 from neurosim.simulators.motor_table import MotorTable
 from tracking.camera_model import CameraModel
 from tracking.recordings import KHEPERA_MARKERS
@@ -72,10 +72,11 @@ def test_it_sees_what_counters_do_not(tmp_path):
         with rig(params) as virtual, virtual.robot as robot:
             levels = plan.levels(robot.full_speed)
             if way == "counters":
-                sample_motors(folder, robot, plan, levels, WHEEL_BASE, lambda: None, 0)
+                measure = Counters(robot, WHEEL_BASE).measure
+                sample_motors(folder, robot, plan, levels, measure, lambda: None, 0)
             else:
                 with Eye(virtual.camera, calibration(), KHEPERA_MARKERS, robot.clock) as eye:
-                    sample_motors(folder, robot, plan, levels, WHEEL_BASE, lambda: None, 0, eye)
+                    sample_motors(folder, robot, plan, levels, eye.measure, lambda: None, 0)
         tables[way] = MotorTable.read_csv(folder / "motors.csv").twist
     speeds = 10 * SPEED_UNIT * np.array([-1.0, 0.0, 1.0])
     left, right = np.meshgrid(wheels[0] * speeds, wheels[1] * speeds, indexing="ij")

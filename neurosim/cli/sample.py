@@ -125,9 +125,11 @@ def sample(
             options=given_options(),
         )
     files = [out / name for name in result["samples"]]
+    left, right = result["wheel_sizes"]
     text = (
         f"{out}: {len(files)} samples, {result['motor_settings']} motor settings; the wheels are "
-        f"{1000 * result['wheel_base']:.1f} mm apart.\n"
+        f"{1000 * result['wheel_base']:.1f} mm apart and differ by "
+        f"{100 * abs(right - left):.1f} %.\n"
     )
     cost = result.get("interpolation")
     if cost is not None:

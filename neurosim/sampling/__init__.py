@@ -1,9 +1,10 @@
 """A robot samples its own sensors and motors: Lund and Miglino 1996, "Model".
 
 In front of an object the robot turns on the spot and writes down what its sensors say, backs off,
-and so on (:mod:`.turns`); in the open it drives its motor settings (:mod:`.motors`), and measures
-how late it answers a command (:mod:`.reaction`). Its position counters say how far it turned and
-drove; at the motor settings a camera can say it better (:mod:`.eye`).
+and so on (:mod:`.turns`, :mod:`.resampling`); in the open it drives its motor settings
+(:mod:`.motors`), and measures how late it answers a command (:mod:`.reaction`). Its position
+counters say how far it turned and drove; at the motor settings a camera can say it better
+(:mod:`.eye`).
 
 Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``reaction.csv``); the
 ``.sample`` files and the reaction in ``sampling.json`` are made of that.
@@ -24,16 +25,11 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
 from neurosim.robots import Khepera
 from neurosim.sampling.eye import Eye
-from neurosim.sampling.motors import interpolation_cost, sample_motors
+from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
+from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
 from neurosim.sampling.settings import SampleSettings
-from neurosim.sampling.turns import (
-    full_turn,
-    read_turns,
-    reading_times,
-    sample_object,
-    write_samples,
-)
+from neurosim.sampling.turns import read_turns, reading_times, sample_object
 from neurosim.simulators.reaction import Reaction
 from neurosim.simulators.sensor_table import OBJECTS
 
@@ -81,7 +77,8 @@ def sample(
         options: kept in ``sampling.json``, for whoever resumes.
 
     Returns:
-        ``samples`` (files), ``wheel_base`` (m, measured), ``motor_settings``, ``reaction``
+        ``samples`` (files), ``wheel_base`` (m, measured), ``wheel_sizes`` (left and right
+        over their mean, measured), ``motor_settings``, ``reaction``
         (:class:`~neurosim.simulators.reaction.Reaction`), and, with a grid,
         ``interpolation``: median and largest error at the held-out settings, in m/s (``forward``)
         and rad/s (``turn``).
@@ -112,15 +109,13 @@ def sample(
     turns = read_turns(out)
     pulses = full_turn(turns)
     wheel_base = pulses / robot.pulses_per_metre / math.pi
-    made = [
-        write_samples(out, settings, turns, pulses, name, repeat, robot.geometry.radius)
-        for name in OBJECTS
-        for repeat in range(1, settings.repeats + 1)
-    ]
+    sizes = wheel_sizes(turns)
+    made = write_samples(out, settings, turns, robot, OBJECTS)
     in_the_open = _once(place, "open")
     try:
         with eye or nullcontext():
-            sample_motors(out, robot, settings, levels, wheel_base, in_the_open, seed, eye)
+            measure = (eye or Counters(robot, wheel_base, sizes)).measure
+            sample_motors(out, robot, settings, levels, measure, in_the_open, seed)
         sample_reaction(out, robot, in_the_open)
     finally:
         robot.stop()
@@ -128,6 +123,7 @@ def sample(
     result = {
         "samples": [path.name for path in made],
         "wheel_base": wheel_base,
+        "wheel_sizes": list(sizes),
         "motor_settings": len(levels) ** 2,
         "reaction": reaction.to_json(),
     }

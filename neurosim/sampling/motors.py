@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, se2
 from neurosim.robots import Khepera
-from neurosim.sampling.eye import Eye
 from neurosim.sampling.settings import SampleSettings
 from neurosim.simulators.motor_table import MotorTable
 
@@ -29,10 +28,9 @@ def sample_motors(
     robot: Khepera,
     settings: SampleSettings,
     levels: NDArray[np.int64],
-    wheel_base: float,
+    measure: Measure,
     in_the_open: Callable[[], None],
     seed: int,
-    eye: Eye | None = None,
 ) -> None:
     """Drive every setting that was not driven yet, there and back.
 
@@ -41,12 +39,11 @@ def sample_motors(
         robot: connected.
         settings: of the sampling.
         levels: speeds of either wheel.
-        wheel_base: m.
+        measure: how the robot moves: :class:`Counters` or an
+            :class:`~neurosim.sampling.eye.Eye`.
         in_the_open: has the robot put down where nothing is near.
         seed: of the choice of settings held out.
-        eye: measures how the robot moves; without it the counters do.
     """
-    measure = _Counters(robot, wheel_base).measure if eye is None else eye.measure
     full = robot.full_speed
     pairs = [(int(a), int(b)) for a in levels for b in levels]
     others = [
@@ -76,11 +73,17 @@ def sample_motors(
                     log.append(*speeds, time, *map(float, moved), repeat)
 
 
-class _Counters:
-    """Measures steady motions by the robot's counters."""
+class Counters:
+    """Measures steady motions by the robot's counters.
 
-    def __init__(self, robot: Khepera, wheel_base: float):
-        self._robot, self._wheel_base = robot, wheel_base
+    Args:
+        robot: connected.
+        wheel_base: m.
+        sizes: of the left and of the right wheel, over their mean.
+    """
+
+    def __init__(self, robot: Khepera, wheel_base: float, sizes: tuple[float, float] = (1.0, 1.0)):
+        self._robot, self._wheel_base, self._sizes = robot, wheel_base, sizes
 
     def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
         """Wait ``duration`` s; return how long it was and the displacement [3] in it."""
@@ -88,7 +91,10 @@ class _Counters:
         before, first = robot.read_counts(), clock.now()
         clock.sleep_until(first + duration)
         after, last = robot.read_counts(), clock.now()
-        ways = [(b - a) / robot.pulses_per_metre for a, b in zip(before, after, strict=True)]
+        ways = [
+            size * (b - a) / robot.pulses_per_metre
+            for size, a, b in zip(self._sizes, before, after, strict=True)
+        ]
         return last - first, se2.exp([sum(ways) / 2, 0.0, (ways[1] - ways[0]) / self._wheel_base])
 
 

@@ -64,7 +64,7 @@ class NetworkSettings:
 
 
 #: Where paths of the same network differ by this much (median, m), it counts for nothing.
-APART = 0.35
+APART = 0.2
 #: So many networks are driven before their fitness is taken.
 TOGETHER = 100
 

@@ -1,0 +1,255 @@
+"""From a robot's turns to samples at even distances and angles, and to the sizes of its wheels.
+
+How many counts a full turn is, the robot finds from its sensors: after one they say the same
+again. On the spot that gives the distance between the wheels, as the floor has it; around either
+wheel, how large the other is. So it knows a wheel that is larger than its fellow, which counters
+alone do not show.
+
+Two wheels are never equal, so a robot that turns on the spot goes round a point beside its middle;
+its counters are integrated to where it is. What its wheels slip meanwhile they do not see, but the
+sensors do: they say something else of the same direction after the way back.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.robots import Khepera
+from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.turns import PIVOTS, TURNS, Turns
+from neurosim.simulators.samples import Samples
+
+#: Radius of the round obstacle (the paper's is 5.5 cm across), m.
+OBSTACLE = 0.0275
+#: Standard deviations: of what wheels slip in a turn there and back, m, and of averaged readings.
+_SLIP, _READING = 0.0005, 0.01
+#: A sensor whose mean reading above its median is less says nothing of directions.
+_FAINT = 0.02
+
+_TURN = 2.0 * math.pi
+_Array = NDArray[np.float64]
+
+
+def full_turn(turns: Turns) -> float:
+    """Return the counts of a wheel in a full turn, from where the sensors say the same again.
+
+    The median over objects and repeats of the period with the least mean squared difference, at
+    the smallest distance, where sensors say most.
+    """
+    found = [
+        _period(rows)
+        for (name, _, distance), rows in turns.items()
+        if distance == 0 and name not in PIVOTS and len(rows) > 9
+    ]
+    if not found:
+        raise UserError("no turn at the smallest distance was sampled to its end")
+    return float(np.median(found))
+
+
+def wheel_sizes(turns: Turns) -> tuple[float, float]:
+    """Return how large the left and the right wheel are, over the mean of both.
+
+    Equal where the robot did not turn around either.
+    """
+    if any((name, 1, 0) not in turns for name in PIVOTS):
+        return 1.0, 1.0
+    # The fewer counts the larger the wheel that went round.
+    right, left = (1.0 / _period(turns[name, 1, 0]) for name in PIVOTS)
+    return 2.0 * left / (left + right), 2.0 * right / (left + right)
+
+
+def _period(rows: _Array) -> float:
+    """Return after how many counts the sensors say the same again, in a turn and back."""
+    turned = _turned(rows)
+    halves = _halves(np.abs(turned - turned[0]), rows[:, 4:])
+    return float(np.mean([_repeats(*half) for half in halves]))
+
+
+def _repeats(turned: _Array, readings: _Array) -> float:
+    """Return after how many counts [N] readings [N, S] say the same again."""
+    turned = turned - turned[0]
+    periods = turned[-1] / TURNS * np.linspace(0.9, 1.1, 401)
+    errors = []
+    for period in periods:
+        late = turned >= period
+        again = np.stack([np.interp(turned[late] - period, turned, r) for r in readings.T], axis=1)
+        errors.append(((readings[late] - again) ** 2).mean())
+    return float(periods[int(np.argmin(errors))])
+
+
+def _turned(rows: _Array, sizes: tuple[float, float] = (1.0, 1.0)) -> _Array:
+    """Return how far the robot had turned to the left since it was put down, in counts [N]."""
+    return (sizes[1] * rows[:, 1] - sizes[0] * rows[:, 0]) / 2
+
+
+def _halves(turned: _Array, columns: _Array) -> list[tuple[_Array, _Array]]:
+    """Return the turn there and the turn back, if there was one, both as to the left."""
+    top = int(turned.argmax())
+    there = turned[: top + 1], columns[: top + 1]
+    back = turned[top:][::-1], columns[top:][::-1]
+    return [there, back] if len(back[0]) > len(there[0]) // 2 else [there]
+
+
+def write_samples(
+    out: Path, settings: SampleSettings, turns: Turns, robot: Khepera, names: tuple[str, ...]
+) -> list[Path]:
+    """Write the samples of all objects and repeats, interpolated between readings.
+
+    However the robot was put down before an object, its sensors look where they do: the samples
+    are turned to agree in that, to the mean of them all.
+
+    Args:
+        out: folder.
+        settings: the distances and angles.
+        turns: what was sampled.
+        robot: that sampled.
+        names: of the objects.
+    """
+    keys = [(name, repeat) for name in names for repeat in range(1, settings.repeats + 1)]
+    seen = [_Seen(settings, turns, robot, *key) for key in keys]
+    facing = np.array([_between(seen[0].directions, one.directions) for one in seen])
+    paths = []
+    for (name, repeat), one, off in zip(keys, seen, facing - facing.mean(), strict=True):
+        path = out / (f"{name}.sample" if repeat == 1 else f"{name}-{repeat}.sample")
+        if not path.exists():
+            Samples(one.samples(off), settings.first, settings.step).write(path)
+        paths.append(path)
+    return paths
+
+
+class _Seen:
+    """What a robot saw of an object at all distances.
+
+    Attributes:
+        directions: [S] see :func:`_directions`, at the smallest distance.
+    """
+
+    def __init__(
+        self, settings: SampleSettings, turns: Turns, robot: Khepera, name: str, repeat: int
+    ):
+        self._settings = settings
+        pulses, sizes = full_turn(turns), wheel_sizes(turns)
+        #: Of every distance and half: angles [N], distances and readings [N, 1 + S], share [N].
+        self._halves: list[list[tuple[_Array, _Array, _Array]]] = []
+        off = 0.0
+        for k in range(settings.distances):
+            rows = turns[name, repeat, k]
+            turned = _turned(rows, sizes)
+            ahead, aside = _places(rows, sizes, pulses / robot.pulses_per_metre / math.pi, robot)
+            if name == "wall":
+                distance, bearing = -ahead, np.zeros(len(rows))
+            else:
+                to = robot.geometry.radius + OBSTACLE - ahead
+                distance = np.hypot(to, aside) - robot.geometry.radius - OBSTACLE
+                bearing = np.arctan2(-aside, to)
+            share = np.abs(np.diff(turned, prepend=turned[0])).cumsum()
+            columns = np.column_stack([bearing, distance, share / max(share[-1], 1.0), rows[:, 4:]])
+            halves = [
+                (_TURN * angle / pulses - each[:, 0], np.delete(each, (0, 2), axis=1), each[:, 2])
+                for angle, each in _halves(turned, columns)
+            ]
+            looking = [_directions(angle, each[:, 1:]) for angle, each, _ in halves]
+            if k == 0:
+                self.directions = np.mean(looking, axis=0)
+            offs = [_between(self.directions, one) for one in looking]
+            # Beyond what sensors see nothing says how the robot was turned.
+            offs = [off if math.isnan(found) else found for found in offs]
+            off = offs[-1]
+            self._halves.append(
+                [(half[0] - one, *half[1:]) for half, one in zip(halves, offs, strict=True)]
+            )
+        self._slipped()
+
+    def _slipped(self) -> None:
+        """Add to the distances what the wheels slipped, by what sensors say after the way back."""
+        count = self._settings.angles
+        both = [[_even(angle, each, count) for angle, each, _ in halves] for halves in self._halves]
+        mean = np.array([np.mean(halves, axis=0) for halves in both])
+        slopes = np.gradient(mean[..., 1:], self._away, axis=0)
+        # The later a direction is seen on the way there, the sooner it is on the way back.
+        apart = (1.0 - np.arange(count) / count / TURNS)[:, None]
+        before = 0.0
+        for k, halves in enumerate(self._halves):
+            slipped = 0.0
+            if len(halves) == 2:
+                expected, found = slopes[k] * apart, (both[k][1] - both[k][0])[:, 1:]
+                doubt = (_READING / _SLIP) ** 2
+                slipped = float((expected * found).sum() / ((expected**2).sum() + doubt))
+            for _, each, share in halves:
+                each[:, 0] += before + slipped * share
+            before += slipped
+
+    @property
+    def _away(self) -> _Array:
+        settings = self._settings
+        return settings.first + settings.step * np.arange(settings.distances)
+
+    def samples(self, off: float) -> _Array:
+        """Return readings [D, A, S] at the settings' distances and angles, turned back by ``off``.
+
+        Those near an angle are averaged; between distances they are interpolated.
+        """
+        count = self._settings.angles
+        mean = []
+        for halves in self._halves:
+            angle = np.concatenate([angle for angle, _, _ in halves]) - off
+            mean.append(_even(angle, np.concatenate([each for _, each, _ in halves]), count))
+        found = np.array(mean)
+        samples = np.empty((*found.shape[:2], found.shape[2] - 1))
+        for a in range(count):
+            order = np.argsort(found[:, a, 0])
+            for s in range(samples.shape[2]):
+                samples[:, a, s] = np.interp(self._away, found[order, a, 0], found[order, a, 1 + s])
+        return samples
+
+
+def _places(
+    rows: _Array, sizes: tuple[float, float], wheel_base: float, robot: Khepera
+) -> tuple[_Array, _Array]:
+    """Return where the robot was in a turn, ahead and to the left of where it was put, [N] m."""
+    left, right = (np.diff(rows[:, w]) * sizes[w] / robot.pulses_per_metre for w in range(2))
+    turns = (right - left) / wheel_base
+    first = 2.0 * _turned(rows[:1], sizes)[0] / robot.pulses_per_metre / wheel_base
+    heading = first + np.cumsum(turns) - turns / 2.0
+    forward = (left + right) / 2.0
+    along = [np.cumsum(forward * part) for part in (np.cos(heading), np.sin(heading))]
+    ahead, aside = (rows[0, 2 + axis] + np.append(0.0, along[axis]) for axis in range(2))
+    return ahead, aside
+
+
+def _even(angle: _Array, columns: _Array, count: int) -> _Array:
+    """Return columns [N, C] averaged around even angles of a full turn, [count, C].
+
+    The weight of a row falls linearly to nothing at the next angle, or further off where rows
+    are further apart.
+    """
+    grid = _TURN * np.arange(count) / count
+    place = np.sort(angle % _TURN)
+    gap = np.diff(np.append(place, place[0] + _TURN)).max()
+    off = np.abs((grid[:, None] - angle + math.pi) % _TURN - math.pi)
+    weight = np.maximum(1.0 - off / max(_TURN / count, gap), 0.0)
+    return weight @ columns / weight.sum(axis=1, keepdims=True)
+
+
+def _directions(angle: _Array, readings: _Array) -> NDArray[np.complex128]:
+    """Return for every sensor [S] at which angle of the turn it sees most, and how much."""
+    even = _even(angle, readings, 360)
+    above = np.maximum(even - np.median(even, axis=0), 0.0)
+    return (above * np.exp(1j * _TURN * np.arange(360) / 360)[:, None]).mean(axis=0)
+
+
+def _between(first: NDArray[np.complex128], seen: NDArray[np.complex128]) -> float:
+    """Return by how much the robot was turned since the first, rad; NaN where none sees enough.
+
+    A sensor sees an object straight before it alike on both sides, so that the middle of what it
+    sees stays where it is, over all sensors, unless wheels slipped.
+    """
+    clear = (np.abs(seen) > _FAINT) & (np.abs(first) > _FAINT)
+    if clear.sum() < 2:
+        return math.nan
+    return float(np.angle(seen[clear] * first[clear].conj()).mean())
