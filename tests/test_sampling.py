@@ -216,7 +216,6 @@ def test_a_robot_that_is_held_is_reported(tmp_path):
         (["--robot", "khepera"], "give --port"),
         (["--port", "COM3"], "--port is for a real robot"),
         (["--dialect", "epuck"], "--dialect is for a real robot"),
-        (["--step", "0"], "distances must be above 0"),
     ],
 )
 def test_refusals(tmp_path, words, message):
