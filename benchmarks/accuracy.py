@@ -21,6 +21,7 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+import sys
 import tempfile
 import time
 import warnings
@@ -144,7 +145,7 @@ def learners(options: argparse.Namespace) -> dict[str, Learner]:
                 found[name] = regressor(make, on_residual=False)
                 found[f"{name} on unicycle"] = regressor(make, on_residual=True)
         except ImportError as error:
-            print(f"regressors are left out: {error}")
+            print(f"regressors are left out: {error}", file=sys.stderr)
     return found
 
 

@@ -19,9 +19,11 @@ Peers: pip install evotorch deap pygad (extra ``bench``). Those not installed ar
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import random
 import statistics
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -268,7 +270,7 @@ def measure(x: torch.Tensor, targets: torch.Tensor, repeats: int, device: str) -
             runs[name] = make()
             runs[name]()  # compiles, warms up
         except ImportError as error:
-            print(f"{name} is left out: {error}")
+            print(f"{name} is left out: {error}", file=sys.stderr)
     seconds: dict[str, list[float]] = {name: [] for name in runs}
     for _ in range(repeats):
         for name, run in runs.items():
@@ -286,7 +288,7 @@ def measure(x: torch.Tensor, targets: torch.Tensor, repeats: int, device: str) -
         run = pygad(x, targets)
         medians["PyGAD"] = run(max(2, repeats // 2)) / max(2, repeats // 2)
     except ImportError as error:
-        print(f"PyGAD is left out: {error}")
+        print(f"PyGAD is left out: {error}", file=sys.stderr)
     return medians
 
 
@@ -302,7 +304,8 @@ def whole(dataset: Path, generations: int, device: str) -> dict[str, object]:
     for number in range(generations):
         trainer.advance()
         if number % 1000 == 999:
-            print(f"{number + 1} generations, {time.perf_counter() - began:.0f} s", flush=True)
+            seconds = time.perf_counter() - began
+            print(f"{number + 1} generations, {seconds:.0f} s", file=sys.stderr, flush=True)
     minutes = (time.perf_counter() - began) / 60
     return {
         "generations": generations,
@@ -335,7 +338,8 @@ def main() -> None:
             mean, mse = error["mean_absolute_error"], error["mse"]
             print(f"{name:7s} mean absolute error {mean:.2f} {error['unit']}, MSE {mse:.2f}")
         return
-    medians = measure(*rows(options.dataset), options.repeats, options.device)
+    with contextlib.redirect_stdout(sys.stderr):  # where peers' own messages go
+        medians = measure(*rows(options.dataset), options.repeats, options.device)
     floor = min(value for name, value in medians.items() if name.startswith("floor"))
     if options.json:
         print(json.dumps({"seconds": medians, "floor": floor}))

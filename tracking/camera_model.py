@@ -126,19 +126,6 @@ class CameraModel:
         )
         return pixels.reshape(-1, 2)
 
-    def jacobian(self, pixels: ArrayLike, height: float = 0.0) -> NDArray:
-        """Return d(board metres)/d(pixels), [N, 2, 2], by central differences of half a pixel."""
-        pixels = np.asarray(pixels, float).reshape(-1, 2)
-        columns = [
-            self.to_board(pixels + step, height) - self.to_board(pixels - step, height)
-            for step in (np.array([0.5, 0.0]), np.array([0.0, 0.5]))
-        ]
-        return np.stack(columns, axis=-1)
-
-    def metres_per_pixel(self, pixels: ArrayLike, height: float = 0.0) -> NDArray:
-        """Return the local scale [N]: the square root of the area that one pixel covers."""
-        return np.sqrt(np.abs(np.linalg.det(self.jacobian(pixels, height))))
-
     def write(self, path: str | Path) -> None:
         """Write calibration.json, whole or not at all."""
         content = {

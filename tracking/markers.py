@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from tracking.colours import NO_CAST, Colour, chroma_plane
 from tracking.patches import ACROSS, darkest, measure_marker, read_look, read_patch
+from tracking.white import Cast
 
 #: Less chroma than this (of 255) is a grey with noise on it.
 LEAST_CHROMA = 22.0
@@ -214,6 +215,7 @@ def compile_loops() -> None:
     frame = np.zeros((16, 16, 3), np.uint8)
     blob = Blob(np.array([8.0, 8.0]), 12.0, 0.0, 50.0, 1.0)
     measure(frame, blob.centre, blob.radius, learn(frame, blob), 3.0)
+    Cast(frame).update(frame)
 
 
 def learn(frame: NDArray, blob: Blob, white: tuple[float, float] = NO_CAST) -> Look:

@@ -60,10 +60,6 @@ def test_a_hand_worked_point():
     np.testing.assert_allclose(model.to_board([[420, 190]]), [[0.4, 0.2]])
     np.testing.assert_allclose(model.to_board([[420, 190]], height=1.0), [[0.2, 0.1]])
     np.testing.assert_allclose(model.position, [0, 0, 2])
-    np.testing.assert_allclose(model.metres_per_pixel([[100, 100]]), [0.004])
-    np.testing.assert_allclose(
-        model.jacobian([[100, 100]])[0], [[0.004, 0], [0, -0.004]], atol=1e-12
-    )
 
 
 def test_undistortion_against_bisection():
