@@ -32,14 +32,15 @@ class Interrupted(Exception):
 
 
 def sampled(
-    out, settings=SETTINGS, *, resume=False, stop_at=None, noise_seed=0, params=None, baud=BAUD
-):
-    """Sample robot 1; with ``stop_at`` the person walks away when asked for that."""
+    out, settings=SETTINGS, *,
+    resume=False, stop_at=None, noise_seed=0, params=None, baud=BAUD, which=1,
+):  # fmt: skip
+    """Sample a robot; with ``stop_at`` the person walks away when asked for that."""
     arena, poses = sampling_places()
     asked = []
     with (
         VirtualKheperaRig(
-            1,
+            which,
             noise_seed=noise_seed,
             arena=arena,
             start=poses["open"],
@@ -55,7 +56,8 @@ def sampled(
                 raise Interrupted
             rig.lab.place(*poses[where])
 
-        result = sample(out, robot, settings, place, resume=resume, progress=False)
+        lab = rig.describe()
+        result = sample(out, robot, settings, place, resume=resume, progress=False, lab=lab)
         return result, asked, rig.lab.body.params, arena
 
 
@@ -152,8 +154,10 @@ def test_interrupted_sampling_goes_on(tmp_path, whole):
     (out / "sensors.csv").write_bytes(before + torn)
     with pytest.raises(FileError, match="other settings"):
         sampled(out, SampleSettings(angles=20), resume=True)
-    with pytest.raises(FileError, match="was begun at 9600 baud, not 38400"):
+    with pytest.raises(FileError, match="was begun with baud = 9600, not 38400"):
         sampled(out, resume=True, baud=38400)
+    with pytest.raises(FileError, match="was begun with robot_seed = 1, not 2"):
+        sampled(out, resume=True, which=2)
     with pytest.raises(UserError, match="not empty"):
         sampled(out)
     result, asked, _, _ = sampled(out, resume=True)

@@ -113,7 +113,7 @@ def sample(
 
     settings = SampleSettings(angles, distances, first / 1000, step / 1000, repeats, grid or 0)
     eye = _Eye.of(robot, camera, calibration, markers)
-    with _opened(robot, lab_seed, seed, eye, options) as (driver, place, opened):
+    with _opened(robot, lab_seed, seed, eye, options) as (driver, place, opened, virtual):
         result = sample_(
             out,
             driver,
@@ -122,6 +122,7 @@ def sample(
             resume=resume,
             seed=seed,
             eye=opened,
+            lab=virtual,
             options=given_options(),
         )
     files = [out / name for name in result["samples"]]
@@ -180,13 +181,13 @@ class _Eye:
 @contextmanager
 def _opened(
     kind: str, lab_seed: int, seed: int, eye: _Eye | None, options: dict[str, Any]
-) -> Iterator[tuple[Any, Callable[[str], None], Any]]:
+) -> Iterator[tuple[Any, Callable[[str], None], Any, dict[str, Any] | None]]:
     if kind == "khepera":
         if eye is not None and eye.camera == "lab":
             raise UserError("--camera lab is the virtual robot's; name a camera that there is")
         with khepera(options) as robot:
             camera = eye and open_camera(eye.camera, robot.clock.now, None, None)
-            yield robot, _ask, eye and eye.opened(camera, robot.clock)
+            yield robot, _ask, eye and eye.opened(camera, robot.clock), None
         return
     from neurosim.lab import CameraParams, VirtualKheperaRig, sampling_places
 
@@ -209,7 +210,7 @@ def _opened(
             exact = where == "open"
             rig.lab.place(*poses[where], placing=(0.0, 0.0 if exact else math.radians(1)))
 
-        yield robot, place, eye and eye.opened(rig.camera, robot.clock)
+        yield robot, place, eye and eye.opened(rig.camera, robot.clock), rig.describe()
 
 
 def _ask(where: str) -> None:

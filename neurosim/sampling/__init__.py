@@ -60,6 +60,7 @@ def sample(
     seed: int = 0,
     progress: bool = True,
     eye: Eye | None = None,
+    lab: Mapping[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Sample both objects and the motors into a folder.
@@ -74,6 +75,7 @@ def sample(
         seed: of the choice of settings held out.
         progress: whether to show progress on stderr.
         eye: a camera that measures the motors' settings; without it the counters do.
+        lab: what makes the same virtual lab again, of a virtual robot.
         options: kept in ``sampling.json``, for whoever resumes.
 
     Returns:
@@ -84,7 +86,8 @@ def sample(
         and rad/s (``turn``).
 
     Raises:
-        UserError: if something stands at ``out``, or on resuming other settings do.
+        UserError: if something stands at ``out``, or what is resumed was begun with other settings
+            or another robot.
         RobotError: if the robot is lost or stuck; what was sampled is kept.
     """
     out = Path(out)
@@ -93,6 +96,7 @@ def sample(
         "settings": asdict(settings),
         "seed": seed,
         "robot": robot.describe(),
+        **({} if lab is None else {"virtual_lab": dict(lab)}),
         "motors": "counters" if eye is None else "camera",
     }
     _begin(out, {**about, "options": dict(options or {})}, resume)
@@ -133,7 +137,7 @@ def sample(
     content = files.read_json(out / "sampling.json", FORMAT, VERSION)
     described = {
         key: content[key]
-        for key in ("settings", "seed", "robot", "motors", "options")
+        for key in ("settings", "seed", "robot", "virtual_lab", "motors", "options")
         if key in content
     }
     files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
@@ -192,6 +196,15 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         raise FileError(
             path, f"was begun with motors measured by {then}, not {now}", field="motors"
         )
-    then, now = found["robot"].get("baud"), about["robot"].get("baud")
-    if then not in (None, now):
-        raise FileError(path, f"was begun at {then} baud, not {now}", field="robot.baud")
+    for part, names in (
+        ("robot", ("virtual", "dialect", "baud")),
+        ("virtual_lab", ("robot_seed",)),
+    ):
+        then, now = (side.get(part) or {} for side in (found, about))
+        for name in names:
+            if then.get(name) not in (None, now.get(name)):
+                raise FileError(
+                    path,
+                    f"was begun with {name} = {then[name]}, not {now.get(name)}",
+                    field=f"{part}.{name}",
+                )
