@@ -249,28 +249,6 @@ def residual(mean: Tensor, actual: Tensor) -> Tensor:
     return torch.cat([turn.unsqueeze(-1), rotate(-actual[:, 2] / 2, moved)], dim=-1)
 
 
-def standardised(
-    noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor
-) -> Tensor:
-    """Return the draws [B, 3] that make ``actual`` of ``mean``, by the sizes' root mean squares."""
-    _, coupling, _ = features(noise.unit.to(mean), columns, inputs, mean)
-    s = typical_size(noise, columns, inputs, mean)
-    c = coupling @ noise.coupling.to(mean).T
-    t, f, side = (residual(mean, actual) / s).unbind(-1)
-    f = f - c[:, 0] * t
-    return torch.stack([t, f, side - c[:, 1] * t - c[:, 2] * f], dim=-1)
-
-
-def typical_size(
-    noise: NoiseModel, columns: CommandFeatures, inputs: Tensor, mean: Tensor
-) -> Tensor:
-    """Return the root mean square [B, 3] of the sizes S."""
-    scale, _, tail = features(noise.unit.to(mean), columns, inputs, mean)
-    log_s = scale @ noise.log_scale.to(mean).T
-    tau = heaviness(tail, noise.tail.to(mean)).unsqueeze(-1)
-    return ((2.0 * (log_s + tau.square())).exp() + in_motion(noise, mean)).sqrt()
-
-
 def rotate(angle: Tensor, vector: Tensor) -> Tensor:
     """Return vectors [B, 2] turned by angles [B]."""
     cos, sin = angle.cos(), angle.sin()

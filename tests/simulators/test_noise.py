@@ -22,7 +22,7 @@ from neurosim.simulators.noise import (
     half_way_frame,
     heaviness,
     in_motion,
-    standardised,
+    residual,
 )
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -125,8 +125,14 @@ def test_draws_are_found_again_in_what_they_made(seed):
     noise = replace(noise, tail=torch.tensor([-40.0, 0.0, 0.0]))  # no tails to speak of
     x, mean = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3)
     z = normal(seed, 8, DRAWS)
-    moved = disturb(noise, columns, x, mean, z)
-    assert torch.allclose(standardised(noise, columns, x, mean, moved), z[:, :3], atol=1e-9)
+    made = residual(mean, disturb(noise, columns, x, mean, z))
+    scale, coupling, _ = features(noise.unit, columns, x, mean)
+    s = ((2.0 * scale @ noise.log_scale.T).exp() + in_motion(noise, mean)).sqrt()
+    c = coupling @ noise.coupling.T
+    turn, forward, sideways = (made / s).unbind(-1)
+    forward = forward - c[:, 0] * turn
+    found = [turn, forward, sideways - c[:, 1] * turn - c[:, 2] * forward]
+    assert torch.allclose(torch.stack(found, dim=-1), z[:, :3], atol=1e-9)
 
 
 @settings(max_examples=20, deadline=None)

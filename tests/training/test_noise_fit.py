@@ -10,12 +10,22 @@ from neurosim.simulators.noise import (
     CommandFeatures,
     NoiseModel,
     disturb,
-    typical_size,
+    features,
+    heaviness,
+    in_motion,
 )
 from neurosim.training.base import TrainingData
 from neurosim.training.noise import fit_noise
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+
+
+def typical_size(noise, columns, inputs, mean):
+    """Return the root mean square [B, 3] of the sizes S."""
+    scale, _, tail = features(noise.unit, columns, inputs, mean)
+    tau = heaviness(tail, noise.tail.to(mean)).unsqueeze(-1)
+    log_s = scale @ noise.log_scale.to(mean).T
+    return ((2.0 * (log_s + tau.square())).exp() + in_motion(noise, mean)).sqrt()
 
 
 def recorded(rows, seed=0, **planted):
