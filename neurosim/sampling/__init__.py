@@ -196,10 +196,7 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         raise FileError(
             path, f"was begun with motors measured by {then}, not {now}", field="motors"
         )
-    for part, names in (
-        ("robot", ("virtual", "dialect", "baud")),
-        ("virtual_lab", ("robot_seed",)),
-    ):
+    for part, names in _SAME.items():
         then, now = (side.get(part) or {} for side in (found, about))
         for name in names:
             if then.get(name) not in (None, now.get(name)):
@@ -208,3 +205,7 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
                     f"was begun with {name} = {then[name]}, not {now.get(name)}",
                     field=f"{part}.{name}",
                 )
+
+
+#: What tells one robot, and its line, from another when sampling is resumed.
+_SAME = {"robot": ("virtual", "dialect", "baud"), "virtual_lab": ("robot_seed",)}
