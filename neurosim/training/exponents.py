@@ -27,8 +27,9 @@ from neurosim.training.dead_zone import find_dead_zone
 from neurosim.training.pursuit import Pursuit
 from neurosim.training.swing import find_swing
 
-#: With fewer rows than these, finer searches and inputs that are derived find what is not there.
-MANY_ROWS = 1000
+#: With fewer rows than these, inputs that are derived find what is not there; with fewer than
+#: MANY_ROWS, so do finer searches and the word that a command is to move.
+SOME_ROWS, MANY_ROWS = 300, 1000
 
 
 @dataclass(frozen=True)
@@ -110,11 +111,9 @@ class ExponentsTrainer:
         columns = CommandFeatures.of(tuple(entry["name"] for entry in self._data.inputs))
         inputs, settings = self._data.x.to(x), self._settings
         derived = settings.derived
-        if derived is None and len(x) < MANY_ROWS:
-            derived = Derived()
-        elif derived is None:
-            derived = Derived(moving=bool(self._dead_zone.any()))
-            if can_swing(columns):
+        if derived is None:
+            derived = Derived(moving=len(x) >= MANY_ROWS and bool(self._dead_zone.any()))
+            if len(x) >= SOME_ROWS and can_swing(columns):
                 with one_thread(self._device):
                     derived = find_swing(
                         derived, columns, inputs, x, turn, settings, settings.floor

@@ -23,9 +23,10 @@ from neurosim.base import se2
 from neurosim.commands import Command, CommandSource
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.derived import Derived
 from neurosim.training.base import TrainingData
 from neurosim.training.ensemble import Share
-from neurosim.training.exponents import ExponentsTrainer
+from neurosim.training.exponents import ExponentsSettings, ExponentsTrainer
 from tracking.dataset import MOTOR_INPUTS
 
 #: The least size of an expected error, as a quantile of those expected of the rows.
@@ -64,13 +65,18 @@ class Committee:
     def __init__(self, data: TrainingData, seed: int, settings: GuidedSettings | None = None):
         self._settings = settings = settings or GuidedSettings()
         rows = len(data.x)
+        # What all rows tell of dead zones and derived inputs holds for every part of them.
+        state = _search(data, ExponentsSettings(), seed).state()
+        trained = ExponentsSettings(
+            dead_zone=tuple(state["dead_zone"].tolist()), derived=Derived.of(state["derived"])
+        )
         generator = torch.Generator().manual_seed(seed)
         self._members = []
         for number in range(settings.members):
             seen = torch.randperm(rows, generator=generator)[: round(settings.share * rows)]
             seen = seen.sort().values
             part = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
-            self._members.append(_learned(part, settings.generations, seed + number))
+            self._members.append(_learned(part, trained, settings.generations, seed + number))
         mean = self.displacements(data.x).mean(0)
         self._noise = _ErrorSize(self._members[0], data.x, mean - data.y)
         self._usual = self._noise(data.x).square().mean(0)
@@ -98,9 +104,15 @@ def taken_away(variance: Tensor, noise: Tensor) -> Tensor:
     return variance.square() / (variance + noise)
 
 
-def _learned(data: TrainingData, generations: int, seed: int) -> MotionNetwork:
+def _search(data: TrainingData, settings: ExponentsSettings, seed: int) -> ExponentsTrainer:
     network = ProductSummationNetwork(data.x.shape[1], *ExponentsTrainer.default_hidden)
-    trainer = ExponentsTrainer(data, network, ExponentsTrainer.settings_type(), seed)
+    return ExponentsTrainer(data, network, settings, seed)
+
+
+def _learned(
+    data: TrainingData, settings: ExponentsSettings, generations: int, seed: int
+) -> MotionNetwork:
+    trainer = _search(data, settings, seed)
     for _ in range(generations):
         trainer.advance()
     return trainer.result()

@@ -1,4 +1,5 @@
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -164,6 +165,21 @@ def test_of_many_rows_the_turn_is_the_average_of_two_searches(robot_data, monkey
         said.append(trainer.result().outputs(inputs)[..., 2])
     assert not torch.allclose(said[0], said[1])
     torch.testing.assert_close(simulator.outputs(inputs)[..., 2], (said[0] + said[1]) / 2)
+
+
+@pytest.mark.parametrize(
+    ("count", "derived"),
+    [(299, Derived()), (300, Derived(swing=0.03)), (1000, Derived(moving=True, swing=0.03))],
+)
+def test_more_rows_give_more_derived_inputs(robot_data, monkeypatch, count, derived):
+    monkeypatch.setattr(
+        "neurosim.training.exponents.find_swing", lambda found, *_: replace(found, swing=0.03)
+    )
+    inputs, outputs = map(torch.tensor, robot_data(count, 6))
+    settings = ExponentsSettings(**FEW, dead_zone=(0.06,) * 4 + (0.0,))
+    data = TrainingData([{"name": n} for n in NAMES], inputs, outputs)
+    trainer = ExponentsTrainer(data, ProductSummationNetwork(5, 6, 1), settings, seed=0)
+    assert Derived.of(trainer.state()["derived"]) == derived
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0, 0.0])
