@@ -12,8 +12,9 @@ population then goes on for 20 generations on the robot, in the lab's own time. 
   - how far apart the paths of simulator (without noise) and robot are over 10 s from the same
     starts: the median over time and starts, and the same between two drives of the robot.
 
-    python benchmarks/transfer.py                       three quarters of an hour on one core
+    python benchmarks/transfer.py                       an hour on one core
     python benchmarks/transfer.py --tables samples
+    python benchmarks/transfer.py --kept FILE           go on where FILE ends; keep each run there
     python benchmarks/transfer.py --quick
 
 The hand-written simulator: sensors sit where the robot's manual has them, and read
@@ -29,6 +30,8 @@ import math
 import statistics
 import sys
 import tempfile
+from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -59,6 +62,7 @@ def main() -> None:
     parser.add_argument("--generations", type=int, default=200)
     parser.add_argument("--on-robot", type=int, default=20, help="generations more")
     parser.add_argument("--baud", type=int, default=38400, help="of the robot's line")
+    parser.add_argument("--kept", type=Path, help="a file that each run is added to when made")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -66,11 +70,10 @@ def main() -> None:
         options.runs, options.generations, options.on_robot = options.runs[:1], 40, 1
     rows = []
     with tempfile.TemporaryDirectory() as folder:
-        sampled = {robot: sample_robot(Path(folder), robot, options.baud) for robot in options.runs}
+        sampled = cache(lambda robot: sample_robot(Path(folder), robot, options.baud))
         for kind in options.tables:
             for robot in options.runs:
-                row = transfer(kind, robot, sampled[robot], options)
-                rows.append({"tables": kind, "run": robot, **row})
+                rows.append(run(kind, robot, sampled, options))
                 if not options.json:
                     told(rows[-1])
     if options.json:
@@ -80,6 +83,24 @@ def main() -> None:
         found = [row for row in rows if row["tables"] == kind]
         print(f"{kind}, medians of {len(found)} runs")
         told({name: typical([row[name] for row in found]) for name in found[0]})
+
+
+def run(
+    kind: str, robot: int, sampled: Callable[[int], Path], options: argparse.Namespace
+) -> dict[str, Any]:
+    """Make a run, or take it from the file where runs are kept."""
+    what = {"tables": kind, "run": robot}
+    what |= {name: getattr(options, name) for name in ("generations", "on_robot", "baud")}
+    if options.kept and options.kept.exists():
+        for line in options.kept.read_text("utf-8").splitlines(keepends=True):
+            row = json.loads(line) if line.endswith("\n") else {}
+            if what.items() <= row.items():
+                return row
+    row = {**what, **transfer(kind, robot, sampled(robot), options)}
+    if options.kept:
+        with open(options.kept, "a", encoding="utf-8") as file:
+            file.write(json.dumps(row) + "\n")
+    return row
 
 
 def sample_robot(folder: Path, robot: int, baud: int) -> Path:
@@ -200,7 +221,7 @@ def told(row: dict[str, Any]) -> None:
             f"{row['mean_last']:.0f};"
         )
     print(
-        f"  {row['tables']:8} {row['run']:3}: fitness {row['simulated']:.0f} in the simulator "
+        f"  {row['tables']:8} {row['run']:3.0f}: fitness {row['simulated']:.0f} in the simulator "
         f"({row['simulated_without_noise']:.0f} without noise), {row['robot']:.0f} on the robot "
         f"({100 * row['change']:+.1f} %; {100 * row['change_without_noise']:+.1f} %);{after} paths "
         f"{100 * row['path_apart']:.2f} cm apart, two of the robot "
