@@ -67,7 +67,7 @@ def verdict(artefacts: Artefacts) -> str:
     """Say what came of the networks, in a sentence or two."""
     fitness = [one.meta["predicted"]["fitness"] for one in artefacts.networks]
     steps = {one.meta["task"].get("settings", {}).get("steps") for one in artefacts.networks}
-    of = f" of {steps.pop()} at most" if len(steps) == 1 and None not in steps else ""
+    of = f" of at most {steps.pop()}" if len(steps) == 1 and None not in steps else ""
     text = f"The network reaches a fitness of {np.mean(fitness):.0f}{of} in the simulator."
     if len(fitness) > 1:
         text = (
@@ -82,6 +82,10 @@ def verdict(artefacts: Artefacts) -> str:
             " At the transfer to the robot the best of the population changed by "
             f"{100 * np.mean(changes):+.1f} % of its fitness{' on average' * (len(changes) > 1)}."
         )
+    drives = [drive for one in artefacts.networks for drive in trajectories(one)]
+    if drives:
+        apart = np.median([_apart(drive) for drive in drives])
+        text += f" From the same start its path there is {100 * apart:.1f} cm off (median)."
     return text
 
 
@@ -162,7 +166,7 @@ def _evolution(found: Sequence[Artefact]) -> Picture:
         axes.set_xlabel("generation")
         axes.set_ylabel("fitness")
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-        axes.legend(loc="lower right")
+        axes.legend(loc="lower center")
         label = "Fitness of the population's best and its mean over generations"
         svg = to_svg(figure, label, "n")
     runs = "" if len(found) == 1 else f", average of {len(found)} runs (each one thin)"
@@ -177,8 +181,6 @@ def _trajectories(network: Artefact, prefix: str, which: int, drive: dict[str, N
         raise FileError(network.json, "expected an arena", field="evolution.arena") from None
     x1, y1, x2, y2 = 100 * np.array(arena.bounds)
     height = float(np.clip(5.4 * (y2 - y1) / (x2 - x1), 2.0, 6.0))
-    count = min(map(len, drive.values()))
-    apart = np.linalg.norm(drive["simulated"][:count, :2] - drive["robot"][:count, :2], axis=1)
     with drawing(6.0, height + 0.7) as (figure, axes):
         draw_objects(axes, arena)
         axes.grid(visible=False)
@@ -195,8 +197,15 @@ def _trajectories(network: Artefact, prefix: str, which: int, drive: dict[str, N
         svg = to_svg(figure, label, prefix)
     return Picture(
         svg,
-        f"{label}, start {which + 1} (Figure 4): {100 * np.median(apart):.1f} cm apart, median.",
+        f"{label}, start {which + 1} (Figure 4): {100 * _apart(drive):.1f} cm apart, median.",
     )
+
+
+def _apart(drive: dict[str, NDArray]) -> float:
+    """Return the median distance between simulator and robot, m."""
+    count = min(map(len, drive.values()))
+    off = drive["simulated"][:count, :2] - drive["robot"][:count, :2]
+    return float(np.median(np.linalg.norm(off, axis=1)))
 
 
 def _sensors(name: str, simulator: TableSimulator, prefix: str) -> Picture:

@@ -63,7 +63,8 @@ def test_networks_with_transfer_and_trajectories(tmp_path):
     assert summary["network_fitness"] == pytest.approx(245)
     assert summary["change_at_transfer"] == pytest.approx(-0.025)
     assert "-2.5 % of its fitness on average" in summary["verdict"]
-    assert "2 networks reach a fitness of 245 of 500" in summary["verdict"]
+    assert "2 networks reach a fitness of 245 of at most 500" in summary["verdict"]
+    assert "From the same start its path there is 2.0 cm off" in summary["verdict"]
     page = Page(out)
     text = out.read_text()
     assert "from generation 3 on the robot (Figure 3)" in text
