@@ -17,6 +17,7 @@ from neurosim.lab import khepera_physics as physics
 from neurosim.lab.khepera_params import WHEEL_BASE
 from neurosim.robots.khepera_dialects import dialect_named
 from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
+from neurosim.sampling.resampling import write_samples
 from neurosim.sampling.turns import PIVOTS
 from neurosim.simulators.motor_table import MotorTable
 from neurosim.simulators.reaction import Reaction
@@ -177,6 +178,60 @@ def test_full_turn_is_where_the_sensors_repeat():
     counts = np.column_stack([-turned, turned])
     rows = np.column_stack([counts, where, where, np.exp(3 * np.cos(angle - 0.4)), np.cos(angle)])
     assert full_turn({("wall", 1, 0): rows}) == pytest.approx(790, rel=1e-3)
+
+
+class _Plain:
+    """A robot of nominal size, and what it reads: sensor s looks at 45 s degrees."""
+
+    pulses_per_metre, full = 10_000.0, 1665.0
+    geometry = type("Geometry", (), {"radius": 0.0275})
+
+    @staticmethod
+    def reads(distance, angle):
+        off = angle[:, None] - 2 * np.pi * np.arange(8) / 8
+        return np.exp(3 * (np.cos(off) - 1)) * (0.9 - 12 * np.asarray(distance)[:, None])
+
+    @classmethod
+    def turns(cls, facing, slips, settings):
+        """Turn there and back at every distance, by so much too far to the left at first (rad)."""
+        found = {}
+        way = np.concatenate([np.linspace(0, 7 / 6, 600), np.linspace(7 / 6, 0, 600)]) * cls.full
+        for name, off in facing.items():
+            slipped = 0.0
+            for k in range(settings.distances):
+                away = settings.first + settings.step * k
+                truth = away + slipped + slips * np.linspace(0, 1, len(way))
+                seen = cls.reads(truth, 2 * np.pi * way / cls.full + off)
+                where = np.full_like(way, -away), np.zeros_like(way)
+                found[name, 1, k] = np.column_stack([-way, way, *where, seen])
+                slipped += slips
+        return found
+
+    @classmethod
+    def samples(cls, out, facing, slips, settings):
+        turns = cls.turns(facing, slips, settings)
+        paths = write_samples(out, settings, turns, cls(), cls.full, (1.0, 1.0))
+        return [Samples.read(path).activations for path in paths]
+
+
+def test_what_wheels_slip_in_a_turn_is_seen(tmp_path):
+    settings = SampleSettings(angles=36, distances=12, first=0.005, step=0.003)
+    angles = np.tile(np.radians(10 * np.arange(36)), 12)
+    away = np.repeat(0.005 + 0.003 * np.arange(12), 36)
+    truth = _Plain.reads(away, angles).reshape(12, 36, 8)
+    wall, _ = _Plain.samples(tmp_path, {"wall": 0.0, "cylinder": 0.0}, 0.0005, settings)
+    # Unseen, 5 mm of slip would have come together there: 0.06.
+    assert np.abs(wall[:10] - truth[:10]).max() < 0.025
+
+
+def test_wall_and_obstacle_agree_in_where_sensors_look(tmp_path):
+    settings = SampleSettings(angles=90, distances=2)
+    facing = {"wall": 0.03, "cylinder": -0.01}
+    wall, cylinder = _Plain.samples(tmp_path, facing, 0.0, settings)
+    assert wall == pytest.approx(cylinder, abs=2e-3)
+    angles = np.radians(4 * np.arange(90))
+    truth = _Plain.reads(np.full(90, 0.005), angles + 0.01)
+    assert wall[0] == pytest.approx(truth, abs=4e-3)
 
 
 def test_a_robot_that_is_held_is_reported(tmp_path):

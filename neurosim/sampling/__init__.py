@@ -114,7 +114,7 @@ def sample(
     pulses = full_turn(turns)
     wheel_base = pulses / robot.pulses_per_metre / math.pi
     sizes = wheel_sizes(turns)
-    made = write_samples(out, settings, turns, robot, OBJECTS)
+    made = write_samples(out, settings, turns, robot, pulses, sizes)
     in_the_open = _once(place, "open")
     try:
         with eye or nullcontext():

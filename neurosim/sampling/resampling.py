@@ -23,6 +23,7 @@ from neurosim.robots import Khepera
 from neurosim.sampling.settings import SampleSettings
 from neurosim.sampling.turns import PIVOTS, TURNS, Turns
 from neurosim.simulators.samples import Samples
+from neurosim.simulators.sensor_table import OBJECTS
 
 #: Radius of the round obstacle (the paper's is 5.5 cm across), m.
 OBSTACLE = 0.0275
@@ -30,6 +31,8 @@ OBSTACLE = 0.0275
 _SLIP, _READING = 0.0005, 0.01
 #: A sensor whose mean reading above its median is less says nothing of directions.
 _FAINT = 0.02
+#: Readings are averaged so far around an angle, rad.
+_NEAR = math.radians(2.0)
 
 _TURN = 2.0 * math.pi
 _Array = NDArray[np.float64]
@@ -96,7 +99,12 @@ def _halves(turned: _Array, columns: _Array) -> list[tuple[_Array, _Array]]:
 
 
 def write_samples(
-    out: Path, settings: SampleSettings, turns: Turns, robot: Khepera, names: tuple[str, ...]
+    out: Path,
+    settings: SampleSettings,
+    turns: Turns,
+    robot: Khepera,
+    pulses: float,
+    sizes: tuple[float, float],
 ) -> list[Path]:
     """Write the samples of all objects and repeats, interpolated between readings.
 
@@ -108,11 +116,13 @@ def write_samples(
         settings: the distances and angles.
         turns: what was sampled.
         robot: that sampled.
-        names: of the objects.
+        pulses: counts of a wheel in a full turn.
+        sizes: of the left and of the right wheel, over their mean.
     """
-    keys = [(name, repeat) for name in names for repeat in range(1, settings.repeats + 1)]
-    seen = [_Seen(settings, turns, robot, *key) for key in keys]
-    facing = np.array([_between(seen[0].directions, one.directions) for one in seen])
+    keys = [(name, repeat) for name in OBJECTS for repeat in range(1, settings.repeats + 1)]
+    seen = [_Seen(settings, turns, robot, pulses, sizes, *key) for key in keys]
+    facing = [_between(seen[0].directions, one.directions) for one in seen]
+    facing = np.nan_to_num(facing)
     paths = []
     for (name, repeat), one, off in zip(keys, seen, facing - facing.mean(), strict=True):
         path = out / (f"{name}.sample" if repeat == 1 else f"{name}-{repeat}.sample")
@@ -130,10 +140,16 @@ class _Seen:
     """
 
     def __init__(
-        self, settings: SampleSettings, turns: Turns, robot: Khepera, name: str, repeat: int
+        self,
+        settings: SampleSettings,
+        turns: Turns,
+        robot: Khepera,
+        pulses: float,
+        sizes: tuple[float, float],
+        name: str,
+        repeat: int,
     ):
         self._settings = settings
-        pulses, sizes = full_turn(turns), wheel_sizes(turns)
         #: Of every distance and half: angles [N], distances and readings [N, 1 + S], share [N].
         self._halves: list[list[tuple[_Array, _Array, _Array]]] = []
         off = 0.0
@@ -223,24 +239,30 @@ def _places(
 
 
 def _even(angle: _Array, columns: _Array, count: int) -> _Array:
-    """Return columns [N, C] averaged around even angles of a full turn, [count, C].
+    """Return columns [N, C] at even angles of a full turn, [count, C]: straight lines through them.
 
-    The weight of a row falls linearly to nothing at the next angle, or further off where rows
-    are further apart.
+    The weight of a row falls linearly to nothing 2 degrees off, or at the next angle where that is
+    nearer, or where the next row is if that is further.
     """
     grid = _TURN * np.arange(count) / count
     place = np.sort(angle % _TURN)
     gap = np.diff(np.append(place, place[0] + _TURN)).max()
-    off = np.abs((grid[:, None] - angle + math.pi) % _TURN - math.pi)
-    weight = np.maximum(1.0 - off / max(_TURN / count, gap), 0.0)
-    return weight @ columns / weight.sum(axis=1, keepdims=True)
+    off = (angle - grid[:, None] + math.pi) % _TURN - math.pi
+    width = max(min(_TURN / count, _NEAR), gap)
+    weight = np.maximum(1.0 - np.abs(off) / width, 0.0) + 1e-12 * (np.abs(off) <= width)
+    total, first, second = ((weight * off**n).sum(axis=1, keepdims=True) for n in range(3))
+    middle = first / total
+    spread = second / total - middle**2
+    mean = weight @ columns / total
+    slope = ((weight * off) @ columns / total - middle * mean) / (spread + 1e-6 * width**2)
+    return mean - slope * middle
 
 
 def _directions(angle: _Array, readings: _Array) -> NDArray[np.complex128]:
     """Return for every sensor [S] at which angle of the turn it sees most, and how much."""
-    even = _even(angle, readings, 360)
+    even = _even(angle, readings, 180)
     above = np.maximum(even - np.median(even, axis=0), 0.0)
-    return (above * np.exp(1j * _TURN * np.arange(360) / 360)[:, None]).mean(axis=0)
+    return (above * np.exp(1j * _TURN * np.arange(180) / 180)[:, None]).mean(axis=0)
 
 
 def _between(first: NDArray[np.complex128], seen: NDArray[np.complex128]) -> float:
