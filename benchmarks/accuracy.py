@@ -8,7 +8,9 @@ Mean absolute error on the last rows in time (a fifth; of MRCLAM files a quarter
 noise floor, and the seconds of one training of all outputs; medians over seeds. One network an
 output, no ensemble. Beside the trainers stand regressors of scikit-learn with its defaults, each
 also on what the ideal unicycle leaves: gradient boosting, a Gaussian process (one length for each
-input, its lengths found on 1,000 rows, at most 2,000 rows used) and a random forest.
+input, its lengths found on 1,000 rows, at most 2,000 rows used) and a random forest. Where held-out
+rows are of commands that the floor was measured with, the medians of the floor's drives are tried
+on them too: nothing can be expected to do better.
 
 ``--sizes`` trains on the first 100, 200, 500, 1,000, 2,000 and all rows. ``--quick`` takes one
 seed and a short run of the paper's trainer, whose whole run takes minutes (see ga_training.py).
@@ -196,6 +198,19 @@ def read_drives(path: Path, inputs: tuple[str, ...]) -> Drives | None:
     return inputs_, outputs
 
 
+def of_medians(drives: Drives, later: Dataset) -> dict[str, object] | None:
+    """Return the errors of the drives' medians on the held-out rows of the same commands."""
+    commands, number = np.unique(drives[0], axis=0, return_inverse=True)
+    medians = [np.median(drives[1][number == n], axis=0) for n in range(len(commands))]
+    known = {tuple(command): median for command, median in zip(commands, medians, strict=True)}
+    rows = list(zip(map(tuple, later.input_array()), later.output_array(), strict=True))
+    pairs = np.array([(known[command], moved) for command, moved in rows if command in known])
+    if not len(pairs):
+        return None
+    error = absolute(pairs[:, 0], pairs[:, 1])
+    return {"error": error, "rows": len(pairs), "seconds": float("nan")}
+
+
 def line(name: str, found: dict[str, object], floor: list[float] | None) -> str:
     error = found["error"]
     nothing = [float("nan")] * 3
@@ -235,6 +250,9 @@ def main() -> None:
     if options.sizes:
         counts = [n for n in SIZES if n < len(earlier)] + counts
     result: dict[str, object] = {"floor": floor, "held_out_rows": len(later), "rows": {}}
+    medians = of_medians(drives, later) if drives else None
+    if medians:
+        result["floor_medians"] = medians
     for count in counts:
         if not options.json:
             print(f"\n{count} rows to learn from, {len(later)} held out, {seeds} seeds")
@@ -246,6 +264,8 @@ def main() -> None:
             table[name] = judge(learn, first(earlier, count), later, repeats, drives)
             if not options.json:
                 print(line(name, table[name], floor), flush=True)
+        if medians and not options.json:
+            print(line(f"floor's medians, {medians['rows']} rows", medians, floor))
     if options.json:
         print(json.dumps(result))
 

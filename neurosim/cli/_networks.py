@@ -67,7 +67,7 @@ def evolve_network(
             found, wanted, settings, simulator, seed, robot["then_on_robot"], _describe(robot)
         )
         Checkpoint(out, "evolution").resume(begun)
-    with _on_robot(robot, found, wanted, seed) as then:
+    with _on_robot(robot, found, wanted, settings.population, seed) as then:
         made = evolve_networks(
             found,
             out,
@@ -120,7 +120,9 @@ def _describe(options: dict[str, Any]) -> dict[str, Any] | None:
 
 
 @contextmanager
-def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> Iterator[dict]:
+def _on_robot(
+    options: dict[str, Any], simulator: Any, task: Any, population: int, seed: int
+) -> Iterator[dict]:
     """Give what evolve_networks needs to go on on a robot; nothing where it is not to."""
     options = dict(options)
     generations, kind = options.pop("then_on_robot"), options.pop("robot")
@@ -134,6 +136,13 @@ def _on_robot(options: dict[str, Any], simulator: Any, task: Any, seed: int) -> 
 
     def settings(robot: Any, place: Callable, pose: Callable, **lab: Any) -> dict[str, Any]:
         trials = RobotTrials(robot, task, simulator.reaction.hold)
+        if kind == "khepera":
+            hours = generations * population * trials.seconds / 3600
+            click.echo(
+                f"{generations} generations of {population} trials of {trials.seconds:.0f} s on "
+                f"the robot take {hours:.1f} h; what is interrupted goes on with --resume.",
+                err=True,
+            )
 
         def compare(genes: Any, simulated: Any) -> list[dict[str, list]]:
             steps = round(_SECONDS / task.duration)

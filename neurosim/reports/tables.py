@@ -80,7 +80,8 @@ def verdict(artefacts: Artefacts) -> str:
     if changes:
         text += (
             " At the transfer to the robot the best of the population changed by "
-            f"{100 * np.mean(changes):+.1f} % of its fitness{' on average' * (len(changes) > 1)}."
+            f"{100 * np.mean(changes):+.1f} % of its fitness{' on average' * (len(changes) > 1)}, "
+            "in single trials of generations that follow each other."
         )
     drives = [drive for one in artefacts.networks for drive in trajectories(one)]
     if drives:

@@ -63,7 +63,7 @@ class NetworkSettings:
             raise UserError(f"a population of {self.population} cannot have {self.parents} parents")
 
 
-#: Where paths of the same network differ by this much (median, m), it counts for nothing.
+#: Paths of the same network that differ by this much (median, m) cost it all of its fitness.
 APART = 0.2
 #: So many networks are driven before their fitness is taken.
 TOGETHER = 100
@@ -79,11 +79,14 @@ class TableTrials:
     Attributes:
         simulator: with the arena and the noise to use.
         task: what counts as good.
+        apart: differences of paths (median, m) that cost as much as the fitness is; infinite: the
+            fitness alone counts, as in the paper.
     """
 
-    def __init__(self, simulator: TableSimulator, task: ObstacleAvoidance):
+    def __init__(self, simulator: TableSimulator, task: ObstacleAvoidance, apart: float = APART):
         self.simulator = simulator
         self.task = task
+        self.apart = apart
         self._rooms: dict[int, dict[str, NDArray]] = {}
 
     def __call__(
@@ -110,7 +113,7 @@ class TableTrials:
             between = driven[0].poses[..., :2] - driven[1].poses[..., :2]
             apart[part] = np.median(np.linalg.norm(between, axis=-1), axis=(1, 2))
         mean = fitness.mean(axis=0)
-        return mean, mean * (1.0 - np.minimum(apart / APART, 1.0))
+        return mean, mean - np.abs(mean) * np.minimum(apart / self.apart, 1.0)
 
     def fitness(
         self,

@@ -44,6 +44,11 @@ class RobotTrials:
         self.task = task
         self.hold = hold
 
+    @property
+    def seconds(self) -> float:
+        """How long a network's trial takes, s."""
+        return self.task.starts * (WANDER + REST + self.task.steps_a_start * self.task.duration)
+
     def __call__(self, genes: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
         """Return the fitness [P] of networks [P, 18], each in a trial of its own."""
         found = np.empty(len(genes))

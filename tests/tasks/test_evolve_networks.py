@@ -139,3 +139,11 @@ def test_the_virtual_robot_is_switched_off_under_way(tmp_path):
         made = on(rig, robot)
     assert len(made.evolution["history"]["best"]) == 6
     assert made.evolution["robot"]["virtual"] is True
+
+
+def test_a_trial_takes_as_long_as_it_says():
+    with VirtualKheperaRig(1) as rig, rig.robot as robot:
+        trials, begin = RobotTrials(robot, TASK), robot.clock.now()
+        trials(np.zeros((2, 18)), np.random.default_rng(0))
+        took = robot.clock.now() - begin
+    assert 2 * trials.seconds <= took < 2.2 * trials.seconds

@@ -19,6 +19,7 @@ from neurosim.tasks.network_evolution import (
     TableTrials,
 )
 from neurosim.tasks.obstacle_avoidance import (
+    FITNESS,
     ObstacleAvoidance,
     Trajectory,
     avoidance,
@@ -119,6 +120,27 @@ def test_networks_driven_part_by_part_are_driven_alike():
     assert (merit[-9:] == few_merit).all()
     assert (merit <= fitness).all()
     assert (merit < fitness).any()
+
+
+def test_of_two_that_are_as_fit_the_steadier_has_the_better_chances(monkeypatch):
+    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance(steps=50))
+    genes = np.random.default_rng(0).normal(0, 1, (20, 18))
+    starts = trials.simulator.arena.free_poses(5, 0.0275, np.random.default_rng(1))
+    for fitness in (-1.0, 1.0):
+        monkeypatch.setitem(
+            FITNESS,
+            "avoidance",
+            lambda driven, worth=fitness: np.full(driven.poses.shape[:2], worth),
+        )
+        found, merit = trials.judge(genes, starts, np.random.default_rng(2))
+        twice = [trials.drive(genes, starts, np.random.default_rng(s)).poses for s in (3, 4)]
+        assert (found == 5 * fitness).all()
+        assert (merit <= found).all()
+        apart = np.median(np.linalg.norm((twice[0] - twice[1])[..., :2], axis=-1), axis=(1, 2))
+        assert merit[apart.argmin()] > merit[apart.argmax()]
+    alone = TableTrials(trials.simulator, trials.task, apart=np.inf)
+    found, merit = alone.judge(genes, starts, np.random.default_rng(2))
+    assert (found == merit).all()
 
 
 def test_the_choice_is_not_the_lucky_one():
