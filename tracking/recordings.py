@@ -27,6 +27,7 @@ from neurosim.base.files import (
     LineLog,
     check_new_folder,
     integer,
+    make_folder,
     number,
     optional_number,
     read_csv,
@@ -164,7 +165,7 @@ class Recording:
         """
         path = Path(path)
         check_new_folder(path)
-        path.mkdir(parents=True, exist_ok=True)
+        make_folder(path)
         content = {
             "created": _wall_clock(),
             "complete": False,
@@ -383,5 +384,23 @@ def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
         marker = markers.get(name)
         if not isinstance(marker, dict) or not {"colour", "x", "y"} <= marker.keys():
             raise FileError(path, "expected colour, x and y", field=f"markers.{name}")
+    lamp = markers.get("lamp")
+    if lamp is not None and not (isinstance(lamp, dict) and {"x", "y"} <= lamp.keys()):
+        raise FileError(path, "expected x and y", field="markers.lamp")
+    optional = {name: markers.get(name) for name in ("height", "diameter")}
+    measures = {name: value for name, value in optional.items() if value is not None}
+    places = {"front": markers["front"], "rear": markers["rear"], "lamp": lamp or {}}
+    for name, place in places.items():
+        measures |= {f"{name}.{axis}": place.get(axis, 0.0) for axis in ("x", "y")}
+    for name, value in measures.items():
+        if not _is_length(value):
+            raise FileError(
+                path, f"expected a length in metres, found {value!r:.60}", field=f"markers.{name}"
+            )
     if markers["front"]["colour"] == markers["rear"]["colour"]:
         raise UserError(f"{path}: the two markers need different colours")
+
+
+def _is_length(value: object) -> bool:
+    # A number that JSON can hold may still be no float: 10**400.
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e3

@@ -50,7 +50,7 @@ class Checkpoint:
                 f"{self.folder} holds an interrupted {self._what}; "
                 "go on with it (--resume), or remove it yourself"
             )
-        self.folder.mkdir(parents=True, exist_ok=True)
+        files.make_folder(self.folder)
         self._state.unlink(missing_ok=True)
         content = {"settings": dict(settings), "options": dict(options or {})}
         files.write_json(self._settings, FORMAT, VERSION, content)

@@ -28,7 +28,7 @@ from neurosim.base.errors import FileError, UserError
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a path to write to beside ``path``; rename it into place when the block succeeds."""
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     # The suffix stays at the end: encoders and savers choose their format by it.
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
     try:
@@ -60,7 +60,7 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """
     path = Path(path)
     check_new_folder(path, overwrite=overwrite)
-    path.parent.mkdir(parents=True, exist_ok=True)
+    make_folder(path.parent)
     partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
     try:
         yield partial
@@ -75,6 +75,18 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
             os.replace(partial, path)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def make_folder(path: Path) -> None:
+    """Make a folder and those that it is in, where they are not there.
+
+    Raises:
+        UserError: if one of them is a file.
+    """
+    for folder in (path, *path.parents):
+        if folder.is_file():
+            raise UserError(f"{folder} is a file; name a folder, or a place in one")
+    path.mkdir(parents=True, exist_ok=True)
 
 
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
@@ -130,7 +142,7 @@ def read_json(
     path = Path(path)
     try:
         document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         raise FileError(path, f"no such file; expected a {format} file") from None
     except IsADirectoryError:
         raise FileError(path, f"is a folder; expected a {format} file") from None

@@ -111,7 +111,7 @@ class Resumable(click.Command):
         if ctx.params["resume"]:
             known = {parameter.name: parameter for parameter in self.params}
             for name, value in self._begun(ctx.params).items():
-                if name in known and not is_given(name):
+                if name in known and value is not None and not is_given(name):
                     value = tuple(value) if isinstance(value, list) else value
                     ctx.params[name] = known[name].type_cast_value(ctx, value)
                     ctx.set_parameter_source(name, ParameterSource.COMMANDLINE)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, POSITIVE, emit, json_option
+from neurosim.cli._common import PATH, POSITIVE, emit, is_given, json_option
 
 
 class _Pattern(click.ParamType):
@@ -90,6 +90,8 @@ def calibrate(
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
+    if corners is None and is_given("board"):
+        raise UserError("--board is of --corners: name the pixels of the board's corners, too")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
     if corners is None:
         side = None if marker is None else marker / 1000

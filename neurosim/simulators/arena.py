@@ -21,6 +21,8 @@ from neurosim.base.errors import FileError, UserError
 FORMAT, VERSION = "neurosim-arena", 1
 #: Ends of walls may be so far apart and still meet, m.
 _TOUCHING = 1e-3
+#: Metres and radians beyond this are a mistake.
+_LARGEST = 1000.0
 
 Wall = tuple[float, float, float, float]
 Obstacle = tuple[float, float, float]
@@ -70,13 +72,15 @@ class Arena:
     @classmethod
     def from_json(cls, path: str | Path, content: dict[str, Any]) -> Arena:
         """Return the arena that a JSON object of the file ``path`` describes, checked."""
-        rows = {
-            name: tuple(
+        rows = {}
+        for name, length in (("outline", 4), ("inner", 4), ("obstacles", 3)):
+            values = content.get(name, [])
+            if not isinstance(values, list):
+                raise FileError(path, f"expected a list, found {values!r:.60}", field=name)
+            rows[name] = tuple(
                 _numbers(path, f"{name}[{index}]", value, length)
-                for index, value in enumerate(content.get(name, []))
+                for index, value in enumerate(values)
             )
-            for name, length in (("outline", 4), ("inner", 4), ("obstacles", 3))
-        }
         start = content.get("start")
         try:
             return cls(**rows, start=None if start is None else _numbers(path, "start", start, 3))
@@ -248,7 +252,11 @@ def _wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
 def _numbers(path: str | Path, name: str, value: Any, count: int) -> tuple[float, ...]:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and math.isfinite(v) for v in value
+        isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST for v in value
     ):
-        raise FileError(path, f"expected {count} numbers, found {value!r:.60}", field=name)
+        raise FileError(
+            path,
+            f"expected {count} numbers, none beyond {_LARGEST:g}, found {value!r:.60}",
+            field=name,
+        )
     return tuple(float(number) for number in value)

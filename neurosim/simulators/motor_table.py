@@ -42,9 +42,11 @@ class MotorTable:
             raise ValueError("expected two levels or more and twists (levels, levels, 3)")
         gaps = np.diff(self.levels)
         if gaps[0] <= 0 or not np.allclose(gaps, gaps[0], rtol=1e-6):
+            uneven = int(np.argmin(np.isclose(gaps, gaps[0], rtol=1e-6)))
             raise UserError(
-                "motors must be sampled at evenly spaced speeds, not at "
-                f"{', '.join(f'{level:g}' for level in self.levels)} %"
+                f"motors must be sampled at evenly spaced speeds: {self.levels[0]:g} and "
+                f"{self.levels[1]:g} % are {gaps[0]:g} apart, {self.levels[uneven]:g} and "
+                f"{self.levels[uneven + 1]:g} % are {gaps[uneven]:g}"
             )
         holes = np.argwhere(~np.isfinite(self.twist).all(-1))
         if len(holes):
@@ -122,8 +124,11 @@ class MotorTable:
         """
         path = Path(path) / "dataset.csv" if Path(path).is_dir() else Path(path)
         table = files.read_csv(path, dict.fromkeys(_COLUMNS, files.number))
-        if not table["left"] or min(table["duration"]) <= 0:
-            raise FileError(path, "expected commands of durations above 0 s", field="duration")
+        if not table["left"]:
+            raise FileError(path, "has no rows; expected a command in each")
+        for line, duration in enumerate(table["duration"], start=2):
+            if duration <= 0:
+                raise FileError(path, "expected a duration above 0 s", line=line, field="duration")
         displacement = np.column_stack([table[name] for name in ("dx", "dy", "dtheta")])
         try:
             return cls.from_samples(

@@ -50,7 +50,6 @@ class Samples:
         lines = _lines(Path(path))
         sensors, angles, distances, first, step = _header(Path(path), lines[0])
         expected = 2 + distances * (angles + 1)
-        rows = np.empty((distances * angles, sensors))
         if len(lines) < expected:
             last = _is_whole(lines[-1], sensors)
             raise FileError(
@@ -58,6 +57,7 @@ class Samples:
                 f"is cut short: expected {expected} lines",
                 line=len(lines) + 1 if last else len(lines),
             )
+        rows = np.empty((distances * angles, sensors))
         for index in range(distances * (angles + 1)):
             number = index + 2
             distance, row = divmod(index, angles + 1)

@@ -81,6 +81,8 @@ class TableSimulator:
     def __post_init__(self) -> None:
         if self.noise not in NOISES:
             raise UserError(f"noise is one of {', '.join(NOISES)}, not {self.noise!r}")
+        if self.arena.start is not None:
+            self.arena.check_start(self.arena.start, self.radius)
         repeats = self.sensors.spread is not None or self.motors.spread is not None
         if self.noise == "samples" and not repeats:
             raise UserError(

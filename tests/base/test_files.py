@@ -42,6 +42,17 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
         pass
 
 
+def test_a_place_in_a_file_is_refused(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(UserError, match="file is a file; name a folder, or a place in one"):
+        files.write_text(tmp_path / "file" / "deeper" / "x", "x")
+    with (
+        pytest.raises(UserError, match="file is a file"),
+        files.new_folder(tmp_path / "file" / "x"),
+    ):
+        pass
+
+
 def test_json_keeps_its_content_and_says_format_and_version(tmp_path):
     path = tmp_path / "a.json"
     files.write_json(path, "thing", 2, {"x": np.float64(1.5), "y": np.arange(3)})

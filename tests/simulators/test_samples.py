@@ -77,6 +77,7 @@ def test_round_trip(values, first, step, tmp_path_factory):
         (TEXT.replace("2 4 2", "2 4 1"), "line 1: expected a header"),
         (TEXT.replace("2 4 2", "2 4 3"), "is cut short: expected 17 lines"),
         (TEXT.replace("2 4 2", "2 5 2"), "is cut short: expected 14 lines"),
+        (TEXT.replace("2 4 2", "1000 99999 99999"), "is cut short: expected 9999900002 lines"),
         (TEXT.replace("2 4 2", "2 3 2"), "line 1: expected a header"),
         (TEXT + "more\r\n", "line 13: goes on after END"),
     ],

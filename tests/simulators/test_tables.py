@@ -2,6 +2,7 @@
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -300,6 +301,16 @@ def test_motor_table_of_samples(tmp_path):
         text + "".join(",".join(map(str, row)) + "\n" for row in rows)
     )
     assert MotorTable.read_csv(tmp_path / "motors.csv").twist == pytest.approx(motors.twist)
+    for rows, message in (("", "has no rows"), ("0,0,-1,0,0,0\n", "line 2, field 'duration'")):
+        (tmp_path / "motors.csv").write_text(text + rows)
+        with pytest.raises(FileError, match=message):
+            MotorTable.read_csv(tmp_path / "motors.csv")
     (tmp_path / "motors.csv").write_text(text + "0,0,1,0,0,0\n50,50,1,0,0,0\n80,80,1,0,0,0\n")
-    with pytest.raises(FileError, match="evenly spaced speeds, not at 0, 50, 80 %"):
+    with pytest.raises(FileError, match="0 and 50 % are 50 apart, 50 and 80 % are 30"):
         MotorTable.read_csv(tmp_path / "motors.csv")
+
+
+def test_a_start_in_something_solid_is_no_start(simulator):
+    arena = replace(simulator.arena, start=(0.0, 0.0, 0.0), obstacles=((0.0, 0.0, 0.02),))
+    with pytest.raises(UserError, match="would stand in a wall or an obstacle"):
+        simulator.changed(arena=arena)

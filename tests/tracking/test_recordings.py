@@ -99,6 +99,21 @@ def test_nothing_is_recorded_over(recording, tmp_path):
         Recording(tmp_path / "other")
 
 
+@pytest.mark.parametrize(
+    ("change", "field"),
+    [
+        ({"front": {"colour": "pink", "x": "a", "y": 0}}, r"markers\.front\.x"),
+        ({"rear": {"colour": "blue", "x": 0, "y": None}}, r"markers\.rear\.y"),
+        ({"height": "high"}, r"markers\.height"),
+        ({"lamp": {"x": 1}}, r"markers\.lamp"),
+    ],
+)
+def test_measures_of_markers_are_lengths(recording, tmp_path, change, field):
+    meta = {**recording.meta, "markers": {**recording.meta["markers"], **change}}
+    with pytest.raises(FileError, match=field):
+        Recording.create(tmp_path / "other", {"markers": meta["markers"]})
+
+
 def test_markers_must_have_colours_and_places(tmp_path):
     with pytest.raises(FileError, match=r"markers\.rear"):
         Recording.create(tmp_path / "r", {"markers": {"front": {"colour": "pink", "x": 0, "y": 0}}})
