@@ -18,7 +18,9 @@ from neurosim.cli._common import PATH, is_given, seed_option
 
 @click.command()
 @click.argument("out", type=PATH, default=Path("demo"))
-@click.option("--commands", type=int, default=400, show_default=True, help="To record.")
+@click.option(
+    "--commands", type=click.IntRange(min=30), default=400, show_default=True, help="To record."
+)
 @seed_option
 @click.pass_context
 def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
@@ -79,9 +81,9 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
     """Return what a demo was begun with; write it down where it begins."""
     path, now = out / "demo.json", {"commands": commands, "seed": seed}
     if not path.exists():
-        if (out / "recording").exists():
+        if out.exists() and any(out.iterdir()):
             raise UserError(
-                f"{out} holds a recording, but not what a demo was begun with; name a new folder"
+                f"{out} is not empty, and not what a demo was begun with; name a new folder"
             )
         write_json(path, "neurosim-demo", 1, now)
         return commands, seed

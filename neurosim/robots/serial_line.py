@@ -6,6 +6,7 @@ A line ends in CR, LF or both.
 from __future__ import annotations
 
 import errno
+import re
 import time
 from contextlib import suppress
 
@@ -178,7 +179,6 @@ def _reason(error: Exception) -> str:
     code = getattr(error, "errno", None)
     if code is None:
         code = next((code for words, code in _WORDS.items() if words in str(error)), None)
-        if code is None and "[Errno " in str(error):
-            number = str(error).partition("[Errno ")[2].partition("]")[0]
-            code = int(number) if number.isdigit() else None
+        if code is None and (number := re.search(r"\[Errno (\d+)\]|\((\d+), '", str(error))):
+            code = int(number[1] or number[2])
     return _WHY.get(code) or " ".join(str(error).split()) or type(error).__name__

@@ -138,6 +138,7 @@ def test_a_real_robots_option_without_a_real_robot(refused):
     [
         ("--robot khepera", "give --port"),
         ("--robot khepera --port /dev/no-such-port", "there is no such port"),
+        pytest.param("--robot khepera --port /dev/null", "it is not a serial port", marks=posix),
         ("--robot khepera --port socket://127.0.0.1:1", "nothing listens there"),
         ("--robot khepera --port x --lamp A", "--lamp is for --robot nxt"),
         ("--robot khepera --port x --host 00", "--host is for --robot nxt"),
@@ -454,6 +455,9 @@ def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):
     write_json(tmp_path / "d" / "demo.json", "neurosim-demo", 1, {"commands": 400, "seed": 0})
     assert "was begun with --commands 400, not 30" in refused("demo", "d", "--commands", 30)
     assert "was begun with --seed 0, not 1" in refused("demo", "d", "--seed", 1)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "precious").touch()
+    assert "mine is not empty" in refused("demo", "mine")
     (tmp_path / "e" / "recording").mkdir(parents=True)
     assert "not what a demo was begun with" in refused("demo", "e")
 
