@@ -447,6 +447,7 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
     assert "points" in said
     said = refused("calibrate", "photographs", "--point", "1,2,3")
     assert "'1,2,3'" in said
+    assert "--board is of --corners" in refused("calibrate", "photographs", "--board", "0x1")
 
 
 def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):
