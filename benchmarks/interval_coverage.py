@@ -9,8 +9,9 @@ Two things are measured:
 
 - single commands, driven one after another until the robot comes to the edge: the share of each
   output within the simulator's central 50, 80 and 95 % intervals, of all and of those that tell
-  the robot to move. One is left out where its predicted mean ends beyond the board's edge, on a
-  floor that the simulator has learned nothing of (a recorder cuts it short at the line);
+  the robot to move, of these again of those straight ahead or back, and of those from rest. One
+  is left out where its predicted mean ends beyond the board's edge, on a floor that the simulator
+  has learned nothing of (a recorder cuts it short at the line);
 - sequences of ten commands from rest: the share of final positions within the 50, 80 and 95 %
   regions (ellipses about the mean of the simulated positions, in the shape of their covariance).
   A sequence is left out where its predicted mean path comes close to the board's edge.
@@ -193,8 +194,17 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
     drawn = draw_displacements(simulator, torch.tensor(inputs), options.draws, generator)
     ranks = central(drawn.numpy(), actual)
     moving = inputs[:, 2:4].any(1)
-    table = {name: shares(ranks[:, place]) for place, name in enumerate(OUTPUTS)}
-    table |= {f"{name}, moving": shares(ranks[moving, n]) for n, name in enumerate(OUTPUTS)}
+    some = {
+        "": np.ones(len(inputs), bool),
+        ", moving": moving,
+        ", straight": moving & (inputs[:, 2] == inputs[:, 3]),
+        ", from rest": moving & ~inputs[:, :2].any(1),
+    }
+    table = {
+        name + words: shares(ranks[rows, place])
+        for words, rows in some.items()
+        for place, name in enumerate(OUTPUTS)
+    }
 
     names = ("prev_left", "prev_right", "left", "right", "duration")
     columns = np.array([simulator.input_names.index(name) for name in names])
