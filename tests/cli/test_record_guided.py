@@ -59,7 +59,7 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(road,
         stderr=subprocess.PIPE,
         text=True,
     )
-    wait_for(tmp_path / "r" / "round-02" / "commands.csv", "command", 5)
+    wait_for(child, tmp_path / "r" / "round-02" / "commands.csv", "command", 5)
     child.send_signal(signal.SIGKILL)
     _, said = child.communicate()
     assert "round 2 of 2: learning from" in said
