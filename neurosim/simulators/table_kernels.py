@@ -237,6 +237,26 @@ def _advance(t, phase, speeds, left, right, out):
     speeds[0], speeds[1] = left + phase[3] * left_off, right + phase[4] * right_off
 
 
+@njit(cache=True, inline="always", error_model="numpy")
+def _moved(t, x, y, theta, first, second, noise):
+    """Return where two motions in a row, their logs and the noise's [3], lead from a pose."""
+    # As one motion (Baker, Campbell and Hausdorff, second order).
+    ahead = 0.5 * (second[2] * first[1] - first[2] * second[1])
+    side = 0.5 * (first[2] * second[0] - second[2] * first[0])
+    forward = second[0] + first[0] + ahead + noise[0]
+    leftward = second[1] + first[1] + side + noise[1]
+    turn = second[2] + first[2] + noise[2]
+    half = 0.5 * turn
+    chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
+    cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
+    to_x, to_y, fits = _push_out(
+        t, x + cos * forward - sin * leftward, y + sin * forward + cos * leftward
+    )
+    if fits:
+        x, y = to_x, to_y
+    return x, y, theta + turn
+
+
 @njit(cache=True, inline="always")
 def _random(state):
     """Return 64 random bits of a state, a counter times an odd number (SplitMix64)."""
@@ -342,20 +362,6 @@ def drive_networks(t, genes, starts, seeds, duration, substeps, poses, readings,
                 else:
                     before[:] = 0.0
                 _advance(t, timing[part, 1], speeds, left, right, twist)
-                # Two motions in a row as one (Baker, Campbell and Hausdorff, second order).
-                ahead = 0.5 * (twist[2] * before[1] - before[2] * twist[1])
-                side = 0.5 * (before[2] * twist[0] - twist[2] * before[0])
-                forward = twist[0] + before[0] + ahead + noise[0]
-                leftward = twist[1] + before[1] + side + noise[1]
-                turn = twist[2] + before[2] + noise[2]
-                half = 0.5 * turn
-                chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
-                cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
-                to_x = x + cos * forward - sin * leftward
-                to_y = y + sin * forward + cos * leftward
-                theta += turn
-                to_x, to_y, fits = _push_out(t, to_x, to_y)
-                if fits:
-                    x, y = to_x, to_y
+                x, y, theta = _moved(t, x, y, theta, before, twist, noise)
             left_goal, right_goal = left, right
         poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta

@@ -15,7 +15,7 @@ from neurosim.simulators.table_kernels import (
     SAMPLES_NOISE,
     UNIFORM_NOISE,
     _advance,
-    _push_out,
+    _moved,
     _rounded,
     _twist,
     phases,
@@ -42,21 +42,7 @@ def _drive(t, pose, speeds, goals, command, parts, z, kept):
     for part in range(parts):
         _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
         _advance(t, timing[part, 1], speeds, left, right, twist)
-        # Two motions in a row as one (Baker, Campbell and Hausdorff, second order).
-        ahead = 0.5 * (twist[2] * before[1] - before[2] * twist[1])
-        side = 0.5 * (before[2] * twist[0] - twist[2] * before[0])
-        forward = twist[0] + before[0] + ahead + noise[0]
-        leftward = twist[1] + before[1] + side + noise[1]
-        turn = twist[2] + before[2] + noise[2]
-        half = 0.5 * turn
-        chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
-        cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
-        to_x, to_y, fits = _push_out(
-            t, x + cos * forward - sin * leftward, y + sin * forward + cos * leftward
-        )
-        theta += turn
-        if fits:
-            x, y = to_x, to_y
+        x, y, theta = _moved(t, x, y, theta, before, twist, noise)
     pose[0], pose[1], pose[2] = x, y, theta
     goals[0], goals[1] = left, right
 
