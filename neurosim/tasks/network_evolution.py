@@ -87,7 +87,7 @@ class TableTrials:
         self.simulator = simulator
         self.task = task
         self.apart = apart
-        self._rooms: dict[int, dict[str, NDArray]] = {}
+        self._rooms: tuple[dict[str, NDArray], ...] = ({}, {})
 
     def __call__(
         self, genes: NDArray[np.float64], rng: np.random.Generator
@@ -106,10 +106,11 @@ class TableTrials:
         noises = [_seeds(starts, rng) for _ in range(2)]
         fitness, apart = np.empty((2, len(genes))), np.empty(len(genes))
         for part in _parts(len(genes)):
-            driven = []
-            for time, seeds in enumerate(noises):
-                driven.append(self._driven(genes[part], starts, seeds, self._room(time)))
-                fitness[time, part] = self.task.evaluate(driven[time])
+            driven = [
+                self._driven(genes[part], starts, seeds, room)
+                for seeds, room in zip(noises, self._rooms, strict=True)
+            ]
+            fitness[:, part] = [self.task.evaluate(one) for one in driven]
             between = driven[0].poses[..., :2] - driven[1].poses[..., :2]
             apart[part] = np.median(np.linalg.norm(between, axis=-1), axis=(1, 2))
         mean = fitness.mean(axis=0)
@@ -124,7 +125,7 @@ class TableTrials:
         """Return the fitness [P] of networks [P, 18], each driven once from starts [R, 3]."""
         found, seeds = np.empty(len(genes)), None if rng is None else _seeds(starts, rng)
         for part in _parts(len(genes)):
-            driven = self._driven(genes[part], starts, seeds, self._room(0))
+            driven = self._driven(genes[part], starts, seeds, self._rooms[0])
             found[part] = self.task.evaluate(driven)
         return found
 
@@ -146,9 +147,6 @@ class TableTrials:
         """
         seeds = None if rng is None else _seeds(starts, rng)
         return self._driven(genes, starts, seeds, {}, steps)
-
-    def _room(self, number: int) -> dict[str, NDArray]:
-        return self._rooms.setdefault(number, {})
 
     def _driven(
         self,
