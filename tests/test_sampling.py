@@ -224,6 +224,17 @@ def test_what_wheels_slip_in_a_turn_is_seen(tmp_path):
     assert np.abs(wall[:10] - truth[:10]).max() < 0.025
 
 
+def test_samples_are_readings_beside_a_steep_edge(tmp_path):
+    """A straight line through readings there passes the end of their range."""
+    settings = SampleSettings(angles=180, distances=2, first=0.005, step=0.01)
+    turns = _Plain.turns({"wall": 0.0, "cylinder": 0.01}, 0.0, settings)
+    for rows in turns.values():
+        rows[:, 4:] = rows[:, 4:] > 0.3
+    for path in write_samples(tmp_path, settings, turns, _Plain(), _Plain.full, (1.0, 1.0)):
+        found = Samples.read(path).activations
+        assert (found.min(), found.max()) == (0, 1)
+
+
 def test_wall_and_obstacle_agree_in_where_sensors_look(tmp_path):
     settings = SampleSettings(angles=90, distances=2)
     facing = {"wall": 0.03, "cylinder": -0.01}

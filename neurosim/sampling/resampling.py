@@ -221,7 +221,8 @@ class _Seen:
             order = np.argsort(found[:, a, 0])
             for s in range(samples.shape[2]):
                 samples[:, a, s] = np.interp(self._away, found[order, a, 0], found[order, a, 1 + s])
-        return samples
+        # A straight line through readings at the end of their range may leave it.
+        return samples.clip(0.0, 1.0)
 
 
 def _places(

@@ -71,8 +71,14 @@ class Samples:
         return cls(rows.reshape(distances, angles, sensors), first / 1000, step / 1000)
 
     def write(self, path: str | Path) -> None:
-        """Write a file, whole or not at all; activations to six decimals, or as many as needed."""
+        """Write a file, whole or not at all; activations to six decimals, or as many as needed.
+
+        Raises:
+            ValueError: if an activation is not in 0 to 1, so that no reader would take the file.
+        """
         distances, angles, sensors = self.activations.shape
+        if not ((self.activations >= 0) & (self.activations <= 1)).all():
+            raise ValueError("expected activations in 0 to 1")
         first, step = (_plain(1000 * value) for value in (self.first_distance, self.distance_step))
         lines = [f"{sensors} {angles} {distances} {first} {step} "]
         for distance, turn in enumerate(self.activations):

@@ -43,6 +43,15 @@ def test_order_of_sensors_and_sense_of_rotation(name, shared_data):
     assert bearing[6] < 0 < bearing[7]  # 6 behind to the right, 7 to the left
 
 
+@pytest.mark.parametrize("value", [-1e-9, 1.0000000000000002, np.nan])
+def test_what_could_not_be_read_is_not_written(value, tmp_path):
+    values = np.full((2, 4, 3), 0.5)
+    values[1, 2, 0] = value
+    with pytest.raises(ValueError, match="0 to 1"):
+        Samples(values, 0.005, 0.002).write(tmp_path / "a.sample")
+    assert not list(tmp_path.iterdir())
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     values=arrays(float, (2, 4, 3), elements=st.floats(0, 1)),
