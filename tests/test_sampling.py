@@ -15,7 +15,7 @@ from neurosim.cli.main import cli
 from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
 from neurosim.lab import khepera_physics as physics
 from neurosim.lab.khepera_params import WHEEL_BASE
-from neurosim.robots.khepera_dialects import dialect_named
+from neurosim.robots.khepera_dialects import DIALECTS, dialect_named
 from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
 from neurosim.sampling.resampling import write_samples
 from neurosim.sampling.turns import PIVOTS
@@ -293,6 +293,23 @@ def test_refusals(tmp_path, words, message):
     with pytest.raises(UserError, match=message):
         CliRunner().invoke(cli, ["sample", str(out), *words], catch_exceptions=False)
     assert not out.exists()
+
+
+def test_speeds_to_drive():
+    assert SampleSettings().levels(10).tolist() == list(range(-10, 11))
+    for dialect in DIALECTS.values():
+        full = dialect.full_speed
+        assert SampleSettings(grid=5).levels(full).tolist() == [
+            -full,
+            -full // 2,
+            0,
+            full // 2,
+            full,
+        ]
+    with pytest.raises(UserError, match=r"2,001 speeds would be 4,004,001 settings.*choose a grid"):
+        SampleSettings().levels(1000)
+    with pytest.raises(UserError, match=r"use 2, 3, 4, 5, 6, 7, 9, 10, 11, 13, 16, 17 \.\.\.$"):
+        SampleSettings(grid=8).levels(14_400)
 
 
 def test_resume_takes_the_options_it_was_begun_with(tmp_path, monkeypatch):

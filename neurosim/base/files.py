@@ -26,8 +26,14 @@ from neurosim.base.errors import FileError, UserError
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Give a path to write to beside ``path``; rename it into place when the block succeeds."""
+    """Give a path to write to beside ``path``; rename it into place when the block succeeds.
+
+    Raises:
+        UserError: if something stands at ``path`` that is neither file nor folder, such as a
+            device, which renaming would replace; or its folder cannot be one.
+    """
     path = Path(path)
+    _refuse_device(path, "a file")
     make_folder(path.parent)
     # The suffix stays at the end: encoders and savers choose their format by it.
     partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
@@ -37,6 +43,11 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
         os.replace(partial, path)
     finally:
         partial.unlink(missing_ok=True)
+
+
+def _refuse_device(path: Path, wanted: str) -> None:
+    if path.exists() and not (path.is_file() or path.is_dir()):
+        raise UserError(f"{path} is a device; name {wanted} to write")
 
 
 def _umask() -> int:
@@ -93,9 +104,10 @@ def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     """Refuse an output folder that would overwrite something.
 
     Raises:
-        UserError: if ``path`` is a file, or a folder with something in it.
+        UserError: if ``path`` is a file, a device, or a folder with something in it.
     """
     path = Path(path)
+    _refuse_device(path, "a folder")
     if path.is_file():
         raise UserError(f"{path} is a file; name a folder that does not exist yet")
     if path.is_dir() and any(path.iterdir()) and not overwrite:
@@ -351,11 +363,11 @@ def sha256(path: str | Path) -> str:
 
 def write_tensors(path: str | Path, tensors: Mapping[str, Any]) -> None:
     """Write NumPy arrays (or CPU tensors) as safetensors, whole or not at all."""
-    from safetensors.numpy import save_file
+    from safetensors.numpy import save
 
-    arrays = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+    data = save({name: np.ascontiguousarray(value) for name, value in tensors.items()})
     with atomic_path(path) as partial:
-        save_file(arrays, str(partial))
+        partial.write_bytes(data)
 
 
 def read_tensors(

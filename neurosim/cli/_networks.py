@@ -94,7 +94,7 @@ def evolve_network(
         as_json,
         f"{out}: fitness {made.predicted['fitness']:.0f} in {steps} steps of "
         f"{made.task['settings']['duration']:g} s (from trial to trial +- "
-        f"{made.predicted['spread']:.0f}); the population's mean rose from "
+        f"{made.predicted['spread']:.0f}); the population's mean went from "
         f"{history['mean'][0]:.0f} to {history['mean'][-1]:.0f}.\n"
         + next_step("view", arena or simulator, "--controller", out, "-o", "path.png"),
     )

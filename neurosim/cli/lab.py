@@ -8,12 +8,14 @@ from typing import Any
 
 import click
 
+from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     NUMBER,
     PATH,
     POSITIVE,
     Size,
     emit,
+    is_given,
     json_option,
     next_step,
     seed_option,
@@ -46,6 +48,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
     from neurosim.lab import VirtualRig
     from neurosim.lab.world import Pacer
 
+    _check_port(by_socket)
     with VirtualRig(
         seed, camera=False, device="socket" if by_socket else None, port=port, real_time=True
     ) as rig:
@@ -96,6 +99,7 @@ def khepera(
     from neurosim.lab.world import Pacer
     from neurosim.simulators.arena import Arena, paper_arena
 
+    _check_port(by_socket)
     arena = paper_arena() if arena_path is None else Arena.read(arena_path)
     if start is not None:
         pose = (start[0] / 100, start[1] / 100, math.radians(start[2]))
@@ -122,6 +126,11 @@ def khepera(
                 "Ctrl-C ends it.",
             )
             _stay(rig, seconds)
+
+
+def _check_port(by_socket: bool) -> None:
+    if is_given("port") and not by_socket:
+        raise UserError("--port is of the socket: add --socket")
 
 
 def _stay(rig: Any, seconds: float | None) -> None:

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, POSITIVE, emit, json_option, next_step
+from neurosim.base.errors import UserError
+from neurosim.cli._common import PATH, NumberIn, emit, is_given, json_option, next_step
 
 noise_option = click.option(
     "--noise",
@@ -29,14 +30,14 @@ arena_option = click.option(
 )
 @click.option(
     "--wheel-base",
-    type=POSITIVE,
+    type=NumberIn(1, 10_000),
     default=53.0,
     show_default=True,
     help="Of the ideal robot, between wheels, mm.",
 )
 @click.option(
     "--full-speed",
-    type=POSITIVE,
+    type=NumberIn(1, 10_000),
     default=100.0,
     show_default=True,
     help="Of the ideal robot's wheels, mm/s.",
@@ -44,9 +45,7 @@ arena_option = click.option(
 @click.option(
     "--units",
     type=click.IntRange(1, 1000),
-    default=10,
-    show_default=True,
-    help="Whole speeds that the robot can be set to, up to full speed.",
+    help="Whole speeds that the robot can be set to, up to full speed.  [as sampled, or 10]",
 )
 @arena_option
 @noise_option
@@ -57,7 +56,7 @@ def tables(
     motors: Path | None,
     wheel_base: float,
     full_speed: float,
-    units: int,
+    units: int | None,
     arena_path: Path | None,
     noise: str | None,
     as_json: bool,
@@ -69,27 +68,34 @@ def tables(
     the sampling.json beside the motor samples.
     """
     from neurosim.base.files import new_folder
-    from neurosim.sampling import sampled_baud, sampled_reaction
+    from neurosim.sampling import sampled_baud, sampled_body, sampled_reaction
     from neurosim.simulators.arena import Arena, paper_arena
     from neurosim.simulators.motor_table import MotorTable
     from neurosim.simulators.sensor_table import SensorTable
     from neurosim.simulators.sources import sources
-    from neurosim.simulators.tables import TableSimulator
+    from neurosim.simulators.tables import RADIUS, TableSimulator
 
+    for name, option in (("wheel_base", "--wheel-base"), ("full_speed", "--full-speed")):
+        if motors is not None and is_given(name):
+            raise UserError(f"{option} is of an ideal robot: leave it out, or --motors")
+    sampling = (motors or samples[0]).parent
+    reaction, baud = sampled_reaction(sampling), sampled_baud(sampling)
+    sampled_units, radius = sampled_body(sampling)
+    # An ideal robot has a row and a column of settings for each: only so many that are asked for.
+    units = units or (10 if motors is None else sampled_units) or 10
     table = SensorTable.from_files(samples)
     motor_table = (
         MotorTable.ideal(wheel_base / 1000, full_speed / 1000, units=units)
         if motors is None
         else MotorTable.read_csv(motors, resolution=100.0 / units)
     )
-    sampling = (motors or samples[0]).parent
-    reaction, baud = sampled_reaction(sampling), sampled_baud(sampling)
     used = [*samples, *([] if motors is None else [motors])]
     simulator = TableSimulator(
         table,
         motor_table,
         paper_arena() if arena_path is None else Arena.read(arena_path),
         noise=noise or "uniform",
+        radius=RADIUS if radius is None else radius,
         reaction=reaction,
         meta={**sources(used), **({} if baud is None else {"baud": baud})},
     )

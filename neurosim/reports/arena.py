@@ -13,6 +13,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Polygon, Wedge
+from matplotlib.patheffects import withStroke
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
@@ -23,7 +24,7 @@ from neurosim.simulators import TableSimulator, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.tables import RADIUS
 from neurosim.tasks.network_evolution import TableTrials
-from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory, avoidance
+from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance, Trajectory
 
 #: Where a Khepera's sensors look, degrees to the left.
 SENSOR_BEARINGS = (90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0)
@@ -56,7 +57,8 @@ def draw_arena(
 
     Returns:
         ``pose`` (m, m, rad) at the end, and where there is a simulator ``readings``, where
-        something drives ``path`` and, of a network, ``fitness`` and ``steps``.
+        something drives ``path`` and, of a network, ``steps`` and its task's ``fitness``, where
+        that is known here.
 
     Raises:
         UserError: if a file is not what it should be, the robot does not fit where it is to
@@ -78,11 +80,13 @@ def draw_arena(
     start = _start(shown, pose, radius, rng)
     path, result = np.array([start]), {}
     if controller is not None:
-        trajectory = _drive(found, controller, start, seconds, rng if noise else None)
+        trajectory, named = _drive(found, controller, start, seconds, rng if noise else None)
         path = trajectory.poses
         result["path"] = path
         if len(trajectory.readings):
-            result |= {"fitness": float(avoidance(trajectory)), "steps": len(trajectory.readings)}
+            result["steps"] = len(trajectory.readings)
+            if named in FITNESS:
+                result["fitness"] = float(FITNESS[named](trajectory))
     result["pose"] = path[-1]
     if found is not None:
         generator = torch.Generator().manual_seed(seed) if noise else None
@@ -139,8 +143,11 @@ def _path(axes: Axes, path: NDArray[np.float64]) -> None:
     x, y = 100 * path[:, 0], 100 * path[:, 1]
     axes.plot(x, y, color=INK["predicted"], lw=1.4, solid_joinstyle="round", zorder=2)
     axes.plot(x[0], y[0], "o", ms=6, mfc=INK["paper"], mec=INK["predicted"], mew=1.4, zorder=3)
-    axes.annotate("start", (x[0], y[0]), (6, 6), textcoords="offset points", fontsize=8,
-                  color=INK["predicted"])  # fmt: skip
+    axes.annotate(
+        "start", (x[0], y[0]), (6, 6), textcoords="offset points", fontsize=8,
+        color=INK["predicted"], path_effects=[withStroke(linewidth=3, foreground=INK["board"])],
+        zorder=3,
+    )  # fmt: skip
 
 
 def _robot(axes: Axes, pose: NDArray, readings: NDArray | None, radius: float) -> None:
@@ -171,7 +178,10 @@ def _bars(axes: Axes, readings: NDArray) -> None:
             f"{reading:.2f}", (place, reading), (0, 2), textcoords="offset points", ha="center",
             fontsize=7.5, color=INK["ink"],
         )  # fmt: skip
-    names = [f"{index}\n{bearing:+.0f}°" for index, bearing in enumerate(SENSOR_BEARINGS)]
+    names = [
+        f"{index}\n{bearing:+.0f}°".replace("-", "\N{MINUS SIGN}")
+        for index, bearing in enumerate(SENSOR_BEARINGS)
+    ]
     axes.set_xticks(places, names)
     axes.set_ylim(0, 1.25)
     axes.set_yticks([0, 0.5, 1])
@@ -216,18 +226,21 @@ def _drive(
     start: NDArray[np.float64],
     seconds: float,
     rng: np.random.Generator | None,
-) -> Trajectory:
-    """Return what one robot did, [T, ...]; of a plan the poses alone, ten a second."""
+) -> tuple[Trajectory, str]:
+    """Return what one robot did, [T, ...], and the name of its task's fitness.
+
+    Of a plan the poses alone, ten a second.
+    """
     controller = read_controller(folder)
     if isinstance(controller, Plan):
-        return Trajectory(
-            np.empty((0, 8)), np.empty((0, 2)), _plan_path(simulator, controller, start)
-        )
+        path = _plan_path(simulator, controller, start)
+        return Trajectory(np.empty((0, 8)), np.empty((0, 2)), path), ""
     settings = controller.task.get("settings", {})
     task = ObstacleAvoidance(duration=settings.get("duration", 0.1))
     steps = max(round(seconds / task.duration), 1)
     found = TableTrials(simulator, task).drive(controller.genes[None], start[None], rng, steps)
-    return Trajectory(found.readings[0, 0], found.commands[0, 0], found.poses[0, 0])
+    driven = Trajectory(found.readings[0, 0], found.commands[0, 0], found.poses[0, 0])
+    return driven, settings.get("fitness", task.fitness)
 
 
 def _plan_path(simulator: TableSimulator, plan: Plan, start: NDArray) -> NDArray[np.float64]:

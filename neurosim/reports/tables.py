@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError, UserError
@@ -66,8 +67,8 @@ def networks(artefacts: Artefacts) -> Section | None:
 def verdict(artefacts: Artefacts) -> str:
     """Say what came of the networks, in a sentence or two."""
     fitness = [one.meta["predicted"]["fitness"] for one in artefacts.networks]
-    steps = {one.meta["task"].get("settings", {}).get("steps") for one in artefacts.networks}
-    of = f" of at most {steps.pop()}" if len(steps) == 1 and None not in steps else ""
+    most = {_most(one) for one in artefacts.networks}
+    of = f" of at most {most.pop()}" if len(most) == 1 and None not in most else ""
     text = f"The network reaches a fitness of {np.mean(fitness):.0f}{of} in the simulator."
     if len(fitness) > 1:
         text = (
@@ -142,6 +143,12 @@ def change_at_transfer(network: Artefact) -> float | None:
     return float(best[transfer] / best[transfer - 1] - 1.0)
 
 
+def _most(network: Artefact) -> int | None:
+    """Return the highest fitness there is: a step of equation (1) is worth at most 1."""
+    settings = network.meta["task"].get("settings", {})
+    return settings.get("steps") if settings.get("fitness", "avoidance") == "avoidance" else None
+
+
 def _before_and_after(network: Artefact) -> str:
     lines = history(network)
     if lines["transfer"] is None:
@@ -158,7 +165,10 @@ def _evolution(found: Sequence[Artefact]) -> Picture:
             number = np.arange(1, table.shape[1] + 1)
             for row in table if len(table) > 1 else ():
                 axes.plot(number, row, color=INK[ink], lw=0.6, alpha=0.3)
-            axes.plot(number, np.nanmean(table, axis=0), color=INK[ink], lw=1.8, label=label)
+            axes.plot(
+                number, np.nanmean(table, axis=0), color=INK[ink], lw=1.8, label=label,
+                marker="o" if len(number) == 1 else None,
+            )  # fmt: skip
         for place, transfer in enumerate(transfers):
             axes.axvline(
                 transfer + 0.5, color=INK["actual"], ls="--", lw=1.2,
@@ -167,7 +177,8 @@ def _evolution(found: Sequence[Artefact]) -> Picture:
         axes.set_xlabel("generation")
         axes.set_ylabel("fitness")
         axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
-        axes.legend(loc="lower center")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0)
         label = "Fitness of the population's best and its mean over generations"
         svg = to_svg(figure, label, "n")
     runs = "" if len(found) == 1 else f", average of {len(found)} runs (each one thin)"
@@ -198,7 +209,8 @@ def _trajectories(network: Artefact, prefix: str, which: int, drive: dict[str, N
         svg = to_svg(figure, label, prefix)
     return Picture(
         svg,
-        f"{label}, start {which + 1} (Figure 4): {100 * _apart(drive):.1f} cm apart, median.",
+        f"{label}, start {which + 1} (Figure 4), the circle: {100 * _apart(drive):.1f} cm apart, "
+        "median.",
     )
 
 
@@ -271,7 +283,7 @@ def _motors(name: str, simulator: TableSimulator) -> Table:
         (first, last, "turning left"), (last, first, "turning right"),
     ):  # fmt: skip
         x, y, turn = motors.twist[left, right]
-        cells = [f"{1000 * x:.1f}", f"{1000 * y:.1f}", f"{np.degrees(turn):.1f}"]
+        cells = [f"{value:z.1f}" for value in (1000 * x, 1000 * y, np.degrees(turn))]
         if motors.spread is not None:
             cells[0] += f" +- {1000 * motors.spread[left, right, 0]:.1f}"
             cells[2] += f" +- {np.degrees(motors.spread[left, right, 2]):.1f}"

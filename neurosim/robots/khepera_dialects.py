@@ -118,7 +118,7 @@ KHEPERA3 = Dialect(
     scan=0.0,
     pulses_per_metre=1000 / 0.047,
     speed_unit=0.001 / 144.01,
-    full_speed=14_401,
+    full_speed=14_400,  # 10 cm/s, in steps that a grid of speeds divides
     max_speed=43_000,
     geometry=Geometry(radius=0.065, wheel_base=0.0884),
 )

@@ -24,6 +24,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
 from neurosim.robots import Khepera
+from neurosim.robots.khepera_dialects import DIALECTS
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
@@ -41,6 +42,7 @@ __all__ = [
     "read_turns",
     "sample",
     "sampled_baud",
+    "sampled_body",
     "sampled_reaction",
 ]
 
@@ -173,6 +175,27 @@ def sampled_baud(folder: str | Path) -> int | None:
     if baud is not None and (isinstance(baud, bool) or not isinstance(baud, int) or baud <= 0):
         raise FileError(path, f"expected a baud rate, found {baud!r:.60}", field="robot.baud")
     return baud
+
+
+def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
+    """Return full speed in whole speeds of the robot that sampled itself, and its radius (m).
+
+    None each where it is not known.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return None, None
+    robot = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"]
+    full = robot.get("full_speed")
+    if full is not None and (isinstance(full, bool) or not isinstance(full, int) or full < 1):
+        raise FileError(
+            path, f"expected whole speeds, found {full!r:.60}", field="robot.full_speed"
+        )
+    dialect = DIALECTS.get(str(robot.get("dialect")))
+    return full, None if dialect is None else dialect.geometry.radius
 
 
 def _once(place: Place, where: str) -> Callable[[], None]:

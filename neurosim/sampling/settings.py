@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 
+#: A robot with more whole speeds of a motor than this drives a grid of them.
+MOST_SPEEDS = 101
+
 
 @dataclass(frozen=True)
 class SampleSettings:
@@ -47,13 +50,20 @@ class SampleSettings:
         """Return the speeds to drive, in the robot's units.
 
         Raises:
-            UserError: if a grid's speeds are not whole.
+            UserError: if a grid's speeds are not whole, or there is no grid and the robot has too
+                many speeds to drive them all.
         """
         count = self.grid or 2 * full_speed + 1
+        if not self.grid and count > MOST_SPEEDS:
+            raise UserError(
+                f"every pair of the robot's {count:,} speeds would be {count**2:,} settings to "
+                "drive: choose a grid of them (--grid)"
+            )
         if count < 2 or (2 * full_speed) % (count - 1):
             good = [n + 1 for n in range(1, 2 * full_speed + 1) if 2 * full_speed % n == 0]
+            more = " ..." if len(good) > 12 else ""
             raise UserError(
                 f"a grid of {count} does not fall on the robot's {2 * full_speed + 1} whole "
-                f"speeds; use {', '.join(map(str, good))}"
+                f"speeds; use {', '.join(map(str, good[:12]))}{more}"
             )
         return np.arange(-full_speed, full_speed + 1, 2 * full_speed // (count - 1))

@@ -41,7 +41,8 @@ class NetworkSettings:
     Attributes:
         generations: to evolve.
         population: networks.
-        parents: the best, which alone have children, each as many as the others.
+        parents: the best, which alone have children, each as many as the others; a fifth of the
+            population by default, as in the paper.
         crossover: chance that two children are crossed.
         eta: distribution index of the crossover.
         mutation: chance of each weight of a child to be changed.
@@ -51,7 +52,7 @@ class NetworkSettings:
 
     generations: int = 200
     population: int = 100
-    parents: int = 20
+    parents: int = 0
     crossover: float = 0.5
     eta: float = 2.0
     mutation: float = 0.15
@@ -59,6 +60,8 @@ class NetworkSettings:
     first_scale: float = 1.0
 
     def __post_init__(self) -> None:
+        if not self.parents:
+            object.__setattr__(self, "parents", max(self.population // 5, 1))
         if not 1 <= self.parents <= self.population or self.population < 2:
             raise UserError(f"a population of {self.population} cannot have {self.parents} parents")
 

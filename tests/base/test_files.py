@@ -53,6 +53,35 @@ def test_a_place_in_a_file_is_refused(tmp_path):
         pass
 
 
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+def test_a_device_is_never_replaced(tmp_path):
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    with pytest.raises(UserError, match="pipe is a device; name a file to write"):
+        files.write_text(pipe, "x")
+    with pytest.raises(UserError, match="pipe is a device; name a folder"), files.new_folder(pipe):
+        pass
+    assert pipe.is_fifo()
+    assert list(tmp_path.iterdir()) == [pipe]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system limits no file's size")
+@pytest.mark.parametrize("write", [files.write_tensors, files.write_csv])
+def test_a_disk_that_takes_no_more_is_an_error_of_the_system(tmp_path, write):
+    import resource
+
+    columns, limits = {"w": np.ones(10_000)}, resource.getrlimit(resource.RLIMIT_FSIZE)
+    ignored = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
+    try:
+        with pytest.raises(OSError, match="too large"):
+            write(tmp_path / "w", columns)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, ignored)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_json_keeps_its_content_and_says_format_and_version(tmp_path):
     path = tmp_path / "a.json"
     files.write_json(path, "thing", 2, {"x": np.float64(1.5), "y": np.arange(3)})

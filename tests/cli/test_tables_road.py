@@ -18,6 +18,7 @@ from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.arena import Arena
 from neurosim.simulators.samples import Samples
+from neurosim.tasks.network_evolution import NetworkSettings
 from neurosim.tasks.robot_trials import RobotTrials
 
 
@@ -163,6 +164,43 @@ def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
     assert read_controller(tmp_path / "net").evolution["robot"]["baud"] == 38400
 
 
+def test_speeds_and_radius_are_those_of_the_robot_that_sampled_itself(folder, tmp_path):
+    for name in ("wall", "cylinder"):
+        shutil.copy(folder / f"{name}.sample", tmp_path)
+    with open(tmp_path / "motors.csv", "w") as file:
+        print("left,right,duration,dx,dy,dtheta", file=file)
+        for left in (-100, 100):
+            for right in (-100, 100):
+                print(left, right, 1, (left + right) / 2000, 0, 0, sep=",", file=file)
+    robot = {"robot": "khepera", "dialect": "epuck", "full_speed": 1000}
+    write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": robot})
+    samples = [tmp_path / "wall.sample", tmp_path / "cylinder.sample"]
+    for name, words, resolution in (
+        ("driven", ["--motors", tmp_path / "motors.csv"], 0.1),
+        ("said", ["--motors", tmp_path / "motors.csv", "--units", 20], 5.0),
+        ("ideal", [], 10.0),
+    ):
+        call("tables", *samples, *words, "-o", tmp_path / name)
+        simulator = read_simulator(tmp_path / name)
+        assert simulator.motors.resolution == pytest.approx(resolution)
+        assert simulator.radius == 0.035
+    write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": {"full_speed": "fast"}})
+    with pytest.raises(FileError, match=r"'robot\.full_speed': expected whole speeds"):
+        call("tables", *samples, "-o", tmp_path / "x")
+
+
+def test_a_small_population_has_parents_and_children(folder, tmp_path):
+    done = call(
+        "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", tmp_path / "net",
+        "--generations", 2, "--population", 7, "--steps", 10,
+    )  # fmt: skip
+    assert "the population's mean went from" in done.output
+    assert read_controller(tmp_path / "net").evolution["settings"]["parents"] == 1
+    assert [NetworkSettings(population=n).parents for n in (2, 20, 100)] == [1, 4, 20]
+    with pytest.raises(UserError, match="a population of 10 cannot have 20 parents"):
+        NetworkSettings(population=10, parents=20)
+
+
 def lost(trials, genes, rng):
     raise LinkLost("the robot stopped answering")
 
@@ -184,6 +222,22 @@ def test_view(folder):
     assert blue.sum() > 500
     call("view", folder / "arena.json", "-o", folder / "empty.svg")
     assert (folder / "empty.svg").read_text().startswith("<?xml")
+
+
+def test_view_counts_what_the_network_was_evolved_for(folder, tmp_path):
+    net = tmp_path / "net"
+    shutil.copytree(folder / "net", net)
+    found = json.loads((net / "controller.json").read_text())
+    for fitness, here in (("cells", True), ("of-somebody-else", False)):
+        found["task"]["settings"]["fitness"] = fitness
+        (net / "controller.json").write_text(json.dumps(found))
+        words = ["--controller", net, "--pose", 15, 10, 90, "--seconds", 5]
+        done = call("view", folder / "sim", *words, "-o", tmp_path / "x.png", "--json")
+        result = json.loads(done.output)
+        assert ("fitness" in result) is here
+        path = np.array(result["path"])[:, :2]
+        if here:
+            assert result["fitness"] == len(set(map(tuple, np.floor(path / 0.05))))
 
 
 def test_view_of_a_plan(folder):
@@ -238,6 +292,15 @@ def test_view_of_a_plan(folder):
             ],
             "needs the robot's poses",
         ),
+        (
+            ["tables", "wall.sample", "-o", "x", "--motors", "m.csv", "--wheel-base", 50],
+            "--wheel-base is of an ideal robot",
+        ),
+        (
+            ["lab", "khepera", "--port", 5, "--seconds", 0.1],
+            "--port is of the socket: add --socket",
+        ),
+        (["lab", "nxt", "--port", 5, "--seconds", 0.1], "--port is of the socket: add --socket"),
         (["evolve", "sim", "--task", "flying", "-o", "x"], "there is no task 'flying'"),
         (["evaluate", "sim", "dataset"], "is no motion network"),
         (["plan-check", "net", "sim"], "expected 'plan', found 'network'"),

@@ -7,7 +7,7 @@ from test_report import Page
 
 from neurosim.base.errors import FileError
 from neurosim.controllers import NetworkController
-from neurosim.reports import write_report
+from neurosim.reports import tables, write_report
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.arena import paper_arena
 
@@ -18,13 +18,13 @@ def simulator(folder):
     return folder
 
 
-def network(folder, best, mean, **evolution):
+def network(folder, best, mean, fitness="avoidance", **evolution):
     history = {"best": best, "mean": mean}
     if "transfer" in evolution:
         history["transfer"] = evolution.pop("transfer")
     NetworkController(
         np.zeros((2, 9)),
-        {"name": "obstacle-avoidance", "settings": {"steps": 500}},
+        {"name": "obstacle-avoidance", "settings": {"steps": 500, "fitness": fitness}},
         {"fitness": best[-1], "spread": 4.0, "starts": 50},
         {},
         {"arena": paper_arena().to_json(), "history": history, **evolution},
@@ -70,6 +70,32 @@ def test_networks_with_transfer_and_trajectories(tmp_path):
     assert "from generation 3 on the robot (Figure 3)" in text
     assert "2.0 cm apart, median" in text
     assert page.tables[0][1] == ["a", "190.0", "4.0", "3", "90.0, 80.0"]
+
+
+def test_cells_have_no_highest_number(tmp_path):
+    cells = network(tmp_path / "a", [10.0], [5.0], fitness="cells")
+    verdict = write_report([cells], tmp_path / "page.html")["verdict"]
+    assert verdict == "The network reaches a fitness of 10 in the simulator."
+
+
+def test_one_generation_is_drawn_as_a_point(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(tables, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>")
+    write_report([network(tmp_path / "a", [10.0], [5.0])], tmp_path / "page.html")
+    (axes,) = drawn[0].axes
+    assert [line.get_marker() for line in axes.lines] == ["o", "o"]
+    assert {float(tick) % 1 for tick in axes.get_xticks()} == {0.0}
+
+
+def test_the_legend_stands_beside_the_lines(tmp_path, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(tables, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>")
+    low = network(tmp_path / "a", [30.0, 300.0, 20.0], [10.0, 20.0, 10.0], transfer=2)
+    write_report([low], tmp_path / "page.html")
+    (axes,) = drawn[0].axes
+    drawn[0].draw_without_rendering()
+    legend, panel = axes.get_legend().get_window_extent(), axes.get_window_extent()
+    assert legend.y0 >= panel.y1 - 1
 
 
 @pytest.mark.parametrize(

@@ -293,7 +293,7 @@ def test_the_khepera_iii_has_other_letters_prefixes_and_sensors(line):
         np.testing.assert_array_equal(
             driver.read_proximity(), [100, 200, 300, 400, 500, 600, 700, 0]
         )
-        assert script.heard == ["D,l14401,l-14401", "I,l0,l5", "R", "N"]
+        assert script.heard == ["D,l14400,l-14400", "I,l0,l5", "R", "N"]
         with pytest.raises(RobotError, match="no lamp"):
             driver.lamp(True)
 
