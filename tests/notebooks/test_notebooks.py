@@ -53,3 +53,11 @@ def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
     assert len(pictures) >= FEWEST_PICTURES
     assert not list(tmp_path.glob("neurosim-*")), "the notebook leaves its folder behind"
+
+
+def test_away_from_the_reference_dataset_it_says_so(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (path,) = (path for path in NOTEBOOKS if path.stem == "nxt_planner")
+    first = code_cells(nbformat.read(path, as_version=4))[0].source
+    with pytest.raises(FileNotFoundError, match="run this notebook in neurosim's own folder"):
+        exec(first, {})
