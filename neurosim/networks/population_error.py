@@ -42,12 +42,14 @@ class PopulationError:
             network: the shape of all networks.
             x: scaled inputs, [N, I].
             targets: scaled targets of each group of networks, [O, N].
-            kernel: use the compiled kernel; by default where it can be (CPU, linear).
+            kernel: use the compiled kernel; by default where it can be (CPU, linear activations,
+                no ceilings).
         """
         self.network = network
-        can = network.linear and x.device.type == "cpu"
+        self._plain = not network.linear or network.ceilings
+        can = not self._plain and x.device.type == "cpu"
         if kernel and not can:
-            raise ValueError("the kernel needs linear activations and the CPU")
+            raise ValueError("the kernel needs linear activations, no ceilings, and the CPU")
         self.kernel = can if kernel is None else kernel
 
         self._rows = SortedRows(network, x)
@@ -60,7 +62,7 @@ class PopulationError:
         What overflows single precision is infinite.
         """
         genes = genes.float()
-        if not self.network.linear:
+        if self._plain:
             return self._general(genes)
         return self._compiled(genes) if self.kernel else self._tensors(genes)
 

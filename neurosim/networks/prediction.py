@@ -29,6 +29,7 @@ class Prediction:
         w = network.split(genes)
         outputs, inputs = len(genes), network.inputs
         self._exponents = w.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
+        self._ceilings = w.ceilings.flatten()
         self._bits = 2 ** torch.arange(inputs, device=genes.device)
         patterns = torch.arange(2**inputs, device=genes.device)
         negative = (patterns.unsqueeze(-1) // self._bits % 2).to(genes)  # [2^I, I]
@@ -44,7 +45,8 @@ class Prediction:
         if not self._fast:
             return self._network.forward(self._genes, x).T
         magnitude = self._network.log_magnitude(x) @ self._exponents
-        magnitude.clamp_(-LOG_LIMIT, LOG_LIMIT).exp_()
+        torch.minimum(magnitude, self._ceilings, out=magnitude)
+        magnitude.clamp_(min=-LOG_LIMIT).exp_()
         magnitude *= self._signed[((x < 0) * self._bits).sum(-1)]
         products = magnitude.unflatten(-1, self._groups).sum(-1)
         return torch.addmm(self._bias, x, self._linear).add_(products)

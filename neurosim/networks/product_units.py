@@ -17,6 +17,10 @@ it turns, and that a displacement is about speed times duration. So inputs are s
 and the magnitude of each is taken to be at least ``floor``: an input that is zero counts as a very
 small positive one, which a positive exponent takes to nearly nothing. The sum of ``w_i ln|x_i|``
 is kept within :data:`LOG_LIMIT`, so that no exponents overflow.
+
+**Inputs unlike those learned from.** A power that nobody has seen there may be anything: a negative
+exponent of an input that was never small has a unit grow ten-thousandfold where one is. A network
+may therefore have *ceilings*: no unit is much larger than it was on the rows it was learned from.
 """
 
 from __future__ import annotations
@@ -44,15 +48,18 @@ class Weights(NamedTuple):
     bias: Tensor  #: of the output, [...]
     #: Of the product units, [..., P, I]: their exponents, but for networks that have phases.
     phases: Tensor | None = None
+    #: Of the product units, [..., P]: what the logarithms of their magnitudes are kept below;
+    #: LOG_LIMIT, but for networks that have ceilings.
+    ceilings: Tensor | None = None
 
 
 @dataclass(frozen=True)
 class ProductSummationNetwork:
     """The shape of a network with one output; its weights are one row of genes.
 
-    Genes are laid out as the fields of :class:`Weights` in order, each row by row; phases only
-    where there are any. Product units have no bias: it would be a factor, which their weight to
-    the output is already.
+    Genes are laid out as the fields of :class:`Weights` in order, each row by row; phases and
+    ceilings only where there are any. Product units have no bias: it would be a factor, which
+    their weight to the output is already.
 
     Attributes:
         inputs: number of inputs I, scaled to about [-1, 1].
@@ -64,6 +71,7 @@ class ProductSummationNetwork:
         phases: a negative input turns a product unit not by its exponent times pi but by a
             number of its own, which stands in the cosine in the exponent's place. So a unit may
             be odd or even in an input whatever its exponent.
+        ceilings: every product unit has a magnitude of its own that it is kept below.
     """
 
     inputs: int
@@ -73,6 +81,7 @@ class ProductSummationNetwork:
     output_activation: str = "linear"
     floor: float = 0.01
     phases: bool = False
+    ceilings: bool = False
 
     def __post_init__(self) -> None:
         if self.inputs < 1 or min(self.products, self.summations) < 0:
@@ -97,12 +106,16 @@ class ProductSummationNetwork:
 
     def _sizes(self) -> tuple[int, ...]:
         p, s, i = self.products, self.summations, self.inputs
-        return (p * i, p, s * i, s, s, 1, p * i if self.phases else 0)
+        optional = (p * i if self.phases else 0, p if self.ceilings else 0)
+        return (p * i, p, s * i, s, s, 1, *optional)
 
     def split(self, genes: Tensor) -> Weights:
         """Return views of the weights in ``genes``, [..., G]."""
         parts = genes.split(self._sizes(), dim=-1)
         units = (self.products, self.inputs)
+        ceilings = parts[7].clamp(-LOG_LIMIT, LOG_LIMIT)
+        if not self.ceilings:
+            ceilings = genes.new_full((), LOG_LIMIT).expand(parts[1].shape)
         return Weights(
             exponents=parts[0].unflatten(-1, units),
             product_weights=parts[1],
@@ -111,6 +124,7 @@ class ProductSummationNetwork:
             summation_weights=parts[4],
             bias=parts[5].squeeze(-1),
             phases=parts[6 if self.phases else 0].unflatten(-1, units),
+            ceilings=ceilings,
         )
 
     def join(self, weights: Weights) -> Tensor:
@@ -125,24 +139,35 @@ class ProductSummationNetwork:
         ]
         if self.phases:
             genes.append(weights.phases.flatten(-2))
+        if self.ceilings:
+            genes.append(weights.ceilings)
         return torch.cat(genes, dim=-1)
 
     def log_magnitude(self, x: Tensor) -> Tensor:
         """Return ln|x| of scaled inputs, the magnitude taken to be at least the floor."""
         return x.abs().clamp(min=self.floor).log()
 
-    def product_units(self, exponents: Tensor, x: Tensor, phases: Tensor | None = None) -> Tensor:
+    def product_units(
+        self,
+        exponents: Tensor,
+        x: Tensor,
+        phases: Tensor | None = None,
+        ceilings: Tensor | None = None,
+    ) -> Tensor:
         """Return the net values of product units.
 
         Args:
             exponents: [..., P, I].
             x: scaled inputs, [N, I].
             phases: [..., P, I]; the exponents if not given.
+            ceilings: [..., P]; none if not given.
 
         Returns:
             [..., P, N].
         """
         magnitude = exponents @ self.log_magnitude(x).T
+        if ceilings is not None:
+            magnitude = magnitude.minimum(ceilings.unsqueeze(-1))
         turns = (exponents if phases is None else phases) @ (x < 0).to(x).T
         return magnitude.clamp(-LOG_LIMIT, LOG_LIMIT).exp() * torch.cos(torch.pi * turns)
 
@@ -158,7 +183,7 @@ class ProductSummationNetwork:
         """
         w = self.split(genes)
         hidden = ACTIVATIONS[self.hidden_activation]
-        products = hidden(self.product_units(w.exponents, x, w.phases))
+        products = hidden(self.product_units(w.exponents, x, w.phases, w.ceilings))
         sums = hidden(w.summation @ x.T + w.summation_bias.unsqueeze(-1))
         net = (
             (w.product_weights.unsqueeze(-1) * products).sum(-2)

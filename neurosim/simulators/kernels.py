@@ -23,6 +23,7 @@ class Arrays(NamedTuple):
     """A simulator's numbers: C-contiguous, float64 but for the places, which are int64."""
 
     exponents: np.ndarray  #: of product units, [M, O, P, I]
+    ceiling: np.ndarray  #: of the logarithms of product units' magnitudes, [M, O, P]
     signed: np.ndarray  #: product weight times cosine; bit i: input i < 0. [M, O, 2^I, P]
     linear: np.ndarray  #: of scaled inputs; as the two others in m and rad. [M, O, I]
     bias: np.ndarray  #: [M, O]
@@ -114,7 +115,7 @@ def displacement(a, member, inputs, out):
                 for i in range(count):
                     x = max(abs(given[i]), a.floor)
                     power += a.exponents[m, o, k, i] * math.log(x)
-                power = min(max(power, -LOG_LIMIT), LOG_LIMIT)
+                power = max(min(power, a.ceiling[m, o, k]), -LOG_LIMIT)
                 total += a.signed[m, o, pattern, k] * math.exp(power)
         total /= end - first
         if o < 3:

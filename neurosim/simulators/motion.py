@@ -254,6 +254,7 @@ class MotionNetwork:
         }
         tensors = {
             "exponents": w.exponents,
+            "ceiling": w.ceilings,
             "signed": cosines * (scale * w.product_weights).unsqueeze(-2),
             "linear": scale * linear,
             "bias": scale.squeeze(-1) * bias,

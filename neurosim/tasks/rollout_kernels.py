@@ -36,6 +36,7 @@ class Ensemble(NamedTuple):
     members: int
     outputs: int
     exponents: np.ndarray  #: [I, U] of all different product units, for base-2 logarithms
+    ceiling: np.ndarray  #: [U] of the base-2 logarithms of their magnitudes
     row: np.ndarray  #: of each term
     unit: np.ndarray  #: first product unit of each term
     count: np.ndarray  #: product units of each term
@@ -62,21 +63,23 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
     """
     if a.central:
         own = slice(0, 1) if mean else slice(1, None)
-        names = ("exponents", "signed", "linear", "bias")
+        names = ("exponents", "ceiling", "signed", "linear", "bias")
         a = a._replace(**{name: getattr(a, name)[own] for name in names})
     members, outputs, _, inputs = a.exponents.shape
-    units, weights, terms, places = [], [], [], {}
+    units, ceilings, weights, terms, places = [], [], [], [], {}
     filled = written = 0
     for m in range(members):
         for o in range(outputs):
             used = (a.signed[m, o] != 0.0).any(axis=0)
             exponents, signed = a.exponents[m, o][used], a.signed[m, o][:, used]
+            ceiling = a.ceiling[m, o][used] / math.log(2.0)
             if not used.any():
                 continue
-            key = exponents.tobytes()
+            key = exponents.tobytes(), ceiling.tobytes()
             if key not in places:
                 places[key] = filled
                 units.append(exponents)
+                ceilings.append(ceiling)
                 filled += len(exponents)
             row, share = (o, 1.0 / members) if mean else (m * outputs + o, 1.0)
             same = [t for t in terms if t[0] == row and t[1] == places[key]]
@@ -92,6 +95,7 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
         members=1 if mean else members,
         outputs=outputs,
         exponents=np.ascontiguousarray(np.concatenate(units).T) if units else np.empty((inputs, 0)),
+        ceiling=np.concatenate([*ceilings, np.empty(0)]),
         row=np.ascontiguousarray(columns[0]),
         unit=np.ascontiguousarray(columns[1]),
         count=np.ascontiguousarray(columns[2]),
@@ -137,7 +141,7 @@ def _exp2(z):
 
 
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
-def _units(exponents, log2, out):
+def _units(exponents, ceiling, log2, out):
     """Write the magnitude of every product unit."""
     count = out.shape[0]
     inputs = exponents.shape[0]
@@ -152,7 +156,7 @@ def _units(exponents, log2, out):
         for u in range(count):
             z = e0[u] * l0 + e1[u] * l1 + e2[u] * l2 + e3[u] * l3 + e4[u] * l4
             z += e5[u] * l5 + e6[u] * l6
-            out[u] = _exp2(min(max(z, -_LOG2_LIMIT), _LOG2_LIMIT))
+            out[u] = _exp2(max(min(z, ceiling[u]), -_LOG2_LIMIT))
         return
     for u in range(count):
         out[u] = 0.0
@@ -161,7 +165,7 @@ def _units(exponents, log2, out):
         for u in range(count):
             out[u] += e[u] * log
     for u in range(count):
-        out[u] = _exp2(min(max(out[u], -_LOG2_LIMIT), _LOG2_LIMIT))
+        out[u] = _exp2(max(min(out[u], ceiling[u]), -_LOG2_LIMIT))
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy")
@@ -188,7 +192,7 @@ def displacements(e, inputs, x, log2, units, rows, out):
         if x[i] < 0.0:
             pattern += 1 << i
         log2[i] = math.log2(max(abs(x[i]), e.floor))
-    _units(e.exponents, log2, units)
+    _units(e.exponents, e.ceiling, log2, units)
     for r in range(len(rows)):
         total = e.bias[r]
         for i in range(len(x)):

@@ -22,6 +22,7 @@ class Expansion(NamedTuple):
     weights: Tensor  #: of the product units, [P]
     linear: Tensor  #: weights of the inputs, [I]
     bias: Tensor  #: []
+    ceilings: Tensor  #: of the product units, [P]
 
     @staticmethod
     def of(network: ProductSummationNetwork, genes: Tensor) -> Expansion:
@@ -29,7 +30,12 @@ class Expansion(NamedTuple):
         w, (linear, bias) = network.split(genes), network.collapsed(genes)
         counts = w.product_weights != 0
         return Expansion(
-            w.exponents[counts], w.phases[counts], w.product_weights[counts], linear, bias
+            w.exponents[counts],
+            w.phases[counts],
+            w.product_weights[counts],
+            linear,
+            bias,
+            w.ceilings[counts],
         )
 
     @staticmethod
@@ -43,6 +49,7 @@ class Expansion(NamedTuple):
             weights=torch.cat([part.weights * share for part, share in pairs]),
             linear=torch.stack([part.linear * share for part, share in pairs]).sum(0),
             bias=torch.stack([part.bias * share for part, share in pairs]).sum(0),
+            ceilings=torch.cat([part.ceilings for part in parts]),
         )
 
     def genes(self, network: ProductSummationNetwork) -> Tensor:
@@ -64,6 +71,7 @@ class Expansion(NamedTuple):
                 summation_weights=summation_weights,
                 bias=self.bias,
                 phases=pad(self.phases, (0, 0, 0, missing)),
+                ceilings=pad(self.ceilings, (0, missing)),
             )
         )
 
@@ -106,5 +114,6 @@ def widened(network: ProductSummationNetwork, genes: Tensor, products: int) -> T
             exponents=pad(w.exponents, (0, 0, 0, missing)),
             phases=pad(w.phases, (0, 0, 0, missing)),
             product_weights=pad(w.product_weights, (0, missing)),
+            ceilings=pad(w.ceilings, (0, missing)),
         )
     )

@@ -89,7 +89,9 @@ class ExponentsTrainer:
             self._dead_zone = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)
         x = torch.where(x.abs() < self._dead_zone, 0.0, x)
         self._derived, x = self._derive(x, y[:, 2])
-        self._network = replace(network, inputs=x.shape[1], phases=True, floor=settings.floor)
+        self._network = replace(
+            network, inputs=x.shape[1], phases=True, ceilings=True, floor=settings.floor
+        )
         targets, factors = half_way(y)
         self._scale = root_mean_square(targets)[[0, 2]]  # of translations and of turns
         translation = translation_factors(y[:, 2], factors[:, 0])
@@ -185,10 +187,10 @@ class ExponentsTrainer:
 
 def expansions(search: Pursuit) -> list[Expansion]:
     """Return each function that a search has found."""
-    found = zip(search.exponents, search.phases, search.readout(), strict=True)
+    found = zip(search.exponents, search.phases, search.readout(), search.ceilings(), strict=True)
     return [
-        Expansion(exponents, phases, weights, linear[:-1], linear[-1])
-        for exponents, phases, (weights, linear) in found
+        Expansion(exponents, phases, weights, linear[:-1], linear[-1], ceilings)
+        for exponents, phases, (weights, linear), ceilings in found
     ]
 
 

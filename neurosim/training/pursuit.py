@@ -22,6 +22,9 @@ from neurosim.training.base import PursuitSettings
 #: A candidate whose square is orthogonal to the units there by less than this share says nothing
 #: new, only what rounding left.
 _LEAST_NEW = 1e-4
+#: A unit may be so many times as large as it was on any row: among few rows there are seldom the
+#: largest inputs all at once, and how it grew up to there says something of a little further.
+_HEADROOM = 1.25
 
 
 class Pursuit:
@@ -115,6 +118,11 @@ class Pursuit:
             parts.append((self._solution[start:middle], self._solution[middle : middle + width]))
             start = middle + width
         return parts
+
+    def ceilings(self) -> list[Tensor]:
+        """Return what the logarithm of each function's units is to be kept below, [P_o]."""
+        log_headroom = math.log(_HEADROOM)
+        return [(self._log @ exponents.T).amax(0) + log_headroom for exponents in self.exponents]
 
     @property
     def mean_squared_error(self) -> Tensor:

@@ -34,9 +34,9 @@ class Readout:
         self._dead_zone, self._derived = simulator.dead_zone, simulator.derived
         x = simulator.network_inputs(data.x)
         self._units = w = network.split(simulator.genes[0])
-        units = network.product_units(w.exponents, x, w.phases).transpose(-1, -2)  # [O, N, P]
+        units = network.product_units(w.exponents, x, w.phases, w.ceilings)  # [O, P, N]
         # A unit that says nothing may be one that is not there.
-        units = units * (w.product_weights != 0).unsqueeze(1)
+        units = units.transpose(-1, -2) * (w.product_weights != 0).unsqueeze(1)
         others = [x] if network.summations else []
         others = torch.cat([*others, torch.ones_like(x[:, :1])], dim=1)
         features = torch.cat([units, others.expand(len(units), -1, -1)], dim=-1)  # [O, N, F]
@@ -98,6 +98,7 @@ class Readout:
         return Weights(
             exponents=self._units.exponents,
             phases=self._units.phases,
+            ceilings=self._units.ceilings,
             product_weights=readout[:, :p],
             summation=summation,
             summation_bias=readout.new_zeros(outputs, s),

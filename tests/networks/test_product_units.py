@@ -51,6 +51,24 @@ def test_no_exponent_overflows():
     assert unit([-1e6], [0.5]) == pytest.approx(math.exp(LOG_LIMIT))
 
 
+def test_no_unit_is_larger_than_its_ceiling():
+    network = ProductSummationNetwork(1, 2, 0, ceilings=True)
+    exponents, x = tensor([2.0], [-1.0]), tensor([0.5], [-0.25])
+    ceilings = tensor(math.log(0.1), math.log(3.0))
+    # 0.25 and 0.0625, 2 and -4; the sign of what is too large stays.
+    found = network.product_units(exponents, x, ceilings=ceilings)
+    torch.testing.assert_close(found, tensor([0.1, 0.0625], [2.0, -3.0]))
+    weights = Weights(
+        exponents, tensor(1.0, 10.0), tensor(0.0)[:0, None], tensor(), tensor(), tensor(7.0)[0],
+        ceilings=ceilings,
+    )  # fmt: skip
+    genes = network.join(weights)
+    torch.testing.assert_close(network.forward(genes, x), tensor(27.1, -22.9375))
+    wild = genes.clone()
+    wild[-2:] = 1e6
+    assert (network.split(wild).ceilings == LOG_LIMIT).all()
+
+
 def by_hand():
     network = ProductSummationNetwork(2, 1, 1)
     genes = network.join(
@@ -167,22 +185,24 @@ def test_a_phase_says_what_a_negative_input_does_whatever_its_exponent():
     assert found.tolist() == pytest.approx([-0.125, 0.125, -0.125, 0.125])
 
 
-@given(**shapes)
-@settings(max_examples=10, deadline=None)
-def test_networks_with_phases_are_the_same_by_all_ways(
-    inputs, products, summations, rows, spread, seed
+@given(ceilings=st.booleans(), **shapes)
+@settings(max_examples=20, deadline=None)
+def test_networks_with_phases_and_ceilings_are_the_same_by_all_ways(
+    inputs, products, summations, rows, spread, seed, ceilings
 ):
     g = torch.Generator().manual_seed(seed)
-    network = ProductSummationNetwork(inputs, products, summations, phases=True)
+    network = ProductSummationNetwork(inputs, products, summations, phases=True, ceilings=ceilings)
     x = rows_with_zeros_and_negatives(g, rows, inputs)
     genes = spread * torch.randn(3, network.genes, generator=g, dtype=torch.float64)
+    if ceilings:
+        genes[:, -products:].clamp_(-LOG_LIMIT, LOG_LIMIT)
     plain = network.forward(genes, x)
     torch.testing.assert_close(Prediction(network, genes)(x).T, plain, rtol=1e-9, atol=1e-6)
     torch.testing.assert_close(network.join(network.split(genes)), genes)
     fast = PopulationError(network, x, torch.zeros(1, rows, dtype=torch.float64))(genes[None])[0]
     expected = plain.square().mean(-1)
     torch.testing.assert_close(fast, expected, rtol=4e-4 * max(1, spread), atol=1e-6)
-    # With the exponents for phases it is the network without.
+    # With the exponents for phases and no ceilings it is the network without.
     ordinary = ProductSummationNetwork(inputs, products, summations)
     same = network.join(ordinary.split(genes[:, : ordinary.genes]))
     torch.testing.assert_close(

@@ -47,7 +47,9 @@ def noise_model(seed=0, size=-3.0):
 
 
 def simulator(seed=0, members=3, central=True, noise=None):
-    network = ProductSummationNetwork(inputs=5, products=4, summations=1, phases=True)
+    network = ProductSummationNetwork(
+        inputs=5, products=4, summations=1, phases=True, ceilings=True
+    )
     return MotionNetwork(
         [{"name": name, "unit": ""} for name in NAMES],
         network,

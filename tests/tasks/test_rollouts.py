@@ -1,5 +1,7 @@
 """The compiled rollouts against the slow, obvious way: the simulator's own steps."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -24,10 +26,11 @@ def simulator(
     members, coordinates, *, noisy=True, names=NAMES, shared=False, central=False, derived=None
 ):
     inputs = 5 + len(derived or ())
-    network = ProductSummationNetwork(inputs=inputs, products=7, summations=2)
+    network = ProductSummationNetwork(inputs=inputs, products=7, summations=2, ceilings=True)
     genes = 2.5 / inputs * normal(1, members + central, OUTPUTS[coordinates], network.genes)
     if shared:  # networks with the same exponents, as read-outs of one search have
         genes[:, :, : 7 * inputs] = genes[:1, :1, : 7 * inputs]
+        genes[:, :, -7:] = genes[:1, :1, -7:]
         genes[:, :, 7 * inputs] = 0.0
     noise = None
     if noisy:
@@ -152,7 +155,7 @@ def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
 
 def test_other_activations_go_through_the_protocol():
     sim = simulator(1, "twist", noisy=False)
-    curved = ProductSummationNetwork(inputs=5, products=7, summations=2, hidden_activation="tanh")
+    curved = replace(sim.network, hidden_activation="tanh")
     sim = MotionNetwork(
         sim.inputs, curved, sim.genes, sim.input_scale, sim.output_scale, sim.coordinates
     )

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 from hypothesis import given, settings
@@ -13,7 +15,7 @@ INPUTS = [{"name": name, "unit": ""} for name in ("prev_left", "prev_right", "le
 
 def simulators(count, phases, seed, silent):
     generator = torch.Generator().manual_seed(seed)
-    network = ProductSummationNetwork(inputs=4, products=3, summations=2, phases=phases)
+    network = ProductSummationNetwork(4, products=3, summations=2, phases=phases, ceilings=phases)
     found = []
     for _ in range(count):
         genes = 0.5 * torch.randn(5, network.genes, generator=generator, dtype=torch.float64)
@@ -52,17 +54,19 @@ def test_a_chromosome_of_an_expansion_is_the_function():
     exponents = torch.tensor([[2.0, 0.0], [0.0, 1.0]])
     phases = torch.tensor([[0.0, 0.0], [0.0, 1.0]])
     product = Expansion(
-        exponents, phases, torch.tensor([3.0, 5.0]), torch.tensor([7.0, 0.0]), torch.tensor(1.0)
-    )
+        exponents, phases, torch.tensor([3.0, 5.0]), torch.tensor([7.0, 0.0]), torch.tensor(1.0),
+        torch.tensor([-1.0, math.log(0.4)]),
+    )  # fmt: skip
     plain = Expansion(
-        exponents[:0], phases[:0], torch.zeros(0), torch.tensor([0.0, 2.0]), torch.tensor(-1.0)
-    )
-    network = ProductSummationNetwork(inputs=2, products=3, summations=2, floor=0.01, phases=True)
+        exponents[:0], phases[:0], torch.zeros(0), torch.tensor([0.0, 2.0]), torch.tensor(-1.0),
+        torch.zeros(0),
+    )  # fmt: skip
+    network = ProductSummationNetwork(2, 3, 2, floor=0.01, phases=True, ceilings=True)
     mean = Expansion.mean([product, plain], scales=[1.0, 4.0])
     x = torch.tensor([[-0.5, 0.5], [0.5, -0.25]])
-    # (3 x1^2 + 5 x2 + 7 x1 + 1 + 4 (2 x2 - 1)) / 2
+    # (3 x1^2 + 5 x2 + 7 x1 + 1 + 4 (2 x2 - 1)) / 2, where |x2| counts up to 0.4 in 5 x2
     said = network.forward(mean.genes(network)[None], x)[0]
-    torch.testing.assert_close(said, torch.tensor([0.375, -1.0]))
+    torch.testing.assert_close(said, torch.tensor([0.125, -1.0]))
     again = Expansion.of(network, mean.genes(network))
     for part, same in zip(mean, again, strict=True):
         torch.testing.assert_close(part, same)
@@ -71,7 +75,7 @@ def test_a_chromosome_of_an_expansion_is_the_function():
 def test_wider_networks_say_the_same():
     simulator = simulators(1, True, 5, 0.0)[0]
     genes = widened(simulator.network, simulator.genes, 7)
-    network = ProductSummationNetwork(inputs=4, products=7, summations=2, phases=True)
+    network = ProductSummationNetwork(4, products=7, summations=2, phases=True, ceilings=True)
     wide = MotionNetwork(
         INPUTS, network, genes, torch.ones(4), simulator.output_scale, coordinates="twist-offset"
     )

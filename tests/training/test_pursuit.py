@@ -147,6 +147,32 @@ def test_the_trainer_s_errors_are_those_of_its_simulator(robot_data):
     assert found.item() == pytest.approx(errors[2].item(), rel=1e-4)
 
 
+def test_no_unit_grows_far_beyond_what_it_was_on_its_rows(robot_data):
+    """Where the robot was never slow, negative powers of speeds say nothing of slowness."""
+    inputs, outputs = map(torch.tensor, robot_data(200, 6))
+    inputs = inputs[(inputs[:, :4].abs() > 12).all(1)]
+    outputs = outputs[: len(inputs)]
+    data = TrainingData([{"name": n} for n in NAMES], inputs, outputs)
+    settings = ExponentsSettings(**FEW, dead_zone=(0.0,) * 5, derived=Derived())
+    trainer = ExponentsTrainer(data, ProductSummationNetwork(5, 6, 1), settings, seed=0)
+    for _ in range(6):
+        trainer.advance()
+    simulator = trainer.result()
+    network, w = simulator.network, simulator.network.split(simulator.genes[0])
+    slow = inputs.clone()
+    slow[:, :4] *= 0.05
+
+    def units(rows, ceilings):
+        return network.product_units(w.exponents, simulator.scaled(rows), w.phases, ceilings)
+
+    counts = (w.product_weights != 0).unsqueeze(-1)
+    seen, free, kept = units(inputs, None), units(slow, None), units(slow, w.ceilings)
+    largest = seen.abs().amax(-1, keepdim=True)
+    assert (units(inputs, w.ceilings) == seen)[counts.squeeze(-1)].all()
+    assert ((free.abs() > 10 * largest) & counts).any()
+    assert ((kept.abs() <= 1.2501 * largest) | ~counts).all()
+
+
 def test_of_many_rows_the_turn_is_the_average_of_two_searches(robot_data, monkeypatch):
     monkeypatch.setattr("neurosim.training.exponents.MANY_ROWS", 200)
     inputs, outputs = map(torch.tensor, robot_data(200, 6))
