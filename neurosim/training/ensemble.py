@@ -42,7 +42,7 @@ RIDGE = 1e-6
 
 #: A search of its own is worth its time up to this many rows; of half as many, two are, and so on,
 #: up to :data:`MOST_SEARCHES`.
-SEARCH_ROWS, MOST_SEARCHES = 2000, 8
+SEARCH_ROWS, MOST_SEARCHES = 4000, 8
 
 #: Stretches of time that rows are drawn in, and folds that read-outs are cross-validated in.
 STRETCHES, FOLDS = 40, 5
