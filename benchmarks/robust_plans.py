@@ -12,6 +12,8 @@ against what happened, Brier score against always saying the base rate.
     python benchmarks/robust_plans.py --quick            6 plans of each length, 2 for the bound
     python benchmarks/robust_plans.py --kept FILE        go on where FILE ends; keep each set there
     python benchmarks/robust_plans.py --tell FILE FILE   the tables of what such files hold
+    python benchmarks/robust_plans.py --rows 400 --plans 10
+                                                         a simulator of 400 other rows for each
 
 With --kept the work can be shared out: --first-plan 15 --plans 15 is another process's half.
 
@@ -36,6 +38,7 @@ from numba import njit, prange
 from neurosim.commands import Command, FixedCommands
 from neurosim.lab import VirtualRig, physics
 from neurosim.lab.params import LabParams
+from neurosim.networks import ProductSummationNetwork
 from neurosim.record import Guard, RecordSettings, record
 from neurosim.simulators import read_simulator
 from neurosim.tasks.check import check_commands
@@ -48,7 +51,11 @@ from neurosim.tasks.planning import (
     improve_plans,
 )
 from neurosim.tasks.rollouts import PLACING, RUN_DOWN
-from neurosim.training.train import train
+from neurosim.training.base import TrainingData
+from neurosim.training.ensemble import EnsembleTrainer
+from neurosim.training.train import MEMBERS, train, training_data
+from neurosim.training.trainers import DEFAULT, TRAINERS
+from tracking.dataset import Dataset
 from tracking.recordings import Recording
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
@@ -63,6 +70,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--simulator", type=Path, help="a folder; trained if not given")
     parser.add_argument("--dataset", type=Path, default=REFERENCE)
+    parser.add_argument("--rows", type=int, help="to learn from, others for each number of a plan")
     parser.add_argument("--lengths", default="10,13", help="commands in a plan")
     parser.add_argument("--plans", type=int, default=30, help="of each length")
     parser.add_argument("--first-plan", type=int, default=0, help="number of the first")
@@ -70,7 +78,7 @@ def main() -> None:
     parser.add_argument("--tell", type=Path, nargs="+", help="such files; nothing is evolved")
     parser.add_argument("--runs", type=int, default=4, help="of evolution, for each plan")
     parser.add_argument("--generations", type=int, default=1000)
-    parser.add_argument("--robust-generations", type=int, default=200)
+    parser.add_argument("--robust-generations", type=int, default=300)
     parser.add_argument("--bound-every", type=int, default=3, help="plans, one for the bound too")
     parser.add_argument("--bound-generations", type=int, default=40)
     parser.add_argument("--drives", type=int, default=20, help="of each plan")
@@ -102,12 +110,13 @@ def gather(options: argparse.Namespace) -> list[dict]:
     """Evolve and drive all plans but those that are kept already; return all of them."""
     plans = kept([options.kept] if options.kept else [])
     there = {(plan["length"], plan["number"]) for plan in plans}
-    simulator = learned(options)
+    simulator = None if options.rows else learned(options)
     lengths = [int(length) for length in options.lengths.split(",")]
     for number in range(options.first_plan, options.first_plan + options.plans):
-        for length in lengths:
-            if (length, number) in there:
-                continue
+        missing = [length for length in lengths if (length, number) not in there]
+        if options.rows and missing:
+            simulator = learned_from_few(options, number)
+        for length in missing:
             began = time.perf_counter()
             found = one_set(simulator, length, number, options)
             plans += found
@@ -132,6 +141,28 @@ def learned(options: argparse.Namespace):
         return read_simulator(options.simulator)
     with tempfile.TemporaryDirectory() as folder:
         return train(options.dataset, Path(folder) / "simulator")
+
+
+def learned_from_few(options: argparse.Namespace, number: int):
+    data = training_data(Dataset.read(options.dataset))
+    some = slice(number * options.rows, (number + 1) * options.rows)
+    if some.stop > len(data.x):
+        raise SystemExit(f"{options.dataset} has no {some.stop} rows: a smaller --rows or --plans")
+    kind = TRAINERS[DEFAULT]
+    trainer = EnsembleTrainer(
+        kind,
+        TrainingData(data.inputs, data.x[some], data.y[some]),
+        ProductSummationNetwork(data.x.shape[1], *kind.default_hidden),
+        kind.settings_type(),
+        number,
+        "cpu",
+        members=MEMBERS,
+        generations=kind.default_generations,
+        noise=True,
+    )
+    for _ in range(trainer.generations):
+        trainer.advance()
+    return trainer.result()
 
 
 def one_set(simulator, length: int, number: int, options: argparse.Namespace) -> list[dict]:

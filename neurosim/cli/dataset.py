@@ -49,7 +49,7 @@ def dataset(
     }
     late = "".join(
         f"{each['recording']}, session {each['session']}: the motors answered "
-        f"{1000 * each['delay']:.0f} ms after their commands (standard deviation "
+        f"{1000 * each['delay']:z.0f} ms after their commands (standard deviation "
         f"{1000 * each['sd']:.0f} ms), {'corrected' if each['corrected'] else 'not corrected'}.\n"
         for each in delays
     )

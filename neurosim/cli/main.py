@@ -111,5 +111,9 @@ def main() -> None:
 
 
 def _interrupted() -> None:
-    click.echo("neurosim: interrupted; what was written so far can be read", err=True)
+    click.echo(
+        "neurosim: interrupted; what was written so far can be read, "
+        "and is gone on with by --resume where there is one",
+        err=True,
+    )
     sys.exit(130)

@@ -129,13 +129,17 @@ def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
 def _completed(artefacts: Artefacts) -> str:
     trials = artefacts.trials
     done = sum(trial.completes for trial in trials)
+    predicted = [trial.meta["predicted"] for trial in trials]
+    given = {one.get("probability") for one in predicted}
+    chance = given.pop() if len(given) == 1 else None
+    said = "" if chance is None else f"; the simulator had given it {100 * chance:.0f} %"
     if len(trials) > 1:
-        return f"The robot completed the course in {done} of {len(trials)} trials."
+        return f"The robot completed the course in {done} of {len(trials)} trials{said}."
     if done:
-        return "The robot completed the course."
-    foreseen = trials[0].meta["predicted"].get("completes")
-    but = ", though the simulator said that it would" if foreseen else ""
-    return f"The robot did not complete the course{but}."
+        return f"The robot completed the course{said}."
+    if chance is None and predicted[0].get("completes"):
+        said = ", though the simulator said that it would"
+    return f"The robot did not complete the course{said}."
 
 
 def _distance(summary: Mapping[str, Any], artefacts: Artefacts) -> str:

@@ -272,6 +272,23 @@ def test_real_robot_is_not_called_virtual(tmp_path):
     assert "Virtual lab" not in Page(tmp_path / "page.html").text
 
 
+def test_the_verdict_names_the_chance_that_the_plan_was_given(tmp_path):
+    trials = [
+        make_trial(tmp_path / f"t{n}", n, completes=n == 0, probability=0.874) for n in range(3)
+    ]
+    one = write_report(trials[1:2], tmp_path / "one.html")["verdict"]
+    assert one.startswith(
+        "The robot did not complete the course; the simulator had given it 87 %. "
+    )
+    three = write_report(trials, tmp_path / "three.html")["verdict"]
+    assert three.startswith(
+        "The robot completed the course in 1 of 3 trials; the simulator had given it 87 %. "
+    )
+    trials[2] = make_trial(tmp_path / "other", 2, completes=False, probability=0.5)
+    mixed = write_report(trials, tmp_path / "mixed.html")["verdict"]
+    assert mixed.startswith("The robot completed the course in 1 of 3 trials. ")
+
+
 def test_robot_never_seen(tmp_path):
     trial = make_trial(tmp_path / "trial", unseen=range(10))
     summary = write_report([trial], tmp_path / "page.html")

@@ -83,6 +83,8 @@ def test_wider_networks_say_the_same():
     assert torch.allclose(wide.outputs(x), simulator.outputs(x))
 
 
-@pytest.mark.parametrize(("rows", "count"), [(5000, 1), (2001, 1), (2000, 2), (1000, 4), (600, 6), (30, 8)])
+@pytest.mark.parametrize(
+    ("rows", "count"), [(5000, 1), (2001, 1), (2000, 2), (1000, 4), (600, 6), (30, 8)]
+)
 def test_fewer_rows_are_searched_more_often(rows, count):
     assert searches(rows) == count
