@@ -7,6 +7,7 @@ photographs or in a video. For the pose over the board see :mod:`tracking.board`
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -249,6 +250,17 @@ def _other_corners(corners: NDArray) -> tuple[NDArray, NDArray]:
     return corners[side.argmin()], corners[side.argmax()]
 
 
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Keep OpenCV to one thread: sums of several end in other last digits each time."""
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
 def _lens(views: list[View], size: tuple[int, int]) -> CameraModel:
     boards = [
         np.column_stack([view.board, np.zeros(len(view.board))]).astype(np.float32)
@@ -256,7 +268,8 @@ def _lens(views: list[View], size: tuple[int, int]) -> CameraModel:
     ]
     images = [view.pixels.reshape(-1, 1, 2).astype(np.float32) for view in views]
     try:
-        rms, matrix, distortion, _, _ = cv2.calibrateCamera(boards, images, size, None, None)
+        with _one_thread():
+            rms, matrix, distortion, _, _ = cv2.calibrateCamera(boards, images, size, None, None)
     except cv2.error:
         rms = np.inf
     if not np.isfinite(rms) or matrix[0, 0] > 100 * max(size):

@@ -102,7 +102,12 @@ def test_a_rendered_lens_is_recovered_with_its_pose(tmp_path):
     assert 0.1 < stated["fx"] < 20
     assert 0.0003 < stated["board_m"] < 0.01
     model.write(tmp_path / "calibration.json")
+    model_bytes = (tmp_path / "calibration.json").read_bytes()
     assert CameraModel.read(tmp_path / "calibration.json").uncertainty == stated
+    for number in range(4):  # to the last digit, by however many threads
+        again = calibrate(tmp_path, pattern=(7, 5), square=0.03, points=points)
+        again.write(tmp_path / f"{number}.json")
+        assert (tmp_path / f"{number}.json").read_bytes() == model_bytes
 
 
 def test_a_video_does_as_well(tmp_path):
