@@ -99,7 +99,7 @@ def record_rounds(
         check_new_folder(out)
     elif not (out / _name(1)).is_dir():
         raise FileError(out, "holds no round of a guided recording; leave --resume out")
-    elif len(list(_complete(out, len(rounds)))) == len(rounds):
+    elif is_whole(out, settings.commands, size):
         raise UserError(f"{out} is complete; there is nothing to resume")
     made: list[Recording] = []
     for number, numbers in enumerate(rounds, start=1):
@@ -139,6 +139,20 @@ def record_rounds(
             track(folder)
         made.append(there)
     return made
+
+
+def is_whole(out: Path, commands: int, size: int) -> bool:
+    """Return whether all rounds of a guided recording were recorded to their end and tracked."""
+    rounds = len(Rounds(commands, size).numbers())
+    return len(list(_complete(out, rounds))) == rounds
+
+
+def parts_of(folder: Path) -> list[Path]:
+    """Return the rounds of a guided recording; of anything else the folder itself."""
+    if (folder / "recording.json").exists():
+        return [folder]
+    rounds = sorted(folder.glob("round-[0-9][0-9]*"), key=lambda path: (len(path.name), path.name))
+    return rounds or [folder]
 
 
 def _name(number: int) -> str:

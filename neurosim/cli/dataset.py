@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from neurosim.cli._common import PATH, emit, json_option, next_step
+from neurosim.cli._guided import parts_of
 
 
 @click.command()
@@ -31,14 +32,18 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
 def dataset(
     recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, mixed: bool, as_json: bool
 ) -> None:
-    """Turn RECORDINGS that were tracked into rows of (command -> displacement)."""
+    """Turn RECORDINGS that were tracked into rows of (command -> displacement).
+
+    A guided recording's rounds are recordings; its folder stands for all of them.
+    """
     from tracking.dataset import build
     from tracking.mrclam import import_mrclam
 
     if source == "mrclam":
         made = import_mrclam(list(recordings), out)
     else:
-        made = build(list(recordings), out, correct_delay=not as_sent, mixed=mixed)
+        parts = [part for folder in recordings for part in parts_of(folder)]
+        made = build(parts, out, correct_delay=not as_sent, mixed=mixed)
     left_out = made.meta.get("left_out", {})
     delays = made.meta.get("motor_delays", [])
     result = {

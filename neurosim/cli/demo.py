@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import time
 from collections.abc import Iterator
@@ -14,12 +13,16 @@ import click
 from neurosim.base.errors import UserError
 from neurosim.base.files import read_json, write_json
 from neurosim.cli._common import PATH, is_given, seed_option
+from neurosim.cli._guided import is_whole
+
+#: Demos of version 1 recorded random commands.
+FORMAT, VERSION = "neurosim-demo", 2
 
 
 @click.command()
 @click.argument("out", type=PATH, default=Path("demo"))
 @click.option(
-    "--commands", type=click.IntRange(min=30), default=400, show_default=True, help="To record."
+    "--commands", type=click.IntRange(min=50), default=400, show_default=True, help="To record."
 )
 @seed_option
 @click.pass_context
@@ -53,12 +56,11 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     if not calibration.exists():
         points = photographs / "points.csv"
         yield ["calibrate", photographs, "--square", 40, "--points", points, "-o", calibration]
-    if not _complete(recording):
-        resume = ["--resume"] if (recording / "recording.json").exists() else []
-        words = ["record", recording, "--commands", commands, "--calibration", calibration]
-        yield [*words, *seeded, *resume]
-    if not (recording / "poses.csv").exists():
-        yield ["track", recording]
+    size = min(50, commands // 3)
+    if not is_whole(recording, commands, size):
+        resume = ["--resume"] if (recording / "round-01").is_dir() else []
+        words = ["record", recording, "--guided", "--commands", commands, "--round", size]
+        yield [*words, "--calibration", calibration, *seeded, *resume]
     if not dataset.exists():
         yield ["dataset", recording, "-o", dataset]
     if not simulator.exists():
@@ -85,9 +87,9 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
             raise UserError(
                 f"{out} is not empty, and not what a demo was begun with; name a new folder"
             )
-        write_json(path, "neurosim-demo", 1, now)
+        write_json(path, FORMAT, VERSION, now)
         return commands, seed
-    begun = read_json(path, "neurosim-demo", 1, dict.fromkeys(now, int))
+    begun = read_json(path, FORMAT, VERSION, dict.fromkeys(now, int))
     for name, value in now.items():
         if is_given(name) and begun[name] != value:
             raise UserError(
@@ -95,11 +97,6 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
                 "that, or name a new folder"
             )
     return begun["commands"], begun["seed"]
-
-
-def _complete(recording: Path) -> bool:
-    path = recording / "recording.json"
-    return path.exists() and json.loads(path.read_text(encoding="utf-8")).get("complete") is True
 
 
 def _free(folder: Path, name: str) -> Path:

@@ -195,7 +195,7 @@ def record(
         emit(
             result,
             as_json,
-            _words(result) + next_step("dataset", *result["rounds"], "-o", "DATASET"),
+            _words(result) + next_step("dataset", out, "-o", "DATASET"),
         )
         return
     # Each session of a resumed recording meets other chances, as it would on a real robot.

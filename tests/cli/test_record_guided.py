@@ -97,3 +97,6 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(road,
     assert "nothing to resume" in over.stderr
     made = neurosim("dataset", *printed["rounds"], "-o", "d", "--json", cwd=tmp_path)
     assert json.loads(made.stdout)["rows"] >= 40
+    neurosim("dataset", "r", "-o", "e", cwd=tmp_path)  # its folder stands for all rounds
+    tables = [(tmp_path / name / "dataset.csv").read_bytes() for name in ("d", "e")]
+    assert tables[0] == tables[1]

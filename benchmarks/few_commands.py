@@ -1,0 +1,109 @@
+"""Whether plans of few commands do what is said of them: random commands against chosen ones.
+
+For each seed another robot of the virtual lab is driven by as many random commands, and by as many
+that ``neurosim record --guided`` would choose (both as benchmarks/guided_recording.py does it). A
+simulator with its ensemble is learned from each, robust plans are evolved in it, and driven many
+times in the lab's physics (as benchmarks/robust_plans.py does it).
+
+    python benchmarks/few_commands.py            5 robots, 2 plans each, a quarter of an hour
+    python benchmarks/few_commands.py --quick    one robot, one plan
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+
+import numpy as np
+import torch
+from guided_recording import guided_rows, random_rows
+from numpy.typing import NDArray
+from robust_plans import TASK, drive
+
+from neurosim.cli._guided import Rounds
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.tasks.planning import PlanSettings, RobustSettings, evolve_plan
+from neurosim.training.ensemble import EnsembleTrainer
+from neurosim.training.guided import motor_data
+from neurosim.training.train import MEMBERS
+from neurosim.training.trainers import DEFAULT, TRAINERS
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--commands", type=int, default=400)
+    parser.add_argument("--round", type=int, default=50)
+    parser.add_argument("--plans", type=int, default=2, help="of each simulator")
+    parser.add_argument("--length", type=int, default=10, help="commands in a plan")
+    parser.add_argument("--runs", type=int, default=4, help="of evolution, for each plan")
+    parser.add_argument("--drives", type=int, default=100, help="of each plan")
+    parser.add_argument("--quick", action="store_true", help="one robot, one plan")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    if options.quick:
+        options.seeds, options.plans, options.runs = 1, 1, 2
+    torch.set_num_threads(1)
+    found = []
+    for seed in range(options.seeds):
+        made = {
+            "random": random_rows(seed, seed, options.commands),
+            "guided": guided_rows(seed, seed, Rounds(options.commands, options.round)),
+        }
+        for kind, (x, y, _) in made.items():
+            simulator = learned(x, y, seed)
+            for number in range(options.plans):
+                found.append(
+                    {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}
+                )
+                print(json.dumps(found[-1]), file=sys.stderr, flush=True)
+    print(json.dumps({"settings": vars(options), "plans": found}) if options.json else words(found))
+
+
+def learned(x: NDArray, y: NDArray, seed: int) -> MotionNetwork:
+    """Return a simulator learned from all of these rows, as ``train`` does by default."""
+    kind = TRAINERS[DEFAULT]
+    trainer = EnsembleTrainer(
+        kind,
+        motor_data(x, y),
+        ProductSummationNetwork(x.shape[1], *kind.default_hidden),
+        kind.settings_type(),
+        seed,
+        "cpu",
+        members=MEMBERS,
+        generations=kind.default_generations,
+        noise=True,
+    )
+    for _ in range(trainer.generations):
+        trainer.advance()
+    return trainer.result()
+
+
+def one_plan(
+    simulator: MotionNetwork, robot: int, number: int, options: argparse.Namespace
+) -> dict:
+    """Evolve a robust plan and drive it; return its chance as said, and as found."""
+    settings = PlanSettings(commands=options.length, runs=options.runs, robust=RobustSettings())
+    plan = evolve_plan(simulator, TASK, settings, seed=77 + number, progress=False)[0]
+    given = [command for command in plan.commands if command is not None]
+    done = [drive(given, robot, 1000 * number + n) for n in range(options.drives)]
+    return {"said": plan.probability, "completed": float(np.mean(done))}
+
+
+def words(found: list[dict]) -> str:
+    """Return the table for a person: every plan, and the means."""
+    lines = ["virtual lab          said   completed, robot by robot"]
+    for kind in ("random", "guided"):
+        plans = [plan for plan in found if plan["kind"] == kind]
+        said, done = (float(np.mean([plan[k] for plan in plans])) for k in ("said", "completed"))
+        each = ", ".join(f"{plan['said']:.0%} {plan['completed']:.0%}" for plan in plans)
+        lines.append(f"{kind:8s} mean {said:12.0%}{done:12.0%}   {each}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
