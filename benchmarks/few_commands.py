@@ -18,17 +18,12 @@ import sys
 import numpy as np
 import torch
 from guided_recording import guided_rows, random_rows
-from numpy.typing import NDArray
-from robust_plans import TASK, drive
+from robust_plans import TASK, drive, learned_from
 
 from neurosim.cli._guided import Rounds
-from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.tasks.planning import PlanSettings, RobustSettings, evolve_plan
-from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.guided import motor_data
-from neurosim.training.train import MEMBERS
-from neurosim.training.trainers import DEFAULT, TRAINERS
 
 
 def main() -> None:
@@ -55,32 +50,13 @@ def main() -> None:
             "guided": guided_rows(seed, seed, Rounds(options.commands, options.round)),
         }
         for kind, (x, y, _) in made.items():
-            simulator = learned(x, y, seed)
+            simulator = learned_from(motor_data(x, y), seed)
             for number in range(options.plans):
                 found.append(
                     {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}
                 )
                 print(json.dumps(found[-1]), file=sys.stderr, flush=True)
     print(json.dumps({"settings": vars(options), "plans": found}) if options.json else words(found))
-
-
-def learned(x: NDArray, y: NDArray, seed: int) -> MotionNetwork:
-    """Return a simulator learned from all of these rows, as ``train`` does by default."""
-    kind = TRAINERS[DEFAULT]
-    trainer = EnsembleTrainer(
-        kind,
-        motor_data(x, y),
-        ProductSummationNetwork(x.shape[1], *kind.default_hidden),
-        kind.settings_type(),
-        seed,
-        "cpu",
-        members=MEMBERS,
-        generations=kind.default_generations,
-        noise=True,
-    )
-    for _ in range(trainer.generations):
-        trainer.advance()
-    return trainer.result()
 
 
 def one_plan(

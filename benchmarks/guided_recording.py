@@ -33,6 +33,7 @@ import numpy as np
 import torch
 from numba import njit
 from numpy.typing import NDArray
+from robust_plans import learned_from
 
 from neurosim.base import se2
 from neurosim.cli._guided import MARGIN, Rounds
@@ -48,10 +49,7 @@ from neurosim.lab.physics import (
     new_state,
     slip_field,
 )
-from neurosim.networks import ProductSummationNetwork
-from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.guided import Committee, Place, choose, motor_data
-from neurosim.training.trainers import DEFAULT, TRAINERS
 
 OUTPUTS = ("dx", "dy", "dtheta")
 #: Of a pose that is tracked: standard deviations, m, m and rad.
@@ -179,22 +177,7 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
 
 def learned(x: NDArray, y: NDArray, seed: int) -> Callable[[NDArray], NDArray]:
     """Return what the default trainer predicts from these rows."""
-    kind = TRAINERS[DEFAULT]
-    network = ProductSummationNetwork(x.shape[1], *kind.default_hidden)
-    trainer = EnsembleTrainer(
-        kind,
-        motor_data(x, y),
-        network,
-        kind.settings_type(),
-        seed,
-        "cpu",
-        members=1,
-        generations=kind.default_generations,
-        noise=False,
-    )
-    for _ in range(trainer.generations):
-        trainer.advance()
-    simulator = trainer.result()
+    simulator = learned_from(motor_data(x, y), seed, members=1, noise=False)
     return lambda inputs: simulator.displacement(torch.tensor(inputs)).numpy()
 
 

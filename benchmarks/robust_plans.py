@@ -148,17 +148,23 @@ def learned_from_few(options: argparse.Namespace, number: int):
     some = slice(number * options.rows, (number + 1) * options.rows)
     if some.stop > len(data.x):
         raise SystemExit(f"{options.dataset} has no {some.stop} rows: a smaller --rows or --plans")
+    return learned_from(TrainingData(data.inputs, data.x[some], data.y[some]), number)
+
+
+def learned_from(data: TrainingData, seed: int, *, members: int = MEMBERS, noise: bool = True):
+    """Return what the default trainer makes of all these rows; nothing is held out."""
     kind = TRAINERS[DEFAULT]
+    network = ProductSummationNetwork(data.x.shape[1], *kind.default_hidden)
     trainer = EnsembleTrainer(
         kind,
-        TrainingData(data.inputs, data.x[some], data.y[some]),
-        ProductSummationNetwork(data.x.shape[1], *kind.default_hidden),
+        data,
+        network,
         kind.settings_type(),
-        number,
+        seed,
         "cpu",
-        members=MEMBERS,
+        members=members,
         generations=kind.default_generations,
-        noise=True,
+        noise=noise,
     )
     for _ in range(trainer.generations):
         trainer.advance()

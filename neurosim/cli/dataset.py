@@ -7,7 +7,6 @@ from pathlib import Path
 import click
 
 from neurosim.cli._common import PATH, emit, json_option, next_step
-from neurosim.cli._guided import parts_of
 
 
 @click.command()
@@ -36,6 +35,7 @@ def dataset(
 
     A guided recording's rounds are recordings; its folder stands for all of them.
     """
+    from neurosim.cli._guided import parts_of
     from tracking.dataset import build
     from tracking.mrclam import import_mrclam
 

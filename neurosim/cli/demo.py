@@ -13,7 +13,6 @@ import click
 from neurosim.base.errors import UserError
 from neurosim.base.files import read_json, write_json
 from neurosim.cli._common import PATH, is_given, seed_option
-from neurosim.cli._guided import is_whole
 
 #: Demos of version 1 recorded random commands.
 FORMAT, VERSION = "neurosim-demo", 2
@@ -47,6 +46,8 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
 
 def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     """Give the commands that are still to be run, each when the ones before it are done."""
+    from neurosim.cli._guided import is_whole
+
     photographs, calibration = out / "photographs", out / "calibration.json"
     recording, dataset, simulator = out / "recording", out / "dataset", out / "simulator"
     controller, trial, page = out / "controller", out / "trial", out / "report.html"
