@@ -36,13 +36,13 @@ import torch
 from neurosim.base import files
 from neurosim.networks import ProductSummationNetwork
 from neurosim.training.base import TrainingData
-from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.evaluate import errors
 from neurosim.training.train import training_data
-from neurosim.training.trainers import TRAINERS
+from neurosim.training.trainers.registry import TRAINERS
+from neurosim.training.uncertainty.ensemble import EnsembleTrainer
 from neurosim.training.unicycle import unicycle
-from tracking.dataset import Dataset
-from tracking.mrclam import import_mrclam
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.mrclam import import_mrclam
 
 OUTPUTS = ("dx", "dy", "dtheta")
 SIZES = (100, 200, 500, 1000, 2000, 5000)

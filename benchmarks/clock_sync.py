@@ -34,16 +34,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.commands import RandomCommands
 from neurosim.lab import VirtualRig, read_truth
-from neurosim.record import Guard, RecordSettings, record
+from neurosim.recording.commands import RandomCommands
+from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.training.train import train
-from tracking.camera_model import CameraModel
-from tracking.dataset import build
-from tracking.motion import fit_clock_to_motion
-from tracking.motor_delay import motion_delay
-from tracking.recordings import Poses, Recording
-from tracking.sync import GROUP_GAP
+from tracking.camera.camera_model import CameraModel
+from tracking.clock.motion import fit_clock_to_motion
+from tracking.clock.motor_delay import motion_delay
+from tracking.clock.sync import GROUP_GAP
+from tracking.datasets.dataset import build
+from tracking.datasets.recordings import Poses, Recording
 from tracking.track import track
 
 FPS, RADIO, LAMP = 30.0, 0.020, 0.004

@@ -21,8 +21,8 @@ from guided_recording import guided_rows, random_rows
 from robust_plans import TASK, drive, learned_from
 
 from neurosim.cli._guided import Rounds
+from neurosim.evolve.plans import PlanSettings, RobustSettings, evolve_plan
 from neurosim.simulators import MotionNetwork
-from neurosim.tasks.planning import PlanSettings, RobustSettings, evolve_plan
 from neurosim.training.guided import motor_data
 
 

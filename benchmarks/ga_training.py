@@ -36,7 +36,7 @@ from neurosim.evolution import GeneticAlgorithm
 from neurosim.networks import PopulationError, ProductSummationNetwork
 from neurosim.networks._kernels import _exp2
 from neurosim.training.base import TrainingData, one_thread
-from neurosim.training.ga import GaSettings, GaTrainer
+from neurosim.training.trainers.ga import GaSettings, GaTrainer
 
 POPULATION, ROWS, OUTPUTS = 250, 5_000, 3
 NETWORK = ProductSummationNetwork(5, 10, 10)
@@ -52,7 +52,7 @@ def rows(dataset: Path | None) -> tuple[torch.Tensor, torch.Tensor]:
         x[:, 4] = rng.uniform(1 / 6, 1, ROWS)
         x[rng.random(ROWS) < 0.2, 2:4] = 0.0
         return torch.tensor(x), torch.tensor(rng.standard_normal((OUTPUTS, ROWS)))
-    from tracking.dataset import Dataset
+    from tracking.datasets.dataset import Dataset
 
     read = Dataset.read(dataset)
     places = np.arange(ROWS) % len(read)
@@ -296,7 +296,7 @@ def whole(dataset: Path, generations: int, device: str) -> dict[str, object]:
     """Run the paper's training; return minutes and errors on the last fifth."""
     from neurosim.training.evaluate import table_of_errors
     from neurosim.training.train import training_data
-    from tracking.dataset import Dataset
+    from tracking.datasets.dataset import Dataset
 
     earlier, later = Dataset.read(dataset).split(0.2)
     trainer = GaTrainer(training_data(earlier), NETWORK, SETTINGS, 0, device)

@@ -37,9 +37,8 @@ from robust_plans import learned_from
 
 from neurosim.base import se2
 from neurosim.cli._guided import MARGIN, Rounds
-from neurosim.commands import Command, RandomCommands
-from neurosim.lab.params import BOARD, LabParams
-from neurosim.lab.physics import (
+from neurosim.lab.nxt.params import BOARD, LabParams
+from neurosim.lab.nxt.physics import (
     REGULATED,
     S,
     U,
@@ -49,6 +48,7 @@ from neurosim.lab.physics import (
     new_state,
     slip_field,
 )
+from neurosim.recording.commands import Command, RandomCommands
 from neurosim.training.guided import Committee, Place, choose, motor_data
 
 OUTPUTS = ("dx", "dy", "dtheta")

@@ -39,11 +39,12 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from neurosim.commands import RandomCommands
 from neurosim.lab import VirtualRig
-from neurosim.lab.params import BOARD
-from neurosim.lab.physics import S
-from neurosim.simulators import MotionNetwork, kernels, read_simulator
+from neurosim.lab.nxt.params import BOARD
+from neurosim.lab.nxt.physics import S
+from neurosim.recording.commands import RandomCommands
+from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion import kernels
 from neurosim.training import evaluate, train
 from neurosim.training.coverage import LEVELS, central, draw_displacements, region
 

@@ -38,19 +38,19 @@ import pandas as pd
 
 from neurosim.base import files, se2
 from neurosim.base.progress import Progress
-from neurosim.commands import Command, RandomCommands
 from neurosim.lab import VirtualRig
-from neurosim.lab.params import BOARD
-from neurosim.lab.physics import S
-from tracking.camera_model import CameraModel
-from tracking.colours import parse_colour
-from tracking.dataset import Dataset
-from tracking.displacements import Settings as TrackSettings
-from tracking.displacements import Track
+from neurosim.lab.nxt.params import BOARD
+from neurosim.lab.nxt.physics import S
+from neurosim.recording.commands import Command, RandomCommands
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.displacements import Settings as TrackSettings
+from tracking.datasets.displacements import Track
+from tracking.datasets.recordings import DEFAULT_MARKERS
 from tracking.follow import Track as Seen
+from tracking.markers.colours import parse_colour
+from tracking.markers.tracker import Tracker
 from tracking.poses import board_poses, marker_geometry
-from tracking.recordings import DEFAULT_MARKERS
-from tracking.tracker import Tracker
 
 FORMAT, VERSION = "neurosim-noise-floor", 1
 UNITS = {"dx": (100.0, "cm"), "dy": (100.0, "cm"), "dtheta": (180.0 / math.pi, "deg")}

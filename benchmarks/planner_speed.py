@@ -30,12 +30,12 @@ import numba
 import numpy as np
 import torch
 
+from neurosim.evolve.plan_course import Course
+from neurosim.evolve.plans import Evolution, PlanSettings
+from neurosim.evolve.rollouts import SteppedRollouts, rollouts
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
-from neurosim.tasks.plan_course import Course
-from neurosim.tasks.planning import Evolution, PlanSettings
-from neurosim.tasks.rollouts import SteppedRollouts, rollouts
 from neurosim.training.train import train
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"

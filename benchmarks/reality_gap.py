@@ -25,14 +25,14 @@ from pathlib import Path
 import numpy as np
 
 from neurosim.evolution import GeneticSettings
+from neurosim.evolve.plans import PlanSettings, RobustSettings
+from neurosim.evolve.write_plans import evolve
 from neurosim.lab import VirtualRig
-from neurosim.lab.params import CameraParams
-from neurosim.lab.photographs import SQUARE, render_photographs
-from neurosim.tasks.evolve import evolve
-from neurosim.tasks.planning import PlanSettings, RobustSettings
+from neurosim.lab.camera.photographs import SQUARE, render_photographs
+from neurosim.lab.nxt.params import CameraParams
 from neurosim.training.train import train
-from neurosim.trial import run_trial
-from tracking.calibrate import calibrate
+from neurosim.trials.trial import run_trial
+from tracking.camera.calibrate import calibrate
 from tracking.track import track
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"

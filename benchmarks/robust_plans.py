@@ -35,28 +35,29 @@ import numpy as np
 import torch
 from numba import njit, prange
 
-from neurosim.commands import Command, FixedCommands
-from neurosim.lab import VirtualRig, physics
-from neurosim.lab.params import LabParams
-from neurosim.networks import ProductSummationNetwork
-from neurosim.record import Guard, RecordSettings, record
-from neurosim.simulators import read_simulator
-from neurosim.tasks.check import check_commands
-from neurosim.tasks.nine_rectangles import NineRectangles
-from neurosim.tasks.planning import (
+from neurosim.evolve.plan_check import check_commands
+from neurosim.evolve.plans import (
     PlanResult,
     PlanSettings,
     RobustSettings,
     evolve_plan,
     improve_plans,
 )
-from neurosim.tasks.rollouts import PLACING, RUN_DOWN
+from neurosim.evolve.rollouts import PLACING, RUN_DOWN
+from neurosim.lab import VirtualRig
+from neurosim.lab.nxt import physics
+from neurosim.lab.nxt.params import LabParams
+from neurosim.networks import ProductSummationNetwork
+from neurosim.recording.commands import Command, FixedCommands
+from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.simulators import read_simulator
+from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.training.base import TrainingData
-from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.train import MEMBERS, train, training_data
-from neurosim.training.trainers import DEFAULT, TRAINERS
-from tracking.dataset import Dataset
-from tracking.recordings import Recording
+from neurosim.training.trainers.registry import DEFAULT, TRAINERS
+from neurosim.training.uncertainty.ensemble import EnsembleTrainer
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.recordings import Recording
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 TASK = NineRectangles()

@@ -21,12 +21,12 @@ import numpy as np
 import torch
 
 from neurosim.lab import KheperaParams, LabArena, sampling_places
-from neurosim.lab import khepera_physics as physics
+from neurosim.lab.khepera import physics
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.arena import Arena, paper_arena
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
-from neurosim.simulators.tables import RADIUS
+from neurosim.simulators.tables.arena import Arena, paper_arena
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.simulators.tables.simulator import RADIUS
 
 FIRST, STEP, DISTANCES, ANGLES = 0.005, 0.002, 20, 180
 #: Far from everything, m.

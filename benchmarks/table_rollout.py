@@ -31,10 +31,10 @@ import numba
 import numpy as np
 import torch
 
+from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
-from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory, avoidance
 
 STEPS = 500

@@ -41,12 +41,12 @@ import cv2
 import numpy as np
 from tracking_scenes import ARUCO, DICTIONARY, FPS, MARKERS, SCENARIOS, Clip, Frame
 
-from neurosim.lab.world import read_truth
-from tracking.camera_model import CameraModel
-from tracking.colours import parse_colour
+from neurosim.lab.nxt.world import read_truth
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import Recording
+from tracking.markers.colours import parse_colour
+from tracking.markers.tracker import Tracker
 from tracking.poses import board_poses, marker_geometry
-from tracking.recordings import Recording
-from tracking.tracker import Tracker
 
 #: A pose further off than this (m, rad) is a false one.
 FALSE = (0.01, math.radians(5.0))

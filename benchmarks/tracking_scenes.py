@@ -16,10 +16,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.lab import scene
-from neurosim.lab.optics import Optics
-from neurosim.lab.params import CameraParams
-from tracking.camera_model import CameraModel
+from neurosim.lab.camera import scene
+from neurosim.lab.camera.optics import Optics
+from neurosim.lab.nxt.params import CameraParams
+from tracking.camera.camera_model import CameraModel
 
 FPS = 30.0
 MARKERS = {

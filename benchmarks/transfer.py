@@ -41,19 +41,19 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.evolve.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
+from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
-from neurosim.lab.khepera_rig import SerialCable
-from neurosim.robots.khepera_dialects import dialect_named
+from neurosim.lab.khepera.rig import SerialCable
+from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.sampling import SampleSettings, sample, sampled_reaction
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.arena import paper_arena
-from neurosim.simulators.motor_table import MotorTable
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
-from neurosim.tasks.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
-from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.simulators.tables.arena import paper_arena
+from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance
-from neurosim.tasks.robot_trials import RobotTrials
+from neurosim.trials.networks import RobotTrials
 
 TABLES = ("samples", "tenth", "formulas")
 TASK = ObstacleAvoidance()

@@ -13,8 +13,8 @@ matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
 from neurosim.reports.course import draw_course
-from tracking.camera_model import CameraModel
-from tracking.recordings import Recording
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import Recording
 
 
 def main(demo: Path, out: Path) -> None:

@@ -9,8 +9,8 @@ import pytest
 from khepera_data import made_up
 
 from neurosim.cli.main import cli
+from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.simulators import TableSimulator
-from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.tasks.obstacle_avoidance import FITNESS
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -36,42 +36,42 @@ from click.testing import CliRunner
 from safetensors.numpy import load_file
 
 from neurosim.cli.main import cli
-from neurosim.commands import RandomCommands
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.lab import (
-    KheperaParams,
-    LabArena,
-    LabParams,
-    VirtualKheperaRig,
-    VirtualRig,
-    physics,
-    sampling_places,
-)
-from neurosim.lab.khepera_body import KheperaBody
-from neurosim.record import RecordSettings, record
-from neurosim.sampling import SampleSettings, sample
-from neurosim.simulators import TableSimulator, read_simulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.motor_table import MotorTable
-from neurosim.simulators.reaction import Reaction
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
-from neurosim.tasks.check import check_commands
-from neurosim.tasks.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
-from neurosim.tasks.nine_rectangles import NineRectangles
-from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
-from neurosim.tasks.planning import (
+from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
+from neurosim.evolve.plan_check import check_commands
+from neurosim.evolve.plans import (
     ROBUST_GENETIC,
     PlanSettings,
     RobustSettings,
     evolve_plan,
     improve_plans,
 )
-from neurosim.tasks.rollouts import PLACING, SteppedRollouts, rollouts
+from neurosim.evolve.rollouts import PLACING, SteppedRollouts, rollouts
+from neurosim.lab import (
+    KheperaParams,
+    LabArena,
+    LabParams,
+    VirtualKheperaRig,
+    VirtualRig,
+    sampling_places,
+)
+from neurosim.lab.khepera.body import KheperaBody
+from neurosim.lab.nxt import physics
+from neurosim.recording.commands import RandomCommands
+from neurosim.recording.record import RecordSettings, record
+from neurosim.sampling import SampleSettings, sample
+from neurosim.simulators import TableSimulator, read_simulator
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.reaction import Reaction
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.tasks.nine_rectangles import NineRectangles
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 from neurosim.training.guided import Committee, GuidedSettings, choose, motor_data
 from neurosim.training.train import train
-from tracking.dataset import Dataset
-from tracking.recordings import Recording
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.recordings import Recording
 
 PINNED = Path(__file__).with_name("pinned.json")
 ROOT = Path(__file__).resolve().parents[1]

@@ -13,13 +13,13 @@ from numpy.typing import ArrayLike, NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from neurosim.base.progress import Progress
-from tracking.colours import Colour, parse_colour
+from tracking.camera.video import Video
+from tracking.markers.colours import Colour, parse_colour
+from tracking.markers.pair import Geometry
+from tracking.markers.palette import unless_still
+from tracking.markers.pointing import colour_at
+from tracking.markers.tracker import Tracker
 from tracking.overlay import Overlay, check_overlay
-from tracking.pair import Geometry
-from tracking.palette import unless_still
-from tracking.pointing import colour_at
-from tracking.tracker import Tracker
-from tracking.video import Video
 
 
 @dataclass(frozen=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from numpy.typing import NDArray
 
-from tracking.colours import Colour
-from tracking.pair import Geometry, Sighting
-from tracking.palette import Found
-from tracking.tracker import Tracker
+from tracking.markers.colours import Colour
+from tracking.markers.pair import Geometry, Sighting
+from tracking.markers.palette import Found
+from tracking.markers.tracker import Tracker
 
 #: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
 #: of the robot is never older than these.
@@ -41,7 +41,7 @@ class Seen:
 
 
 class LiveTracker:
-    """A :class:`tracking.tracker.Tracker` at a camera.
+    """A :class:`tracking.markers.tracker.Tracker` at a camera.
 
     Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
     thread: the same frames give the same sightings at the same moments. Others are tracked in a

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from tracking.colours import Colour
-from tracking.pair import Sighting
+from tracking.markers.colours import Colour
+from tracking.markers.pair import Sighting
 
 #: Frames for which the trail stays.
 TRAIL = 150

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from tracking.camera_model import CameraModel
+from tracking.camera.camera_model import CameraModel
 from tracking.follow import Track
-from tracking.pair import Geometry
+from tracking.markers.pair import Geometry
 
 
 def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:

@@ -8,14 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.files import integer, number, optional_number, read_csv
-from tracking.camera_model import CameraModel
-from tracking.colours import parse_colour
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.video import Video
+from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording
 from tracking.follow import Track
-from tracking.palette import find_colours, unless_still
+from tracking.markers.colours import parse_colour
+from tracking.markers.palette import find_colours, unless_still
+from tracking.markers.tracker import Tracker
 from tracking.poses import marker_geometry
-from tracking.recordings import SIGHTING_COLUMNS, Recording
-from tracking.tracker import Tracker
-from tracking.video import Video
 
 #: Frames of a video that are looked at for the colours of a pair that was tracked live.
 LOOKS = 5

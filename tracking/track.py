@@ -14,15 +14,15 @@ from numpy.typing import ArrayLike
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import new_folder, write_csv, write_json
-from tracking.camera_model import CameraModel
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.video import Video
+from tracking.clock.motion import disagreement, fit_clock_to_motion
+from tracking.clock.motor_delay import Delay, motion_delay
+from tracking.clock.sync import ClockFit, fit_clock, pulses
+from tracking.datasets.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
 from tracking.follow import Track, follow
-from tracking.motion import disagreement, fit_clock_to_motion
-from tracking.motor_delay import Delay, motion_delay
-from tracking.pair import Geometry
+from tracking.markers.pair import Geometry
 from tracking.poses import board_poses, marker_geometry, unwrap
-from tracking.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
-from tracking.sync import ClockFit, fit_clock, pulses
-from tracking.video import Video
 
 
 def track(

@@ -14,11 +14,11 @@ import numpy as np
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import check_new_folder
-from neurosim.commands import Command, CommandSource, RandomCommands
+from neurosim.recording.commands import Command, CommandSource, RandomCommands
 
 if TYPE_CHECKING:
-    from neurosim.record import RecordSettings
-    from tracking.recordings import Recording
+    from neurosim.recording.record import RecordSettings
+    from tracking.datasets.recordings import Recording
 
 #: Where the robot is: x, y (m), heading (rad), on the board.
 Pose = tuple[float, float, float]
@@ -88,8 +88,8 @@ def record_rounds(
     Raises:
         UserError: if ``out`` is taken, or is complete, or was begun with other settings.
     """
-    from neurosim.record import record
-    from tracking.recordings import Recording
+    from neurosim.recording.record import record
+    from tracking.datasets.recordings import Recording
     from tracking.track import track
 
     if settings.guard.at_line == "end":
@@ -161,7 +161,7 @@ def _name(number: int) -> str:
 
 def _complete(out: Path, rounds: int) -> Iterator[Path]:
     """Give the rounds that were recorded to their end and tracked."""
-    from tracking.recordings import Recording
+    from tracking.datasets.recordings import Recording
 
     for number in range(1, rounds + 1):
         folder = out / _name(number)
@@ -176,7 +176,7 @@ def _complete(out: Path, rounds: int) -> Iterator[Path]:
 def _chosen_before(folder: Path, how: dict[str, Any]) -> CommandSource:
     """Return the commands that a round was begun with."""
     from neurosim.training.guided import GuidedCommands
-    from tracking.recordings import Recording
+    from tracking.datasets.recordings import Recording
 
     path = folder / "recording.json"
     source = Recording(folder).meta.get("settings", {}).get("source", {})
@@ -243,8 +243,8 @@ def _choose(
 def _rows(made: list[Recording]) -> tuple[Any, Any]:
     """Return inputs (N, 5) and displacements (N, 3) of what was recorded so far."""
     from neurosim.training.train import MIN_ROWS
-    from tracking.dataset import MOTOR_INPUTS, OUTPUTS
-    from tracking.displacements import displacements
+    from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
+    from tracking.datasets.displacements import displacements
 
     rows = [row for recording in made for row in displacements(recording).rows]
     if len(rows) < MIN_ROWS:

@@ -44,11 +44,11 @@ def evolve_network(
         robot: options of the generations on a robot.
         resume: go on with an evolution that was interrupted.
     """
+    from neurosim.evolve.evolve_networks import begun_with, evolve_networks
+    from neurosim.evolve.network_evolution import NetworkSettings
     from neurosim.simulators import TableSimulator, read_simulator
-    from neurosim.simulators.arena import Arena
+    from neurosim.simulators.tables.arena import Arena
     from neurosim.tasks.base import make_task
-    from neurosim.tasks.evolve_networks import begun_with, evolve_networks
-    from neurosim.tasks.network_evolution import NetworkSettings
 
     found = read_simulator(simulator)
     if not isinstance(found, TableSimulator):
@@ -130,7 +130,7 @@ def _on_robot(
     if not generations:
         yield {}
         return
-    from neurosim.tasks.robot_trials import RobotTrials, odometry
+    from neurosim.trials.networks import RobotTrials, odometry
 
     arena = simulator.arena
 

@@ -141,7 +141,7 @@ def virtual_khepera_baud(options: dict[str, Any]) -> int:
     Raises:
         UserError: for an option that only a real one has.
     """
-    from neurosim.robots.khepera_dialects import dialect_named
+    from neurosim.robots.khepera.dialects import dialect_named
 
     for name, option in (("serial_port", "--port"), ("dialect", "--dialect")):
         if options[name] is not None:
@@ -288,7 +288,7 @@ def open_camera(source: str | None, now: Callable[[], float], size: Any, fps: fl
     """Open the camera that ``--camera`` names; None where it says none."""
     if source == "none":
         return None
-    from tracking.camera import OpenCVCamera
+    from tracking.camera.cameras import OpenCVCamera
 
     number_or_name = int(source or 0) if source is None or source.isdigit() else source
     return OpenCVCamera(number_or_name, now, size, fps)

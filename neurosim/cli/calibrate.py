@@ -85,8 +85,8 @@ def calibrate(
     Without marked points the lens alone is learned, and poses stay in pixels. With --corners one
     photograph of the board is enough, of a lens that is taken to be a usual one.
     """
-    from tracking.calibrate import calibrate as calibrate_
-    from tracking.calibrate import from_corners
+    from tracking.camera.calibrate import calibrate as calibrate_
+    from tracking.camera.calibrate import from_corners
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")

@@ -36,8 +36,8 @@ def dataset(
     A guided recording's rounds are recordings; its folder stands for all of them.
     """
     from neurosim.cli._guided import parts_of
-    from tracking.dataset import build
-    from tracking.mrclam import import_mrclam
+    from tracking.datasets.dataset import build
+    from tracking.datasets.mrclam import import_mrclam
 
     if source == "mrclam":
         made = import_mrclam(list(recordings), out)

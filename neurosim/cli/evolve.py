@@ -167,8 +167,8 @@ def evolve(
         )
         return
     from neurosim.evolution import GeneticSettings
-    from neurosim.tasks.evolve import evolve as evolve_
-    from neurosim.tasks.planning import DEFAULT_GENETIC, PlanSettings, RobustSettings
+    from neurosim.evolve.plans import DEFAULT_GENETIC, PlanSettings, RobustSettings
+    from neurosim.evolve.write_plans import evolve as evolve_
 
     settings = PlanSettings(
         commands=commands,

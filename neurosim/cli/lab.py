@@ -46,7 +46,7 @@ def lab() -> None:
 def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
     """Keep a virtual NXT running in real time, for any program that speaks to bricks."""
     from neurosim.lab import VirtualRig
-    from neurosim.lab.world import Pacer
+    from neurosim.lab.nxt.world import Pacer
 
     _check_port(by_socket)
     with VirtualRig(
@@ -94,10 +94,10 @@ def khepera(
     import math
 
     from neurosim.lab import LabArena, VirtualKheperaRig
-    from neurosim.lab.khepera_params import RADIUS
-    from neurosim.lab.khepera_rig import START
-    from neurosim.lab.world import Pacer
-    from neurosim.simulators.arena import Arena, paper_arena
+    from neurosim.lab.khepera.params import RADIUS
+    from neurosim.lab.khepera.rig import START
+    from neurosim.lab.nxt.world import Pacer
+    from neurosim.simulators.tables.arena import Arena, paper_arena
 
     _check_port(by_socket)
     arena = paper_arena() if arena_path is None else Arena.read(arena_path)
@@ -174,9 +174,9 @@ def photographs(
     out: Path, count: int, camera_size: tuple[int, int], over: str, seed: int, as_json: bool
 ) -> None:
     """Take photographs of a chessboard and of the board with the lab's camera, into OUT."""
-    from neurosim.lab.khepera_camera import SCALE
-    from neurosim.lab.params import CameraParams
-    from neurosim.lab.photographs import SQUARE, render_photographs
+    from neurosim.lab.camera.photographs import SQUARE, render_photographs
+    from neurosim.lab.khepera.camera import SCALE
+    from neurosim.lab.nxt.params import CameraParams
 
     scale = SCALE if over == "khepera" else 1.0
     render_photographs(out, CameraParams(size=camera_size), seed, count, scale=scale)

@@ -11,7 +11,7 @@ import click
 from neurosim.cli._common import PATH, emit, json_option, placing_option, seed_option
 
 if TYPE_CHECKING:
-    from neurosim.tasks.check import PlanCheck
+    from neurosim.evolve.plan_check import PlanCheck
 
 
 @click.command("plan-check")
@@ -33,7 +33,7 @@ def plan_check(
 
     SIMULATOR need not be the one that the plan was evolved in.
     """
-    from neurosim.tasks.check import check_plan
+    from neurosim.evolve.plan_check import check_plan
 
     scatter = (placing[0] / 1000.0, math.radians(placing[1]))
     check = check_plan(controller, simulator, draws=draws, seed=seed, placing=scatter)

@@ -26,7 +26,7 @@ from neurosim.cli._common import (
 from neurosim.cli._robots import open_rig, robot_options
 
 if TYPE_CHECKING:
-    from tracking.recordings import Recording
+    from tracking.datasets.recordings import Recording
 
 
 def _begun(values: dict[str, Any]) -> dict[str, Any]:
@@ -150,9 +150,9 @@ def record(
     needs a camera and its --calibration.
     """
     from neurosim.base.errors import UserError
-    from neurosim.commands import RandomCommands
-    from neurosim.record import Guard, RecordSettings
-    from neurosim.record import record as record_
+    from neurosim.recording.commands import RandomCommands
+    from neurosim.recording.record import Guard, RecordSettings
+    from neurosim.recording.record import record as record_
 
     source = RandomCommands(max_speed, durations, straight, stopped, seed)
     settings = RecordSettings(
@@ -224,7 +224,7 @@ def record(
 
 
 def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
-    from tracking.palette import least_sure
+    from tracking.markers.palette import least_sure
 
     lines = [part.commands() for part in made]
     ends = [{line.session: line.time for line in part} for part in lines]  # of each session
@@ -241,7 +241,7 @@ def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
 
 
 def _words(result: dict[str, Any]) -> str:
-    from tracking.palette import in_words
+    from tracking.markers.palette import in_words
 
     colours = in_words(result["markers"])
     return (
@@ -268,8 +268,8 @@ def _page(
         return
     from neurosim.base.errors import UserError
     from neurosim.watch import PageServer, Viewer
-    from tracking.camera_model import CameraModel
-    from tracking.colours import parse_colour
+    from tracking.camera.camera_model import CameraModel
+    from tracking.markers.colours import parse_colour
 
     model = None if calibration is None else CameraModel.read(calibration)
     if camera is None or model is None or not model.has_board:
@@ -299,8 +299,8 @@ def marker_settings(colours: str, robot: str) -> dict[str, Any]:
         robot: as ``--robot`` names it; ``virtual khepera`` for that.
     """
     from neurosim.base.errors import UserError
-    from tracking.colours import parse_colour
-    from tracking.recordings import DEFAULT_MARKERS, KHEPERA_MARKERS, read_markers
+    from tracking.datasets.recordings import DEFAULT_MARKERS, KHEPERA_MARKERS, read_markers
+    from tracking.markers.colours import parse_colour
 
     if colours.endswith(".json"):
         markers = read_markers(colours)
@@ -323,6 +323,6 @@ def marker_settings(colours: str, robot: str) -> dict[str, Any]:
 
 
 def _sessions(out: Path) -> int:
-    from tracking.recordings import Recording
+    from tracking.datasets.recordings import Recording
 
     return Recording(out).sessions

@@ -62,8 +62,8 @@ def run(
     rectangle, facing rectangle 1, the top-left one.
     """
     from neurosim.controllers import Plan
-    from neurosim.record import Guard
-    from neurosim.trial import run_trial
+    from neurosim.recording.record import Guard
+    from neurosim.trials.trial import run_trial
     from tracking.track import track
 
     if robot["camera"] == "none":

@@ -157,7 +157,7 @@ class _Eye:
 
     @staticmethod
     def of(robot: str, camera: str | None, calibration: Path | None, markers: str) -> _Eye | None:
-        from tracking.camera_model import CameraModel
+        from tracking.camera.camera_model import CameraModel
 
         if camera is None:
             for name, option in (("calibration", "--calibration"), ("markers", "--markers")):

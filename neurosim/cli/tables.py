@@ -69,11 +69,11 @@ def tables(
     """
     from neurosim.base.files import new_folder
     from neurosim.sampling import sampled_baud, sampled_body, sampled_reaction
-    from neurosim.simulators.arena import Arena, paper_arena
-    from neurosim.simulators.motor_table import MotorTable
-    from neurosim.simulators.sensor_table import SensorTable
     from neurosim.simulators.sources import sources
-    from neurosim.simulators.tables import RADIUS, TableSimulator
+    from neurosim.simulators.tables.arena import Arena, paper_arena
+    from neurosim.simulators.tables.motor_table import MotorTable
+    from neurosim.simulators.tables.sensor_table import SensorTable
+    from neurosim.simulators.tables.simulator import RADIUS, TableSimulator
 
     for name, option in (("wheel_base", "--wheel-base"), ("full_speed", "--full-speed")):
         if motors is not None and is_given(name):

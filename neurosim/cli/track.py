@@ -66,7 +66,7 @@ def track(
     Of a recording, the poses go into its poses.csv, in metres, on the robot's clock. A video file
     needs -o; without a calibration its poses are in pixels.
     """
-    from tracking.palette import in_words, least_sure, warning
+    from tracking.markers.palette import in_words, least_sure, warning
     from tracking.track import track as track_
     from tracking.track import track_video
 

@@ -84,7 +84,7 @@ def train(
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
     from neurosim.training.train import train as train_
-    from neurosim.training.trainers import trainer_class
+    from neurosim.training.trainers.registry import trainer_class
 
     own = trainer_class(trainer).default_hidden
     hidden = (product_units, summation_units)

@@ -62,12 +62,12 @@ def watch(
     to be printed or typed. The page is for this computer alone.
     """
     from neurosim.watch import PageServer, Viewer
-    from tracking.camera_model import CameraModel
-    from tracking.colours import parse_colour
+    from tracking.camera.camera_model import CameraModel
+    from tracking.datasets.recordings import DEFAULT_BOARD
     from tracking.live import LiveTracker
-    from tracking.pair import Geometry
+    from tracking.markers.colours import parse_colour
+    from tracking.markers.pair import Geometry
     from tracking.poses import marker_geometry
-    from tracking.recordings import DEFAULT_BOARD
 
     known = marker_settings(markers, "camera")
     colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))
@@ -140,7 +140,7 @@ def _open_camera(name: str, size: Any, fps: float | None) -> Iterator[Any]:
         with _lab_camera(size or (640, 480), fps or 30.0) as camera:
             yield camera
         return
-    from tracking.camera import OpenCVCamera, VideoCamera
+    from tracking.camera.cameras import OpenCVCamera, VideoCamera
 
     if Path(name).is_file():
         yield VideoCamera(name)

@@ -3,11 +3,11 @@
 They are reached as real ones are: by a serial line, and by the frames of a camera.
 """
 
-from neurosim.lab.khepera_params import KheperaParams, LabArena
-from neurosim.lab.khepera_rig import VirtualKheperaRig, sampling_places
-from neurosim.lab.params import CameraParams, LabParams
-from neurosim.lab.rig import VirtualRig
-from neurosim.lab.world import Lab, Pacer, Truth, read_truth
+from neurosim.lab.khepera.params import KheperaParams, LabArena
+from neurosim.lab.khepera.rig import VirtualKheperaRig, sampling_places
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.rig import VirtualRig
+from neurosim.lab.nxt.world import Lab, Pacer, Truth, read_truth
 
 __all__ = [
     "CameraParams",

@@ -19,11 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from neurosim.controllers import Plan, read_controller
+from neurosim.evolve.network_evolution import TableTrials
 from neurosim.reports.svg import INK
 from neurosim.simulators import TableSimulator, read_simulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.tables import RADIUS
-from neurosim.tasks.network_evolution import TableTrials
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.simulator import RADIUS
 from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance, Trajectory
 
 #: Where a Khepera's sensors look, degrees to the left.

@@ -17,7 +17,7 @@ from neurosim.base.provenance import is_virtual
 from neurosim.controllers import NetworkController, Plan
 from neurosim.controllers.network import KIND as NETWORK
 from neurosim.simulators import TableSimulator, read_simulator
-from tracking.dataset import Dataset
+from tracking.datasets.dataset import Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
 KINDS = ("trial", "recording", "dataset", "simulator", "controller")

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from neurosim.base import se2
 from neurosim.reports.svg import INK, drawing, to_svg
 from neurosim.tasks.nine_rectangles import COURSE, LAST, LENGTH, WIDTH, NineRectangles
-from tracking.recordings import DEFAULT_BOARD
+from tracking.datasets.recordings import DEFAULT_BOARD
 
 _LONGEST_ARC = NineRectangles().longest_arc
 

@@ -12,7 +12,7 @@ from neurosim.reports.accuracy import AXES
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 from neurosim.reports.predictions import READABLE, UNITS
-from tracking.dataset import Dataset
+from tracking.datasets.dataset import Dataset
 
 _MARKERS = ("front", "rear")
 

@@ -14,7 +14,7 @@ from neurosim.simulators import read_simulator
 from neurosim.training.coverage import central_ranks
 from neurosim.training.evaluate import errors, predict
 from neurosim.training.unicycle import unicycle
-from tracking.dataset import Dataset
+from tracking.datasets.dataset import Dataset
 
 #: From metres and radians to what people read: centimetres and degrees.
 READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}

@@ -13,7 +13,7 @@ from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
 from neurosim.reports.course import course
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
-from tracking.recordings import DEFAULT_BOARD
+from tracking.datasets.recordings import DEFAULT_BOARD
 
 #: More trials than this are drawn no longer one by one.
 MOST_DRAWN = 24

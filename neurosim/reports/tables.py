@@ -16,8 +16,8 @@ from neurosim.reports.charts import ragged
 from neurosim.reports.page import Block, Picture, Row, Section, Table
 from neurosim.reports.svg import INK, drawing, to_svg
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.sensor_table import OBJECTS
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.sensor_table import OBJECTS
 
 #: Readings at which a sensor's picture gets darker.
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)

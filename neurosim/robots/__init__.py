@@ -13,8 +13,8 @@ from inspect import signature
 
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Robot, SystemClock
-from neurosim.robots.khepera import Khepera
-from neurosim.robots.nxt import NXT
+from neurosim.robots.khepera.driver import Khepera
+from neurosim.robots.nxt.driver import NXT
 
 #: The entry points' group.
 GROUP = "neurosim.robots"

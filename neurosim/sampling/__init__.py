@@ -24,15 +24,15 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
 from neurosim.robots import Khepera
-from neurosim.robots.khepera_dialects import DIALECTS
+from neurosim.robots.khepera.dialects import DIALECTS
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
 from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
 from neurosim.sampling.settings import SampleSettings
 from neurosim.sampling.turns import read_turns, reading_times, sample_object
-from neurosim.simulators.reaction import Reaction
-from neurosim.simulators.sensor_table import OBJECTS
+from neurosim.simulators.tables.reaction import Reaction
+from neurosim.simulators.tables.sensor_table import OBJECTS
 
 __all__ = [
     "Eye",
@@ -83,7 +83,7 @@ def sample(
     Returns:
         ``samples`` (files), ``wheel_base`` (m, measured), ``wheel_sizes`` (left and right
         over their mean, measured), ``motor_settings``, ``reaction``
-        (:class:`~neurosim.simulators.reaction.Reaction`), and, with a grid,
+        (:class:`~neurosim.simulators.tables.reaction.Reaction`), and, with a grid,
         ``interpolation``: median and largest error at the held-out settings, in m/s (``forward``)
         and rad/s (``turn``).
 

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.robots.base import Clock
-from tracking.camera import Camera
-from tracking.camera_model import CameraModel
-from tracking.colours import parse_colour
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.cameras import Camera
 from tracking.live import LiveTracker, Seen
+from tracking.markers.colours import parse_colour
 from tracking.poses import marker_geometry, marker_poses, unwrap
 
 #: Pictures that arrive now may be so old, s.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from neurosim.base import files, se2
 from neurosim.robots import Khepera
 from neurosim.sampling.settings import SampleSettings
-from neurosim.simulators.motor_table import MotorTable
+from neurosim.simulators.tables.motor_table import MotorTable
 
 #: Seconds that motors get to reach their speed before a motor sample, and to stop after it.
 SETTLE = 0.3

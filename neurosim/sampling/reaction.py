@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from neurosim.base import files
 from neurosim.base.errors import UserError
 from neurosim.robots import Khepera
-from neurosim.simulators.reaction import Reaction
+from neurosim.simulators.tables.reaction import Reaction
 
 #: How often the robot starts from rest, forwards and backwards in turn.
 STARTS = 20

@@ -22,8 +22,8 @@ from neurosim.base.errors import UserError
 from neurosim.robots import Khepera
 from neurosim.sampling.settings import SampleSettings
 from neurosim.sampling.turns import PIVOTS, TURNS, Turns
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import OBJECTS
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import OBJECTS
 
 #: Radius of the round obstacle (the paper's is 5.5 cm across), m.
 OBSTACLE = 0.0275

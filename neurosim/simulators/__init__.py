@@ -1,7 +1,7 @@
 """Simulators behind one protocol: state and command in, state out, for a whole batch."""
 
 from neurosim.simulators.base import Simulator, read_simulator
-from neurosim.simulators.motion import MotionNetwork
-from neurosim.simulators.tables import TableSimulator
+from neurosim.simulators.motion.network import MotionNetwork
+from neurosim.simulators.tables.simulator import TableSimulator
 
 __all__ = ["MotionNetwork", "Simulator", "TableSimulator", "read_simulator"]

@@ -50,8 +50,8 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
         FileError: if the folder is not a simulator that this version reads, or a file in it is
             missing, cut short or wrong.
     """
-    from neurosim.simulators.motion import MotionNetwork
-    from neurosim.simulators.tables import TableSimulator
+    from neurosim.simulators.motion.network import MotionNetwork
+    from neurosim.simulators.tables.simulator import TableSimulator
 
     path = Path(folder) / "simulator.json"
     if not Path(folder).is_dir():

@@ -2,6 +2,6 @@
 
 from neurosim.training.evaluate import evaluate
 from neurosim.training.train import train
-from neurosim.training.trainers import TRAINERS
+from neurosim.training.trainers.registry import TRAINERS
 
 __all__ = ["TRAINERS", "evaluate", "train"]

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion import OUTPUTS
-from tracking.dataset import Dataset
+from neurosim.simulators.motion.network import OUTPUTS
+from tracking.datasets.dataset import Dataset
 
 #: What the intervals say they hold.
 LEVELS = (0.5, 0.8, 0.95)

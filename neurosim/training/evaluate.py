@@ -14,7 +14,7 @@ from neurosim.base.errors import UserError
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.training.coverage import coverage
 from neurosim.training.unicycle import unicycle
-from tracking.dataset import Dataset
+from tracking.datasets.dataset import Dataset
 
 #: Table 2 of the paper: final MSE (cm^2, deg^2) and average absolute error (cm, deg), by the
 #: names that its outputs have here (its change in y is our dx, its change in x our -dy).

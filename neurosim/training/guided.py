@@ -20,14 +20,14 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base import se2
-from neurosim.commands import Command, CommandSource
 from neurosim.networks import ProductSummationNetwork
+from neurosim.recording.commands import Command, CommandSource
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.derived import Derived
+from neurosim.simulators.motion.derived import Derived
 from neurosim.training.base import TrainingData
-from neurosim.training.ensemble import Share
-from neurosim.training.exponents import ExponentsSettings, ExponentsTrainer
-from tracking.dataset import MOTOR_INPUTS
+from neurosim.training.trainers.exponents import ExponentsSettings, ExponentsTrainer
+from neurosim.training.uncertainty.ensemble import Share
+from tracking.datasets.dataset import MOTOR_INPUTS
 
 #: The least size of an expected error, as a quantile of those expected of the rows.
 _QUIETEST = 0.02
@@ -57,7 +57,7 @@ class Committee:
     """Simulators that learned from different parts of the same rows.
 
     Args:
-        data: the rows so far, inputs as :data:`tracking.dataset.MOTOR_INPUTS`.
+        data: the rows so far, inputs as :data:`tracking.datasets.dataset.MOTOR_INPUTS`.
         seed: of which rows each sees, and of the searches.
         settings: of the choice.
     """

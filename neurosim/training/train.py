@@ -20,11 +20,11 @@ from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import Trainer, TrainingData
 from neurosim.training.coverage import coverage
-from neurosim.training.ensemble import EnsembleTrainer
 from neurosim.training.evaluate import table_of_errors
-from neurosim.training.gradient import GradientTrainer
-from neurosim.training.trainers import DEFAULT, trainer_class, trainer_settings
-from tracking.dataset import Dataset
+from neurosim.training.trainers.gradient import GradientTrainer
+from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
+from neurosim.training.uncertainty.ensemble import EnsembleTrainer
+from tracking.datasets.dataset import Dataset
 
 #: Networks of each output in an ensemble.
 MEMBERS = 8
@@ -68,7 +68,7 @@ def train(
     Args:
         dataset: a dataset folder.
         out: the simulator folder to write.
-        trainer: a name in :data:`neurosim.training.trainers.TRAINERS`.
+        trainer: a name in :data:`neurosim.training.trainers.registry.TRAINERS`.
         members: networks of each output; by default :data:`MEMBERS`, and 1 of the paper's.
         noise: whether to learn a noise model; by default yes, and no for the paper's.
         generations: how long each search is; by default as long as the trainer says.

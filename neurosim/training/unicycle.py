@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from tracking.dataset import Dataset
+from tracking.datasets.dataset import Dataset
 
 
 @dataclass(frozen=True)

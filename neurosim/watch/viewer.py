@@ -15,14 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from tracking.board import camera_over_board, corner_points
-from tracking.camera_model import CameraModel
-from tracking.colours import Colour
+from tracking.camera.board import camera_over_board, corner_points
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import write_markers
 from tracking.live import Seen
-from tracking.palette import Found
-from tracking.pointing import Pointed, colour_at, told_apart
+from tracking.markers.colours import Colour
+from tracking.markers.palette import Found
+from tracking.markers.pointing import Pointed, colour_at, told_apart
 from tracking.poses import marker_poses
-from tracking.recordings import write_markers
 
 #: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
 #: which x runs to the right: the order in which they are clicked.

@@ -12,10 +12,10 @@ from cli_road import neurosim
 from test_road import wait_for
 
 from neurosim.cli._guided import Rounds
-from neurosim.commands import RandomCommands
 from neurosim.lab import read_truth
-from neurosim.lab.params import BOARD
-from tracking.recordings import Recording
+from neurosim.lab.nxt.params import BOARD
+from neurosim.recording.commands import RandomCommands
+from tracking.datasets.recordings import Recording
 
 WORDS = ["record", "r", "--guided", "--commands", "45", "--round", "15", "--seed", "4"]
 

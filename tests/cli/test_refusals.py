@@ -96,7 +96,7 @@ def test_a_camera_that_is_not_there(refused):
 
 
 def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
-    from neurosim.lab import rig as rig_module
+    from neurosim.lab.nxt import rig as rig_module
 
     class Dying(VirtualRig):
         def __init__(self, *args, **options):
@@ -115,7 +115,7 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     assert "stopped answering" in said
     assert "Traceback" not in said
     # What was recorded is there, and goes on.
-    from tracking.recordings import Recording
+    from tracking.datasets.recordings import Recording
 
     assert Recording(tmp_path / "r").commands()
     monkeypatch.undo()

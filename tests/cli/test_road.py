@@ -13,8 +13,8 @@ import pytest
 from cli_road import neurosim
 
 from neurosim.lab import read_truth
-from tracking.dataset import Dataset
-from tracking.recordings import Recording
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.recordings import Recording
 
 
 def test_the_camera_is_learned_from_photographs(road):

@@ -14,12 +14,12 @@ from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
 from neurosim.cli.main import cli
 from neurosim.controllers import Plan, read_controller
+from neurosim.evolve.network_evolution import NetworkSettings
 from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import MotionNetwork, read_simulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.samples import Samples
-from neurosim.tasks.network_evolution import NetworkSettings
-from neurosim.tasks.robot_trials import RobotTrials
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.samples import Samples
+from neurosim.trials.networks import RobotTrials
 
 
 def call(*words):

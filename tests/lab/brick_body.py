@@ -2,7 +2,7 @@
 
 import threading
 
-from neurosim.lab.body import Output
+from neurosim.lab.nxt.body import Output
 
 
 class Body:

@@ -8,7 +8,7 @@ from brick_body import Body, Output
 from hypothesis import given
 from hypothesis import strategies as st
 
-from neurosim.lab.brick import _DIRECT, _SYSTEM, VirtualBrick, telegram_length
+from neurosim.lab.nxt.brick import _DIRECT, _SYSTEM, VirtualBrick, telegram_length
 
 
 @pytest.fixture

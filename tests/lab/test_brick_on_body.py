@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from brick_body import LabClock
 
-from neurosim.lab.body import NxtBody
-from neurosim.lab.brick import VirtualBrick
-from neurosim.lab.params import LabParams
-from neurosim.lab.serve import Radio, SocketServer
-from neurosim.robots.nxt import NXT
+from neurosim.lab.nxt.body import NxtBody
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.lab.nxt.params import LabParams
+from neurosim.lab.nxt.serve import Radio, SocketServer
+from neurosim.robots.nxt.driver import NXT
 
 
 class BodyClock(LabClock):

@@ -15,8 +15,8 @@ from brick_body import Body, LabClock
 from nxt.motor import Mode, Port, RegulationMode, RunState
 
 from neurosim.base.errors import RobotError
-from neurosim.lab.brick import VirtualBrick
-from neurosim.lab.serve import PtyServer, Radio, SocketServer
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.robots.base import SystemClock
 
 RUN = (Mode.ON | Mode.REGULATED, RegulationMode.SPEED, 0, RunState.RUNNING, 0)

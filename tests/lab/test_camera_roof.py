@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 
-from neurosim.lab import scene
-from neurosim.lab.camera import RoofCamera
-from neurosim.lab.params import BOARD, CameraParams, LabParams
-from neurosim.lab.world import Lab
+from neurosim.lab.camera import scene
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
+from neurosim.lab.nxt.world import Lab
 
 ON, RUNNING = 1, 0x20
 POSES = [(0.0, 0.0, 0.0), (1.2, 0.75, 0.8), (-1.22, -0.7, -2.0), (0.313, -0.5, 3.0)]

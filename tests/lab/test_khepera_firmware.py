@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neurosim.lab.khepera_firmware import BANNER, KheperaFirmware
+from neurosim.lab.khepera.firmware import BANNER, KheperaFirmware
 
 
 class Body:

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from neurosim.lab import KheperaParams, LabArena
-from neurosim.lab import khepera_physics as physics
-from neurosim.lab.khepera_params import RADIUS
-from neurosim.simulators.samples import Samples
+from neurosim.lab.khepera import physics
+from neurosim.lab.khepera.params import RADIUS
+from neurosim.simulators.tables.samples import Samples
 
 OBJECTS = {
     "wall": LabArena(((0.0, -1.0, 0.0, 1.0),)),

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
 from neurosim.lab import KheperaParams, LabArena
-from neurosim.lab import khepera_physics as physics
-from neurosim.lab.khepera_body import KheperaBody, KheperaLab
-from neurosim.lab.khepera_params import RADIUS, WHEEL_BASE
+from neurosim.lab.khepera import physics
+from neurosim.lab.khepera.body import KheperaBody, KheperaLab
+from neurosim.lab.khepera.params import RADIUS, WHEEL_BASE
 
 EMPTY = LabArena()
 IDEAL = KheperaParams.ideal()

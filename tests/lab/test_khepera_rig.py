@@ -14,9 +14,9 @@ import serial
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab import KheperaParams, LabArena, Pacer, VirtualKheperaRig
-from neurosim.lab.khepera_params import RADIUS
+from neurosim.lab.khepera.params import RADIUS
 from neurosim.robots import Khepera
-from neurosim.simulators.arena import Arena, paper_arena
+from neurosim.simulators.tables.arena import Arena, paper_arena
 
 DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]
 

@@ -6,10 +6,10 @@ import pytest
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import number, read_csv
-from neurosim.lab import scene
-from neurosim.lab.optics import Optics
-from neurosim.lab.params import CameraParams
-from neurosim.lab.photographs import CORNERS, SQUARE, render_photographs
+from neurosim.lab.camera import scene
+from neurosim.lab.camera.optics import Optics
+from neurosim.lab.camera.photographs import CORNERS, SQUARE, render_photographs
+from neurosim.lab.nxt.params import CameraParams
 
 
 @pytest.fixture(scope="module")

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from neurosim.base import se2
-from neurosim.lab import physics
-from neurosim.lab.params import LabParams
-from neurosim.lab.physics import S, U
+from neurosim.lab.nxt import physics
+from neurosim.lab.nxt.params import LabParams
+from neurosim.lab.nxt.physics import S, U
 
 IDEAL = LabParams.ideal()
 LAG = IDEAL.lag_left

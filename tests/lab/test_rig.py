@@ -8,9 +8,9 @@ import time
 import numpy as np
 import pytest
 
-from neurosim.commands import RandomCommands
 from neurosim.lab import Pacer, VirtualRig
-from neurosim.record import RecordSettings, record
+from neurosim.recording.commands import RandomCommands
+from neurosim.recording.record import RecordSettings, record
 
 
 def recorded(folder, **options):

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError
-from neurosim.lab.body import NxtBody, Wiring
-from neurosim.lab.params import CameraParams, LabParams
-from neurosim.lab.world import Lab, Pacer, read_truth
+from neurosim.lab.nxt.body import NxtBody, Wiring
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.world import Lab, Pacer, read_truth
 
 ON, BRAKE, REGULATED = 1, 2, 4
 RUNNING = 0x20

@@ -9,7 +9,7 @@ from neurosim.base import files, se2
 from neurosim.controllers import Plan
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from tracking import dataset
+from tracking.datasets import dataset
 
 INPUTS = [{"name": name, "unit": unit} for name, unit in dataset.MOTOR_INPUTS.items()]
 

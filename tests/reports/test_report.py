@@ -20,7 +20,7 @@ from report_artefacts import (
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.reports import write_report
-from tracking.recordings import Recording
+from tracking.datasets.recordings import Recording
 
 VOID = {"meta", "br", "link", "img", "hr", "input"}
 
@@ -157,7 +157,7 @@ def test_commands_and_poses_are_the_trials(whole):
 
 def test_table_2_against_an_independent_reckoning(whole):
     from neurosim.simulators import read_simulator
-    from tracking.dataset import Dataset
+    from tracking.datasets.dataset import Dataset
 
     folders, summary, _, page = whole
     rows = Dataset.read(folders[0]).table.iloc[120:]

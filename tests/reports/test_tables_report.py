@@ -9,7 +9,7 @@ from neurosim.base.errors import FileError
 from neurosim.controllers import NetworkController
 from neurosim.reports import tables, write_report
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.arena import paper_arena
+from neurosim.simulators.tables.arena import paper_arena
 
 
 def simulator(folder):

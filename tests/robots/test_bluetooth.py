@@ -9,9 +9,9 @@ import pytest
 from brick_body import Body, LabClock
 
 from neurosim.base.errors import LinkLost, RobotError
-from neurosim.lab.brick import VirtualBrick
-from neurosim.robots import bluetooth
-from neurosim.robots.nxt import NXT
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.robots.nxt import bluetooth
+from neurosim.robots.nxt.driver import NXT
 
 HOST = "00:16:53:0A:0B:0C"
 

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.robots import Robot, open_robot
-from neurosim.robots.khepera import Khepera, _numbers
+from neurosim.robots.khepera.driver import Khepera, _numbers
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="this system has no pseudo-terminals")
 

@@ -12,11 +12,11 @@ import usb.core
 from brick_body import Body, LabClock
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
-from neurosim.lab.brick import VirtualBrick
-from neurosim.lab.serve import PtyServer, Radio, SocketServer
-from neurosim.robots import nxt_link
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.robots.base import Robot
-from neurosim.robots.nxt import NXT
+from neurosim.robots.nxt import link as nxt_link
+from neurosim.robots.nxt.driver import NXT
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
 

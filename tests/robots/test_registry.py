@@ -7,8 +7,8 @@ from brick_body import Body, LabClock
 
 from neurosim import robots
 from neurosim.base.errors import RobotError, UserError
-from neurosim.lab.brick import VirtualBrick
-from neurosim.lab.serve import Radio, SocketServer
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.lab.nxt.serve import Radio, SocketServer
 
 
 class Turtle:

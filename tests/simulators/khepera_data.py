@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
 
 #: Where the made-up sensors look, rad, to the left.
 BEARINGS = np.radians([70.0, 45.0, 10.0, -10.0, -45.0, -70.0, -170.0, 170.0])

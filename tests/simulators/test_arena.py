@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.simulators.arena import Arena, paper_arena
+from neurosim.simulators.tables.arena import Arena, paper_arena
 
 
 def test_round_trip(tmp_path):

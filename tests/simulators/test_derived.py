@@ -8,9 +8,9 @@ import torch
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
-from neurosim.simulators.derived import Derived, can_swing
-from neurosim.simulators.kernels import displacement, network_inputs
-from neurosim.simulators.noise import CommandFeatures
+from neurosim.simulators.motion.derived import Derived, can_swing
+from neurosim.simulators.motion.kernels import displacement, network_inputs
+from neurosim.simulators.motion.noise import CommandFeatures
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 SCALE = [50.0, 50.0, 50.0, 50.0, 3.0]

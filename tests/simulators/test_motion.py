@@ -9,7 +9,7 @@ from neurosim.base import se2
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork, Simulator, read_simulator
-from neurosim.simulators.motion import compose, exp
+from neurosim.simulators.motion.network import compose, exp
 
 MOTORS = [
     {"name": name, "unit": unit}

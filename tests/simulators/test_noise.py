@@ -11,8 +11,9 @@ from safetensors.numpy import load_file, save_file
 
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
-from neurosim.simulators import MotionNetwork, kernels, read_simulator
-from neurosim.simulators.noise import (
+from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion import kernels
+from neurosim.simulators.motion.noise import (
     DRAWS,
     HEAVIEST,
     CommandFeatures,

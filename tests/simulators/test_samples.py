@@ -8,8 +8,8 @@ from hypothesis.extra.numpy import arrays
 from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.simulators.samples import Samples
-from neurosim.simulators.sensor_table import SensorTable
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import SensorTable
 
 TEXT = (
     "2 4 2 5 2.5 \r\n"

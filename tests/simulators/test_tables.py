@@ -12,10 +12,10 @@ from khepera_data import made_up
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
 from neurosim.simulators import Simulator, TableSimulator, read_simulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.motor_table import MotorTable
-from neurosim.simulators.reaction import Reaction
-from neurosim.simulators.table_kernels import drive_networks
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.kernels import drive_networks
+from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.reaction import Reaction
 
 
 def tensor(*rows):

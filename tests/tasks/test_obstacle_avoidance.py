@@ -6,18 +6,19 @@ from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers import NetworkController, Plan, read_controller
-from neurosim.simulators import TableSimulator
-from neurosim.simulators.arena import Arena
-from neurosim.simulators.sensor_table import SensorTable
-from neurosim.tasks.base import make_task
-from neurosim.tasks.evolve import evolve
-from neurosim.tasks.evolve_networks import choose, evolve_networks
-from neurosim.tasks.network_evolution import (
+from neurosim.evolve.evolve_networks import choose, evolve_networks
+from neurosim.evolve.network_evolution import (
     TOGETHER,
     NetworkEvolution,
     NetworkSettings,
     TableTrials,
 )
+from neurosim.evolve.rollouts import rollouts
+from neurosim.evolve.write_plans import evolve
+from neurosim.simulators import TableSimulator
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.tasks.base import make_task
 from neurosim.tasks.obstacle_avoidance import (
     FITNESS,
     ObstacleAvoidance,
@@ -25,7 +26,6 @@ from neurosim.tasks.obstacle_avoidance import (
     avoidance,
     cells_visited,
 )
-from neurosim.tasks.rollouts import rollouts
 
 
 def test_equation_1_by_hand():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import UserError
-from tracking.board import camera_over_board, corner_points
-from tracking.camera_model import CameraModel
+from tracking.camera.board import camera_over_board, corner_points
+from tracking.camera.camera_model import CameraModel
 
 CORNERS = np.array([(-1.38, 0.92), (1.38, 0.92), (1.38, -0.92), (-1.38, -0.92)])
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
-from tracking.board import locate
-from tracking.calibrate import (
+from tracking.camera.board import locate
+from tracking.camera.calibrate import (
     _lens,
     _lens_numbers,
     _resampled,
@@ -16,8 +16,8 @@ from tracking.calibrate import (
     calibrate,
     from_corners,
 )
-from tracking.camera_model import CameraModel
-from tracking.targets import Charuco, Chessboard, View
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.targets import Charuco, Chessboard, View
 
 TRUTH = CameraModel(
     (640, 480),

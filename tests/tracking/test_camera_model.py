@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from neurosim.base.errors import FileError, UserError
-from tracking.camera_model import CameraModel
+from tracking.camera.camera_model import CameraModel
 
 
 def looking_down(height=2.5, tilt=0.06, distortion=(-0.25, 0.08, 0.001, -0.0005, 0.01)):

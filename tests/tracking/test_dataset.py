@@ -11,10 +11,10 @@ from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
-from tracking import dataset as dataset_module
-from tracking.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
-from tracking.displacements import Settings, Track, fit_pose
-from tracking.recordings import Poses, Recording
+from tracking.datasets import dataset as dataset_module
+from tracking.datasets.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
+from tracking.datasets.displacements import Settings, Track, fit_pose
+from tracking.datasets.recordings import Poses, Recording
 
 TRACK_WIDTH, FULL_SPEED = 0.13, 0.5
 DELAY = 0.04  # motors answer later than one frame at 30 per second

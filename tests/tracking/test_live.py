@@ -6,10 +6,10 @@ import pytest
 import tracking_scene as scene
 
 from neurosim.base.errors import UserError
-from tracking.camera import OpenCVCamera, VideoSink
-from tracking.colours import parse_colour
+from tracking.camera.cameras import OpenCVCamera, VideoSink
 from tracking.live import WAITING, LiveTracker
-from tracking.tracker import Tracker
+from tracking.markers.colours import parse_colour
+from tracking.markers.tracker import Tracker
 
 COLOURS = parse_colour("pink"), parse_colour("blue")
 

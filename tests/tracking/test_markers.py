@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
-from tracking.colours import NAMED, angle_between, chroma_plane, parse_colour
-from tracking.markers import Picture, learn, measure
+from tracking.markers.colours import NAMED, angle_between, chroma_plane, parse_colour
+from tracking.markers.markers import Picture, learn, measure
 
 
 def one_marker(centre, radius=6.4, colour=scene.PINK, fade=True, jpeg=None, seed=0, noise=2.0):

@@ -8,11 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
-from tracking.displacements import displacements
-from tracking.motion import disagreement, fit_clock_to_motion
-from tracking.motor_delay import motion_delay
-from tracking.recordings import Poses, Recording
-from tracking.sync import ClockFit
+from tracking.clock.motion import disagreement, fit_clock_to_motion
+from tracking.clock.motor_delay import motion_delay
+from tracking.clock.sync import ClockFit
+from tracking.datasets.displacements import displacements
+from tracking.datasets.recordings import Poses, Recording
 
 LAG = 0.11
 

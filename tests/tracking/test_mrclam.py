@@ -7,8 +7,8 @@ import pytest
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
-from tracking.dataset import Dataset
-from tracking.mrclam import import_mrclam
+from tracking.datasets.dataset import Dataset
+from tracking.datasets.mrclam import import_mrclam
 
 
 def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_path):

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import tracking_scene as scene
 
-from tracking.colours import chroma_plane, parse_colour
-from tracking.markers import Look
-from tracking.palette import (
+from tracking.markers.colours import chroma_plane, parse_colour
+from tracking.markers.markers import Look
+from tracking.markers.palette import (
     APART,
     GREY,
     OTHER_HUE,
@@ -21,8 +21,8 @@ from tracking.palette import (
     unless_still,
     warning,
 )
-from tracking.tracker import Tracker
-from tracking.white import Cast, cast_of
+from tracking.markers.tracker import Tracker
+from tracking.markers.white import Cast, cast_of
 
 SIZE = (320, 240)
 NAMES = (parse_colour("pink"), parse_colour("blue"))

@@ -5,8 +5,8 @@ import pytest
 import tracking_scene as scene
 
 from neurosim.base.errors import UserError
-from tracking.colours import angle_between, parse_colour
-from tracking.pointing import colour_at, told_apart
+from tracking.markers.colours import angle_between, parse_colour
+from tracking.markers.pointing import colour_at, told_apart
 
 
 @pytest.mark.parametrize(("which", "bgr"), [("front", scene.PINK), ("rear", scene.BLUE)])

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import FileError, UserError
-from tracking.recordings import Poses, Recording
+from tracking.datasets.recordings import Poses, Recording
 
 HEADER = "session,command,kind,time,left,right,duration\n"
 

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
-from tracking.sync import ClockFit, fit_clock, pulses
+from tracking.clock.sync import ClockFit, fit_clock, pulses
 
 #: Two flashes of different length; edges at different phases of a frame of 30 a second.
 PATTERN = ((1.0, 1.608), (2.016, 2.324))

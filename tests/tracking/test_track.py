@@ -11,11 +11,11 @@ from click.testing import CliRunner
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import number, read_csv
 from neurosim.cli.track import track as verb
-from tracking.camera_model import CameraModel
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.video import Video
+from tracking.datasets.recordings import Recording
 from tracking.poses import board_poses, marker_geometry, unwrap
-from tracking.recordings import Recording
 from tracking.track import track, track_video
-from tracking.video import Video
 
 SIZE, FPS, HEIGHT = (320, 240), 30.0, 0.10
 CAMERA = CameraModel(

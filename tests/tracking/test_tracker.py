@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import tracking_scene as scene
 
-from tracking.colours import parse_colour
-from tracking.pair import Geometry
-from tracking.pointing import colour_at
-from tracking.tracker import Tracker
-from tracking.video import Video
+from tracking.camera.video import Video
+from tracking.markers.colours import parse_colour
+from tracking.markers.pair import Geometry
+from tracking.markers.pointing import colour_at
+from tracking.markers.tracker import Tracker
 
 SIZE = (320, 240)
 FPS = 30.0

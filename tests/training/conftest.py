@@ -4,7 +4,7 @@ import pytest
 import torch
 from synthetic_robot import synthetic
 
-from tracking.dataset import MOTOR_INPUTS, make
+from tracking.datasets.dataset import MOTOR_INPUTS, make
 
 torch.set_num_threads(1)  # tensors are small here; a second thread only waits
 

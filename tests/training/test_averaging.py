@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.averaging import Expansion, average, widened
-from neurosim.training.ensemble import searches
+from neurosim.training.trainers.averaging import Expansion, average, widened
+from neurosim.training.uncertainty.ensemble import searches
 
 INPUTS = [{"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right")]
 

@@ -7,10 +7,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base import se2
-from neurosim.commands import RandomCommands
-from neurosim.lab.params import LabParams
-from neurosim.lab.physics import displacements, new_state, slip_field
-from neurosim.training.dead_zone import find_dead_zone
+from neurosim.lab.nxt.params import LabParams
+from neurosim.lab.nxt.physics import displacements, new_state, slip_field
+from neurosim.recording.commands import RandomCommands
+from neurosim.training.trainers.dead_zone import find_dead_zone
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 LAG, HALF_TRACK = 0.1, 0.065

@@ -9,7 +9,7 @@ from neurosim.base.errors import UserError
 from neurosim.training import evaluate, train
 from neurosim.training.base import TrainingData, root_mean_square
 from neurosim.training.evaluate import errors
-from neurosim.training.exponents import half_way
+from neurosim.training.trainers.exponents import half_way
 from neurosim.training.unicycle import unicycle
 
 QUICK = {

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from neurosim.base import se2
-from neurosim.commands import Command, FixedCommands, RandomCommands
+from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.training.guided import (
     Committee,
     GuidedCommands,

@@ -5,7 +5,7 @@ import torch
 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.noise import (
+from neurosim.simulators.motion.noise import (
     SCALE_FEATURES,
     CommandFeatures,
     NoiseModel,
@@ -15,7 +15,7 @@ from neurosim.simulators.noise import (
     in_motion,
 )
 from neurosim.training.base import TrainingData
-from neurosim.training.noise import fit_noise
+from neurosim.training.uncertainty.noise import fit_noise
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 

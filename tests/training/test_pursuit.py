@@ -6,17 +6,17 @@ import pytest
 import torch
 
 from neurosim.networks import ProductSummationNetwork
-from neurosim.simulators.derived import Derived
-from neurosim.simulators.noise import CommandFeatures
+from neurosim.simulators.motion.derived import Derived
+from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData
-from neurosim.training.exponents import (
+from neurosim.training.trainers.exponents import (
     ExponentsSettings,
     ExponentsTrainer,
     half_way,
     translation_factors,
 )
-from neurosim.training.pursuit import Pursuit, row_weights
-from neurosim.training.swing import find_swing
+from neurosim.training.trainers.pursuit import Pursuit, row_weights
+from neurosim.training.trainers.swing import find_swing
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 FEW = {"candidates": 100, "parents": 6, "children": 30}
@@ -174,7 +174,7 @@ def test_no_unit_grows_far_beyond_what_it_was_on_its_rows(robot_data):
 
 
 def test_of_many_rows_the_turn_is_the_average_of_two_searches(robot_data, monkeypatch):
-    monkeypatch.setattr("neurosim.training.exponents.MANY_ROWS", 200)
+    monkeypatch.setattr("neurosim.training.trainers.exponents.MANY_ROWS", 200)
     inputs, outputs = map(torch.tensor, robot_data(200, 6))
     data = TrainingData([{"name": n} for n in NAMES], inputs, outputs)
     settings = ExponentsSettings(**FEW, patience=100, dead_zone=(0.0,) * 5, derived=Derived())
@@ -199,7 +199,8 @@ def test_of_many_rows_the_turn_is_the_average_of_two_searches(robot_data, monkey
 )
 def test_more_rows_give_more_derived_inputs(robot_data, monkeypatch, count, derived):
     monkeypatch.setattr(
-        "neurosim.training.exponents.find_swing", lambda found, *_: replace(found, swing=0.03)
+        "neurosim.training.trainers.exponents.find_swing",
+        lambda found, *_: replace(found, swing=0.03),
     )
     inputs, outputs = map(torch.tensor, robot_data(count, 6))
     settings = ExponentsSettings(**FEW, dead_zone=(0.06,) * 4 + (0.0,))

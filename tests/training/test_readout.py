@@ -6,7 +6,7 @@ from synthetic_robot import synthetic
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData
-from neurosim.training.readout import Readout
+from neurosim.training.trainers.readout import Readout
 
 INPUTS = [
     {"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right", "duration")

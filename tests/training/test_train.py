@@ -14,8 +14,8 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.simulators import read_simulator
 from neurosim.training import evaluate, train
 from neurosim.training.evaluate import PAPER, errors, predict
-from neurosim.training.trainers import trainer_class
-from tracking.dataset import Dataset
+from neurosim.training.trainers.registry import trainer_class
+from tracking.datasets.dataset import Dataset
 
 QUICK = {
     "trainer": "ga",

@@ -3,7 +3,7 @@
 import pytest
 
 from neurosim.training import evaluate, train
-from tracking.mrclam import import_mrclam
+from tracking.datasets.mrclam import import_mrclam
 
 
 @pytest.mark.parametrize(("trainer", "generations"), [("ga", 200), ("exponents", 10)])

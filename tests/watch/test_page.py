@@ -9,15 +9,15 @@ import pytest
 from devtools import browser_tab
 
 from neurosim.lab import CameraParams
-from neurosim.lab.camera import RoofCamera
-from neurosim.lab.params import BOARD
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.params import BOARD
 from neurosim.watch import PageServer, Viewer
-from tracking.camera_model import CameraModel
-from tracking.colours import parse_colour
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, read_markers
 from tracking.live import LiveTracker
+from tracking.markers.colours import parse_colour
+from tracking.markers.tracker import Geometry
 from tracking.poses import marker_geometry
-from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS, read_markers
-from tracking.tracker import Geometry
 
 POSE = np.array([0.62, -0.31, 0.8])
 

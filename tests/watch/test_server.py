@@ -9,10 +9,10 @@ import pytest
 
 from neurosim.base.errors import UserError
 from neurosim.watch import PageServer, Viewer
-from tracking.colours import parse_colour
+from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
 from tracking.live import Seen
-from tracking.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
-from tracking.tracker import Sighting
+from tracking.markers.colours import parse_colour
+from tracking.markers.tracker import Sighting
 
 PINK, BLUE = (160, 70, 235), (225, 105, 40)  # BGR
 

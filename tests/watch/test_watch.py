@@ -16,7 +16,7 @@ import tracking_scene as scene
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
-from tracking.camera import OpenCVCamera, VideoCamera
+from tracking.camera.cameras import OpenCVCamera, VideoCamera
 
 
 @pytest.fixture
@@ -90,7 +90,9 @@ def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
 
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
     # OpenCV opens a video as it opens a camera; at its end the camera is gone.
-    monkeypatch.setattr("tracking.camera.VideoCamera", lambda path: OpenCVCamera(path, time.time))
+    monkeypatch.setattr(
+        "tracking.camera.cameras.VideoCamera", lambda path: OpenCVCamera(path, time.time)
+    )
     ended = []
     monkeypatch.setattr("neurosim.watch.Viewer.end", lambda self, why: ended.append(why))
     monkeypatch.setattr(sys, "argv", ["neurosim", "watch", "--camera", str(video)])

@@ -1,0 +1,247 @@
+"""What the roof camera sees: the board on its floor, and the robot on top, painted pixel by pixel.
+
+Colours are blue, green, red grey levels in full light. Everything of the robot that shows is
+painted in the plane of its markers. A pixel is the mean of 2 x 2 samples (3 x 3 for the ground),
+each with edges blurred over its own breadth, so that centres come out to hundredths of a pixel.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cv2
+import numpy as np
+from numba import njit
+
+from neurosim.lab.nxt.params import BOARD
+
+#: Markers and lamp in the robot frame (m).
+FRONT_MARKER = (0.07, 0.0)
+REAR_MARKER = (-0.09, 0.0)
+LAMP = (-0.01, 0.0)
+MARKER_DIAMETER = 0.06
+MARKER_HEIGHT = 0.10
+LAMP_RADIUS = 0.010
+
+#: Reference marks on the board (m): crosses near its corners and the middles of its edges.
+MARKS = tuple(
+    (x, y) for y in (-0.87, 0.0, 0.87) for x in (-1.33, 0.0, 1.33) if (x, y) != (0.0, 0.0)
+)
+_MARK_ARM, _MARK_HALF_WIDTH = 0.03, 0.004
+_MARK_ARRAY = np.array(MARKS)
+
+_BOARD_COLOUR = (208.0, 214.0, 212.0)
+_LINE_COLOUR = (52.0, 50.0, 48.0)
+_FLOOR_COLOUR = (92.0, 100.0, 106.0)
+_PINK = (150.0, 60.0, 232.0)
+_BLUE = (205.0, 85.0, 25.0)
+_WHITE = (238.0, 240.0, 240.0)
+_LAMP_GLASS = (120.0, 135.0, 140.0)
+_LAMP_LIT = (215.0, 250.0, 285.0)
+_GLOW, _GLOW_RADIUS = 70.0, 0.018
+_DOT_RADIUS = 0.003
+_WHEEL_COLOUR = (118.0, 118.0, 116.0)
+_SENSOR_COLOUR = (40.0, 38.0, 38.0)
+_BODY_COLOUR = (20.0, 20.0, 21.0)
+#: Boxes in the robot frame: x from and to, y from and to (m). The right wheel mirrors the left.
+_WHEEL = (-0.028, 0.028, 0.052, 0.079)
+_SENSOR_ARM = (0.045, 0.075, -0.102, 0.102)
+_BODY = (-0.128, 0.108, -0.052, 0.052)
+#: Nothing of the robot, nor of its lamp's glow, is further than this from its pose (m).
+REACH = 0.14
+_GRAIN = 0.02
+
+
+def grain(rng: np.random.Generator, room: float) -> np.ndarray:
+    """Return the board's and floor's texture: relative brightness at every 2 cm, [NY, NX]."""
+    nx = math.ceil((BOARD.length + 2 * room) / _GRAIN) + 2
+    ny = math.ceil((BOARD.width + 2 * room) / _GRAIN) + 2
+    fine = rng.standard_normal((ny, nx))
+    coarse = cv2.resize(
+        rng.standard_normal((ny // 8, nx // 8)), (nx, ny), interpolation=cv2.INTER_CUBIC
+    )
+    return 1.0 + 0.012 * fine + 0.018 * coarse
+
+
+@njit(cache=True)
+def _edge(depth, breadth):
+    """Return how much of a sample of this breadth lies inside an edge at this depth."""
+    return min(max(0.5 + depth / breadth, 0.0), 1.0)
+
+
+@njit(cache=True)
+def _box(x, y, box, breadth):
+    along = _edge(min(x - box[0], box[1] - x), breadth)
+    return along * _edge(min(y - box[2], box[3] - y), breadth) if along > 0.0 else 0.0
+
+
+@njit(cache=True)
+def paint_ground(plane, texture, gradient, vignetting):
+    """Paint the empty board and the floor around it.
+
+    Args:
+        plane: board coordinates of every pixel's centre at height 0, [H, W, 2] (m).
+        texture: relative brightness, as :func:`grain` returns it, its middle at the origin.
+        gradient: light lost from the middle of the board to its end at -x, and won at +x.
+        vignetting: light lost from the picture's middle to its corners.
+
+    Returns:
+        The picture, float32 [H, W, 3], and the light that it stands in, float32 [H, W].
+    """
+    height, width = plane.shape[:2]
+    rows, columns = texture.shape
+    picture = np.zeros((height, width, 3), np.float32)
+    light = np.empty((height, width), np.float32)
+    half_x, half_y = 0.5 * BOARD.length, 0.5 * BOARD.width
+    for v in range(height):
+        for u in range(width):
+            u0, v0 = min(max(u, 1), width - 2), min(max(v, 1), height - 2)
+            ux = 0.5 * (plane[v, u0 + 1, 0] - plane[v, u0 - 1, 0])
+            uy = 0.5 * (plane[v, u0 + 1, 1] - plane[v, u0 - 1, 1])
+            vx = 0.5 * (plane[v0 + 1, u, 0] - plane[v0 - 1, u, 0])
+            vy = 0.5 * (plane[v0 + 1, u, 1] - plane[v0 - 1, u, 1])
+            breadth = math.hypot(ux, uy) / 3.0
+            dark = 0.0
+            inside = 0.0
+            grey = 0.0
+            for b in range(-1, 2):
+                for a in range(-1, 2):
+                    x = plane[v, u, 0] + (a * ux + b * vx) / 3.0
+                    y = plane[v, u, 1] + (a * uy + b * vy) / 3.0
+                    depth = min(half_x - abs(x), half_y - abs(y))
+                    board = _edge(depth, breadth)
+                    from_line = abs(depth - BOARD.line_inset)
+                    line = _edge(0.5 * BOARD.line_width - from_line, breadth)
+                    for i in range(_MARK_ARRAY.shape[0]):
+                        mx, my = abs(x - _MARK_ARRAY[i, 0]), abs(y - _MARK_ARRAY[i, 1])
+                        if mx < 2.0 * _MARK_ARM and my < 2.0 * _MARK_ARM:
+                            long, wide = max(mx, my), min(mx, my)
+                            cross = _edge(_MARK_ARM - long, breadth)
+                            cross *= _edge(_MARK_HALF_WIDTH - wide, breadth)
+                            line = max(line, cross)
+                    column = min(max(int(x / _GRAIN + columns / 2), 0), columns - 1)
+                    row = min(max(int(y / _GRAIN + rows / 2), 0), rows - 1)
+                    inside += board / 9.0
+                    dark += board * line / 9.0
+                    grey += texture[row, column] / 9.0
+            across, down = 2.0 * u / width - 1.0, 2.0 * v / height - 1.0
+            lit = 1.0 - 0.5 * vignetting * (across * across + down * down)
+            lit *= 1.0 + gradient * min(max(plane[v, u, 0] / half_x, -1.3), 1.3)
+            light[v, u] = lit
+            for c in range(3):
+                colour = _FLOOR_COLOUR[c] * (1.0 - inside) + _BOARD_COLOUR[c] * (inside - dark)
+                picture[v, u, c] = lit * (grey * colour + _LINE_COLOUR[c] * dark)
+    return picture, light
+
+
+@njit(cache=True)
+def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise, shift):
+    """Paint the robot into a picture of the empty board, blurred over its poses.
+
+    Args:
+        frame: uint8 [H, W, 3], changed in place.
+        ground: the empty board without noise, float32 [H, W, 3].
+        light: float32 [H, W].
+        plane: board coordinates of every pixel's centre at marker height, [H, W, 2] (m).
+        window: u from and to, v from and to: nothing of the robot is outside.
+        poses: [K, 3] (m, m, rad).
+        weights: share of the exposure at each pose, [K], of sum 1.
+        lamp: the lamp's mean brightness over the exposure, 0..1.
+        noise: sensor noise, float32 [N, N, 3], repeated over the picture.
+        shift: rows and columns by which the noise is shifted.
+    """
+    height, width = plane.shape[:2]
+    size = noise.shape[0]
+    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    for v in range(window[2], window[3]):
+        v0 = min(max(v, 1), height - 2)
+        for u in range(window[0], window[1]):
+            u0 = min(max(u, 1), width - 2)
+            ux = 0.5 * (plane[v, u0 + 1, 0] - plane[v, u0 - 1, 0])
+            uy = 0.5 * (plane[v, u0 + 1, 1] - plane[v, u0 - 1, 1])
+            vx = 0.5 * (plane[v0 + 1, u, 0] - plane[v0 - 1, u, 0])
+            vy = 0.5 * (plane[v0 + 1, u, 1] - plane[v0 - 1, u, 1])
+            breadth = 0.5 * math.sqrt(ux * ux + uy * uy)
+            under = (float(ground[v, u, 0]), float(ground[v, u, 1]), float(ground[v, u, 2]))
+            lit = float(light[v, u])
+            blue = green = red = 0.0
+            touched = False
+            for k in range(poses.shape[0]):
+                px, py = plane[v, u, 0] - poses[k, 0], plane[v, u, 1] - poses[k, 1]
+                x, y = cos[k] * px + sin[k] * py, cos[k] * py - sin[k] * px
+                if lamp == 0.0 and not _near_body(x, y, 2.0 * breadth):
+                    blue += weights[k] * under[0]
+                    green += weights[k] * under[1]
+                    red += weights[k] * under[2]
+                    continue
+                touched = True
+                # The pixel's sides in the robot frame, a quarter of each.
+                ax, ay = 0.25 * (cos[k] * ux + sin[k] * uy), 0.25 * (cos[k] * uy - sin[k] * ux)
+                bx, by = 0.25 * (cos[k] * vx + sin[k] * vy), 0.25 * (cos[k] * vy - sin[k] * vx)
+                share = 0.25 * weights[k]
+                for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
+                    seen = _robot_colour(
+                        x + a * ax + b * bx, y + a * ay + b * by, breadth, under, lit, lamp
+                    )
+                    blue += share * seen[0]
+                    green += share * seen[1]
+                    red += share * seen[2]
+            if touched:
+                i, j = (v + shift[0]) % size, (u + shift[1]) % size
+                frame[v, u, 0] = int(min(max(blue + noise[i, j, 0] + 0.5, 0.0), 255.0))
+                frame[v, u, 1] = int(min(max(green + noise[i, j, 1] + 0.5, 0.0), 255.0))
+                frame[v, u, 2] = int(min(max(red + noise[i, j, 2] + 0.5, 0.0), 255.0))
+
+
+@njit(cache=True)
+def _near_body(x, y, margin):
+    return -0.13 - margin < x < 0.11 + margin and abs(y) < 0.105 + margin
+
+
+@njit(cache=True)
+def _blend(under, over, share):
+    """Return the colour of a sample that something covers by ``share``."""
+    return (
+        under[0] + share * (over[0] - under[0]),
+        under[1] + share * (over[1] - under[1]),
+        under[2] + share * (over[2] - under[2]),
+    )
+
+
+@njit(cache=True)
+def _lit(colour, light):
+    return light * colour[0], light * colour[1], light * colour[2]
+
+
+@njit(cache=True)
+def _robot_colour(x, y, breadth, under, light, lamp):
+    """Return what is seen at a point of the robot frame, over the ground's colour there."""
+    colour = under
+    body = _box(x, y, _BODY, breadth)
+    if body < 1.0:
+        share = _box(x, abs(y), _WHEEL, breadth)
+        if share > 0.0:
+            colour = _blend(colour, _lit(_WHEEL_COLOUR, light), share)
+        share = _box(x, y, _SENSOR_ARM, breadth)
+        if share > 0.0:
+            colour = _blend(colour, _lit(_SENSOR_COLOUR, light), share)
+    if body > 0.0:
+        colour = _blend(colour, _lit(_BODY_COLOUR, light), body)
+        front = x > LAMP[0]
+        marker = FRONT_MARKER if front else REAR_MARKER
+        rim = _PINK if front else _BLUE
+        r = math.sqrt((x - marker[0]) ** 2 + (y - marker[1]) ** 2)
+        radius = 0.5 * MARKER_DIAMETER
+        share = _edge(radius - r, breadth)
+        if share > 0.0:
+            fade = min(max((radius - r) / (radius - _DOT_RADIUS), 0.0), 1.0)
+            colour = _blend(colour, _lit(_blend(rim, _WHITE, fade), light), share)
+    r2 = (x - LAMP[0]) ** 2 + (y - LAMP[1]) ** 2
+    share = _edge(LAMP_RADIUS - math.sqrt(r2), breadth)
+    if share > 0.0:
+        glass = _blend(_lit(_LAMP_GLASS, light), _LAMP_LIT, lamp)
+        colour = _blend(colour, glass, share)
+    if lamp > 0.0:
+        glow = lamp * _GLOW * math.exp(-0.5 * r2 / _GLOW_RADIUS**2)
+        colour = (colour[0] + glow, colour[1] + glow, colour[2] + glow)
+    return colour

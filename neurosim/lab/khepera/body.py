@@ -1,0 +1,221 @@
+"""The virtual Khepera's hardware, as its firmware sees it, and the lab it stands in."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.lab.khepera import physics
+from neurosim.lab.khepera.camera import KheperaCamera
+from neurosim.lab.khepera.params import PULSES_PER_METRE, SPEED_UNIT, KheperaParams, LabArena
+from neurosim.lab.khepera.physics import S, U
+from neurosim.lab.nxt.world import LabTime
+
+
+class KheperaBody:
+    """Two motors with encoders and eight infra-red sensors, on top of the physics.
+
+    Args:
+        params: the robot.
+        arena: what stands around it.
+        seed: of every random draw.
+        pose: where it stands (m, m, rad).
+    """
+
+    def __init__(
+        self,
+        params: KheperaParams,
+        arena: LabArena,
+        seed: int,
+        pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ):
+        self.params, self.arena = params, arena
+        self.state = physics.new_state(*pose)
+        self._inputs = physics.new_inputs()
+        self._motor = params.motor_row()
+        self._walls, self._cylinders = arena.wall_rows, arena.cylinder_rows
+        self._rng = np.random.default_rng([seed, 0x6B48])
+        self._noises = (params.noise, params.light_noise)
+        self._zeros = [0, 0]
+        self._time = 0.0
+
+    @property
+    def time(self) -> float:
+        """The time in seconds."""
+        return self._time
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """The true pose, [3] (m, m, rad unwrapped)."""
+        return self.state[S.X : S.X + 3].copy()
+
+    @property
+    def touches(self) -> int:
+        """Ticks of the physics in which it touched something so far."""
+        return int(self.state[S.TOUCHES])
+
+    def depth(self, x: float, y: float) -> float:
+        """Return how deep it would stand in something at (x, y), m; below 0 where it is free."""
+        return float(physics.penetration(x, y, self._walls, self._cylinders))
+
+    def place(self, x: float, y: float, theta: float) -> None:
+        """Pick the robot up and put it down at a pose (m, m, rad)."""
+        self.state[S.X : S.X + 3] = x, y, theta
+        self.state[S.SCAN : S.SCAN + 3] = x, y, theta
+
+    def advance(self, until: float) -> None:
+        """Drive on to the time ``until`` (s); earlier times change nothing."""
+        if until <= self._time:
+            return
+        self._time = until
+        ticks = math.floor(until / physics.TICK + 1e-9)
+        if ticks > self.state[S.TICKS]:
+            physics.advance(
+                self.state,
+                self._inputs,
+                self._motor,
+                self._walls,
+                self._cylinders,
+                self._rng,
+                float(ticks),
+            )
+
+    def set_speeds(self, left: int, right: int) -> None:
+        """Regulate both wheels' speeds, in pulses in 10 ms."""
+        self._inputs[U.TARGET : U.TARGET + 2] = left * SPEED_UNIT, right * SPEED_UNIT
+        self._inputs[U.POSITION : U.POSITION + 2] = 0.0
+
+    def set_positions(self, left: int, right: int, limits: tuple[int, int]) -> None:
+        """Turn both wheels to counter positions, no faster than ``limits`` (pulses in 10 ms)."""
+        for wheel, count in enumerate((left, right)):
+            way = (count + self._zeros[wheel]) / PULSES_PER_METRE
+            self._inputs[U.TARGET + wheel] = way
+            self._inputs[U.LIMIT + wheel] = limits[wheel] * SPEED_UNIT
+        self._inputs[U.POSITION : U.POSITION + 2] = 1.0
+
+    def speeds(self) -> tuple[int, int]:
+        """Return both wheels' speeds as the encoders see them, in pulses in 10 ms."""
+        left, right = self.state[S.SPEED : S.SPEED + 2] / SPEED_UNIT
+        return round(left), round(right)
+
+    def counts(self) -> tuple[int, int]:
+        """Return both position counters."""
+        left, right = self._pulses()
+        return left - self._zeros[0], right - self._zeros[1]
+
+    def set_counts(self, left: int, right: int) -> None:
+        """Set both position counters."""
+        pulses = self._pulses()
+        self._zeros = [pulses[0] - left, pulses[1] - right]
+
+    def proximity(self) -> list[int]:
+        """Return what the sensors read at their last scan, 8 numbers of 0..1023."""
+        params = self.params
+        return physics.proximity(
+            self.state[S.SCAN : S.SCAN + 3],
+            params.angle,
+            params.reach,
+            params.threshold,
+            params.offset,
+            self._noises,
+            float(self.state[S.DRIFT]),
+            self._walls,
+            self._cylinders,
+            self.arena.albedo,
+            self._rng,
+        ).tolist()
+
+    def ambient(self) -> list[int]:
+        """Return the ambient light, 8 numbers of 0..1023, fewer for more light."""
+        noise = self.params.noise * self._rng.standard_normal(8)
+        light = self.params.ambient - self.state[S.DRIFT] + noise
+        return np.clip(np.rint(light), 0, 1023).astype(int).tolist()
+
+    def _pulses(self) -> tuple[int, int]:
+        left, right = self.state[S.WAY : S.WAY + 2] * PULSES_PER_METRE
+        return math.floor(left), math.floor(right)
+
+
+class KheperaLab(LabTime):
+    """An arena with a Khepera in it, in a time that moves only when asked to.
+
+    Args:
+        params: the robot.
+        arena: what stands around it.
+        seed: of every random draw.
+        start: where it stands at first (m, m, rad).
+
+    Attributes:
+        camera: one above it, or None.
+
+    Raises:
+        UserError: if it cannot stand there.
+    """
+
+    def __init__(
+        self,
+        params: KheperaParams,
+        arena: LabArena,
+        seed: int = 0,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    ):
+        super().__init__()
+        self.arena = arena
+        self.camera: KheperaCamera | None = None
+        self.body = KheperaBody(params, arena, seed, start)
+        self._rng = np.random.default_rng([seed, 0x6B50])
+        self.place(*start)
+
+    @property
+    def time(self) -> float:
+        """Seconds since the lab was made."""
+        return self.body.time
+
+    @property
+    def pose(self) -> NDArray[np.float64]:
+        """The robot's true pose, [3] (m, m, rad unwrapped)."""
+        with self.lock:
+            return self.body.pose
+
+    def place(
+        self,
+        x: float,
+        y: float,
+        theta: float,
+        *,
+        placing: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Put the robot down at a pose (m, m, rad), as exactly as a person does.
+
+        Args:
+            x: where.
+            y: where.
+            theta: where it looks.
+            placing: standard deviations of the place and of the heading (m, rad).
+
+        Raises:
+            UserError: if it would stand in a wall or an obstacle there.
+        """
+        with self.lock:
+            if self.body.depth(x, y) > 0.0:
+                raise UserError(
+                    f"the robot cannot be put down at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it "
+                    "would stand in a wall or an obstacle"
+                )
+            for _ in range(100):
+                noise = self._rng.standard_normal(3) * (placing[0], placing[0], placing[1])
+                if self.body.depth(x + noise[0], y + noise[1]) <= 0.0:
+                    break
+            else:
+                noise = np.zeros(3)
+            self.body.place(x + noise[0], y + noise[1], theta + noise[2])
+
+    def _advance(self, time: float) -> None:
+        # Pictures that fall due on the way are delivered to whoever started the camera.
+        while self.camera is not None and self.camera.due <= time:
+            self.body.advance(self.camera.due)
+            self.camera.look(self.body.pose, 0.0)
+        self.body.advance(time)

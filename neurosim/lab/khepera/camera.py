@@ -1,0 +1,41 @@
+"""A camera above the virtual Khepera."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.params import CameraParams
+
+#: Size of everything that this camera sees, and of its height, over the roof camera's.
+SCALE = 0.2
+
+
+class KheperaCamera(RoofCamera):
+    """The roof camera and all that it sees, a fifth as large: 55 x 37 cm of floor.
+
+    So the robot in its pictures is painted like the NXT, and wears its markers, as much
+    smaller (:data:`tracking.datasets.recordings.KHEPERA_MARKERS`).
+
+    Args:
+        params: optics, sensor and clock, as of the roof camera.
+        seed: of the floor's texture and all noise.
+        now: returns the lab's time in seconds.
+        centre: what it looks at (m).
+    """
+
+    def __init__(
+        self,
+        params: CameraParams,
+        seed: int,
+        now: Callable[[], float],
+        centre: tuple[float, float],
+    ) -> None:
+        super().__init__(params, seed, now)
+        self._centre = np.array([*centre, 0.0])
+
+    def look(self, pose: np.ndarray, lamp_light: float) -> None:
+        """Take in the world at :attr:`due`; see :meth:`RoofCamera.look`."""
+        super().look((pose - self._centre) / [SCALE, SCALE, 1.0], lamp_light)

@@ -1,0 +1,155 @@
+"""What makes one virtual Khepera differ from the next, and the arena it stands in."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.simulators.tables.arena import Arena, paper_arena
+
+#: Of the body: radius and distance between the wheels (m).
+RADIUS, WHEEL_BASE = 0.0275, 0.053
+#: What the encoders give for a metre of the nominal wheel, and the speed that 1 stands for (m/s).
+PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
+#: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
+SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
+#: Light that the wall of a white arena throws back.
+WHITE = 0.9
+
+
+@dataclass(frozen=True)
+class LabArena:
+    """What stands in the lab: straight walls and round obstacles, all of one paper.
+
+    Attributes:
+        walls: (x1, y1, x2, y2), m; they need not close.
+        cylinders: (x, y, radius), m.
+        albedo: share of infra-red light that they throw back.
+
+    Raises:
+        UserError: for a wall without length or an obstacle without radius.
+    """
+
+    walls: tuple[tuple[float, float, float, float], ...] = ()
+    cylinders: tuple[tuple[float, float, float], ...] = ()
+    albedo: float = WHITE
+
+    def __post_init__(self) -> None:
+        for index, (x1, y1, x2, y2) in enumerate(self.walls):
+            if math.dist((x1, y1), (x2, y2)) <= 0.0:
+                raise UserError(f"wall {index} has no length")
+        for index, (_, _, radius) in enumerate(self.cylinders):
+            if radius <= 0.0:
+                raise UserError(f"obstacle {index} has a radius of {radius:g} m")
+
+    @classmethod
+    def paper(cls) -> LabArena:
+        """Return the arena of Lund and Miglino 1996 about the origin."""
+        return cls.of(paper_arena())
+
+    @classmethod
+    def of(cls, arena: Arena) -> LabArena:
+        """Return a simulator's arena as it stands in the lab."""
+        walls = tuple(tuple(float(v) for v in row) for row in arena.walls)
+        cylinders = tuple(tuple(float(v) for v in row) for row in arena.cylinders)
+        return cls(walls, cylinders)
+
+    @property
+    def wall_rows(self) -> NDArray[np.float64]:
+        """Walls, [W, 4]."""
+        return np.array(self.walls, float).reshape(-1, 4)
+
+    @property
+    def cylinder_rows(self) -> NDArray[np.float64]:
+        """Cylinders, [N, 3]."""
+        return np.array(self.cylinders, float).reshape(-1, 3)
+
+
+def _eight(value: float) -> NDArray[np.float64]:
+    return np.full(8, float(value))
+
+
+@dataclass(frozen=True, eq=False)
+class KheperaParams:
+    """One robot: two values are its left and its right motor, eight its sensors.
+
+    Attributes:
+        gain: what a wheel turns by over what it is asked for.
+        dead_band: m/s that a wheel loses to friction.
+        lag: s in which a wheel comes within 1/e of its new speed.
+        wheel: true way over the nominal way of a turn of the wheel.
+        slip: standard deviation of the way that a wheel loses on the floor, relative.
+        slip_time: s over which it changes.
+        friction: of the rim along a wall.
+        angle: where sensors sit and look, rad.
+        reach: m2; light from a white wall straight ahead, one metre away, over the light that
+            makes a sensor read its full range.
+        threshold: light lost in the sensors' circuit, over the same.
+        offset: counts that a sensor reads without light.
+        noise: standard deviation of a reading, counts.
+        light_noise: of the light, relative.
+        ambient: counts of ambient light; fewer are more light.
+        drift: standard deviation of the ambient light's drift, counts.
+        drift_time: s over which it drifts.
+    """
+
+    gain: NDArray[np.float64] = field(default_factory=lambda: np.ones(2))
+    dead_band: NDArray[np.float64] = field(default_factory=lambda: np.zeros(2))
+    lag: NDArray[np.float64] = field(default_factory=lambda: np.full(2, 0.04))
+    wheel: NDArray[np.float64] = field(default_factory=lambda: np.ones(2))
+    slip: float = 0.0
+    slip_time: float = 0.3
+    friction: float = 0.3
+    angle: NDArray[np.float64] = field(default_factory=lambda: np.radians(SENSOR_ANGLES))
+    reach: NDArray[np.float64] = field(default_factory=lambda: _eight(1.20e-3))
+    threshold: NDArray[np.float64] = field(default_factory=lambda: _eight(0.6))
+    offset: NDArray[np.float64] = field(default_factory=lambda: _eight(0.0))
+    noise: float = 0.0
+    light_noise: float = 0.0
+    ambient: NDArray[np.float64] = field(default_factory=lambda: _eight(480.0))
+    drift: float = 0.0
+    drift_time: float = 60.0
+
+    @classmethod
+    def ideal(cls, **changes: object) -> KheperaParams:
+        """Return a robot without faults, for hand-worked numbers."""
+        return replace(cls(), **changes)
+
+    @classmethod
+    def drawn(cls, seed: int) -> KheperaParams:
+        """Return the robot of this number."""
+        rng = np.random.default_rng([seed, 0x6B4E])
+        normal = rng.standard_normal
+        return cls(
+            gain=1.0 + 0.02 * normal(2),
+            dead_band=rng.uniform(0.0005, 0.002, 2),
+            lag=rng.uniform(0.03, 0.06, 2),
+            wheel=1.0 + 0.01 * normal(2),
+            slip=0.01,
+            friction=float(rng.uniform(0.2, 0.4)),
+            angle=np.radians(np.array(SENSOR_ANGLES) + 2.0 * normal(8)),
+            reach=1.20e-3 * np.exp(0.15 * normal(8)),
+            threshold=0.6 * np.exp(0.08 * normal(8)),
+            offset=rng.uniform(0.0, 3.0, 8),
+            noise=4.0,
+            light_noise=0.025,
+            ambient=480.0 + 15.0 * normal(8),
+            drift=8.0,
+        )
+
+    def motor_row(self) -> NDArray[np.float64]:
+        """Return what :func:`neurosim.lab.khepera.physics.advance` takes of it."""
+        return np.concatenate(
+            [
+                self.gain,
+                self.dead_band,
+                self.lag,
+                self.wheel,
+                [self.slip, self.slip_time, self.friction],
+                [self.drift, self.drift_time],
+            ]
+        )

@@ -1,0 +1,129 @@
+"""A virtual robot and its camera, put together the way real ones are.
+
+The robot is the real NXT driver, through the real nxt-python, over a pseudo-terminal (or a
+socket on loopback where the system has none) to the virtual brick. Only the clock is handed in:
+nobody waits for a robot that is not there.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from neurosim.base.errors import RobotError
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.body import Wiring
+from neurosim.lab.nxt.brick import VirtualBrick
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
+from neurosim.lab.nxt.world import Lab
+from neurosim.robots.nxt.driver import NXT
+
+#: How well a person puts a robot down at a mark: standard deviations, m and rad.
+PLACING = (0.003, math.radians(0.5))
+
+
+class VirtualRig:
+    """A robot of the virtual lab, behind its line, with the roof camera over it.
+
+    Args:
+        robot_seed: which robot and which board; the same number is the same robot, whose
+            motors, slip and caster are to be learned.
+        noise_seed: of everything that differs from one session to the next: where exactly the
+            robot was put, slip draws, radio delays, sensor and camera noise.
+        start: where a person tries to put the robot (m, m, rad, board frame).
+        camera: whether there is a camera.
+        camera_size: its frames, (width, height) in pixels.
+        fps: frames per second.
+        lamp: which lamp to use: that on motor port ``A``, ``color:3`` for the colour sensor's,
+            or None.
+        device: ``pty``, ``socket``, or None for whichever the system has.
+        port: of the socket; 0 for any free one.
+        real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
+
+    Attributes:
+        lab: the lab itself; no learner looks into it.
+        robot: the NXT driver, not connected yet.
+        camera: the roof camera, or None.
+        address: how to reach the brick, as keywords of the driver.
+    """
+
+    def __init__(
+        self,
+        robot_seed: int,
+        *,
+        noise_seed: int = 0,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        camera: bool = True,
+        camera_size: tuple[int, int] = (640, 480),
+        fps: float = 30.0,
+        lamp: str | None = "A",
+        device: str | None = None,
+        port: int = 0,
+        real_time: bool = False,
+    ):
+        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
+        spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
+        x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
+        self.lab = Lab(
+            int(rng.integers(2**31)),
+            params=LabParams.drawn(robot_seed),
+            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            start=(float(x), float(y), float(theta)),
+            wiring=Wiring(),
+        )
+        self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
+        # A lone telegram waits for company; in real time that must not be felt.
+        patience = 0.002 if real_time else 0.25
+        self.radio = Radio(self.brick, self.lab.clock, rng, patience=patience)
+        self._server = _serve(self.radio, device, port)
+        self.address = _address(self._server)
+        # What takes long here is this computer (compiling the physics, once), not the brick.
+        self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **self.address)
+        self.camera: RoofCamera | None = self.lab.camera
+
+    @property
+    def alive(self) -> bool:
+        """Whether the line still stands."""
+        return self._server.error is None
+
+    def describe(self) -> dict[str, int]:
+        """Return what makes the same lab again."""
+        return dict(self._seeds)
+
+    def write_truth(self, folder: Path, session: int) -> None:
+        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
+        self.lab.write_truth(folder, session)
+
+    def close(self) -> None:
+        """Take the line down."""
+        self._server.stop()
+
+    def __enter__(self) -> VirtualRig:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close; what went wrong inside the lab (a full disk) is told rather than a lost link."""
+        self.close()
+        if self._server.error is not None:
+            raise self._server.error
+
+
+def _serve(radio: Radio, device: str | None, port: int) -> PtyServer | SocketServer:
+    if device != "socket":
+        try:
+            return PtyServer(radio)
+        except RobotError:
+            if device == "pty":
+                raise
+    return SocketServer(radio, port=port)
+
+
+def _address(server: PtyServer | SocketServer) -> dict[str, str | int]:
+    if isinstance(server, PtyServer):
+        return {"filename": server.path}
+    host, port = server.address
+    return {"server_host": host, "server_port": port}

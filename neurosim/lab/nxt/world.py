@@ -1,0 +1,236 @@
+"""The virtual lab: a board, a robot and a roof camera in one time of their own."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from neurosim.base.files import number, read_csv
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.body import NxtBody, Wiring
+from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
+
+_TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What truly happened, for tests and reports alone; no learner reads it."""
+
+    #: Lab time, which is also the robot clock, [N] (s); poses [N, 3] (m, m, rad, unwrapped);
+    #: the battery's voltage under load, [N] (V).
+    times: np.ndarray
+    poses: np.ndarray
+    voltage: np.ndarray
+
+    def pose_at(self, times: np.ndarray) -> np.ndarray:
+        """Return the poses [..., 3] at given times, linear between what was kept."""
+        columns = [np.interp(times, self.times, self.poses[:, i]) for i in range(3)]
+        return np.stack(columns, axis=-1)
+
+
+class LabTime:
+    """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
+
+    Hold :attr:`lock` while touching what stands in the lab.
+    """
+
+    def __init__(self) -> None:
+        self.lock = threading.RLock()
+        self.clock = LabClock(self)
+        self._moved = threading.Condition(self.lock)
+        self._paced = False
+
+    @property
+    def time(self) -> float:
+        """Seconds since the lab was made."""
+        raise NotImplementedError
+
+    def advance_to(self, time: float) -> None:
+        """Return once the lab's time is ``time`` (s); at once if it is already."""
+        with self.lock:
+            while self._paced and self.time < time:
+                self._moved.wait()
+            self._advance(time)
+
+    def _advance(self, time: float) -> None:
+        raise NotImplementedError
+
+
+class Lab(LabTime):
+    """A board with a robot on it under a camera, in a time that moves only when asked to.
+
+    Hold :attr:`lock` while touching the body. With :class:`Pacer` the time is the wall clock's,
+    and :meth:`advance_to` waits for it.
+
+    Args:
+        seed: of everything drawn: the robot, the board, all noise.
+        params: the robot and its ground; by default drawn from the seed.
+        camera: the roof camera, or None for a lab without one (a hundred times faster).
+        start: where the robot stands at first (m, m, rad, board frame).
+        wiring: what is plugged into the brick.
+        truth_rate: true poses kept per second of lab time; 0 for none.
+    """
+
+    def __init__(
+        self,
+        seed: int,
+        *,
+        params: LabParams | None = None,
+        camera: CameraParams | None = CameraParams(),  # noqa: B008 - frozen
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        wiring: Wiring | None = None,
+        truth_rate: float = 100.0,
+    ):
+        self.seed = seed
+        super().__init__()
+        self.params = LabParams.drawn(seed) if params is None else params
+        self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring)
+        self.place(*start)
+        self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time)
+        self._truth_rate = truth_rate
+        self._truth = np.empty((1024, len(_TRUTH_COLUMNS)))
+        self._kept = self._written = self._ticks = 0
+
+    @property
+    def time(self) -> float:
+        """Seconds since the lab was made."""
+        return self.body.time
+
+    def place(self, x: float, y: float, theta: float) -> None:
+        """Put the robot down at a pose (m, m, rad, board frame).
+
+        Raises:
+            ValueError: if that is not within the room.
+        """
+        room = self.params.room
+        if not (abs(x) <= BOARD.length / 2 + room and abs(y) <= BOARD.width / 2 + room):
+            raise ValueError(f"({x}, {y}) m is outside of the lab's room")
+        with self.lock:
+            self.body.place(x, y, theta)
+
+    def _advance(self, time: float) -> None:
+        # Frames that fall due on the way are delivered to whoever started the camera.
+        while True:
+            truth_due = self._ticks / self._truth_rate if self._truth_rate > 0 else math.inf
+            camera_due = math.inf if self.camera is None else self.camera.due
+            due = min(truth_due, camera_due)
+            if due > time:
+                break
+            self.body.advance(due)
+            if truth_due <= due:
+                self._keep_truth()
+            if camera_due <= due:
+                self.camera.look(self.body.pose, self.body.lamp_light())
+        self.body.advance(time)
+
+    def _keep_truth(self) -> None:
+        if self._kept == len(self._truth):
+            self._truth = np.concatenate([self._truth, np.empty_like(self._truth)])
+        row = self._truth[self._kept]
+        row[0], row[1:4], row[4] = self.time, self.body.pose, self.body.voltage
+        self._kept += 1
+        self._ticks += 1
+
+    @property
+    def truth(self) -> Truth:
+        """What truly happened so far."""
+        with self.lock:
+            rows = self._truth[: self._kept].copy()
+        return Truth(rows[:, 0], rows[:, 1:4], rows[:, 4])
+
+    def write_truth(self, folder: str | Path, session: int = 1) -> Path:
+        """Add what truly happened since the last call to ``truth/truth-001.csv`` in ``folder``.
+
+        Columns are time, x, y, theta, voltage, as in :class:`Truth`; the number in the name is
+        the session's. The first call of a lab starts the file anew.
+
+        Returns:
+            The file.
+        """
+        path = Path(folder) / "truth" / f"truth-{session:03d}.csv"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with self.lock:
+            rows = self._truth[self._written : self._kept].copy()
+            first = self._written == 0
+            self._written = self._kept
+        with open(path, "w" if first else "a", encoding="utf-8", newline="\n") as file:
+            if first:
+                file.write(",".join(_TRUTH_COLUMNS) + "\n")
+            np.savetxt(file, rows, fmt="%.6f", delimiter=",")
+        return path
+
+
+def read_truth(folder: str | Path, session: int = 1) -> Truth:
+    """Read what :meth:`Lab.write_truth` wrote beside a recording.
+
+    Raises:
+        FileError: if it is missing or damaged.
+    """
+    path = Path(folder) / "truth" / f"truth-{session:03d}.csv"
+    table = read_csv(path, dict.fromkeys(_TRUTH_COLUMNS, number), drop_torn_line=True)
+    rows = np.array([table[name] for name in _TRUTH_COLUMNS]).T.reshape(-1, len(_TRUTH_COLUMNS))
+    return Truth(rows[:, 0], rows[:, 1:4], rows[:, 4])
+
+
+class LabClock:
+    """The lab's time as a robot's clock: to sleep is to let the lab go on."""
+
+    def __init__(self, lab: LabTime):
+        self._lab = lab
+
+    def now(self) -> float:
+        """Return the lab's time (s)."""
+        with self._lab.lock:
+            return self._lab.time
+
+    def sleep_until(self, time: float) -> None:
+        """Move the lab on to ``time`` (s)."""
+        self._lab.advance_to(time)
+
+
+class Pacer:
+    """Keeps a lab's time in step with the wall clock, in a thread, while used as a context.
+
+    A lab that cannot keep up (rendering on a slow machine) falls behind and catches up later.
+    """
+
+    def __init__(self, lab: LabTime, *, tick: float = 0.005):
+        self._lab = lab
+        self._tick = tick
+        self._end = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="lab pacer", daemon=True)
+        self._error: BaseException | None = None
+
+    def __enter__(self) -> Pacer:
+        self._lab._paced = True
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Stop pacing; raise what stopped the pacer before, if something did."""
+        self._end.set()
+        self._thread.join()
+        if self._error is not None and error[0] is None:
+            raise self._error
+
+    def _run(self) -> None:
+        lab = self._lab
+        zero = time.perf_counter() - lab.time
+        try:
+            while not self._end.wait(self._tick):
+                with lab.lock:
+                    # A late lab moves in small pieces, so that others get at its lock.
+                    lab._advance(min(time.perf_counter() - zero, lab.time + 10 * self._tick))
+                    lab._moved.notify_all()
+        except BaseException as error:
+            self._error = error
+        finally:
+            with lab.lock:
+                lab._paced = False
+                lab._moved.notify_all()

@@ -1,0 +1,255 @@
+"""Drive a robot with commands and record what was sent, while a camera watches."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import shutil
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.base.errors import UserError
+from neurosim.recording.commands import CommandSource
+from neurosim.recording.session import FLASHES, BatteryLow, Session
+from neurosim.recording.settings import Guard, RecordSettings
+from neurosim.recording.spotter import Spotter
+from neurosim.robots.base import Robot
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.cameras import Camera, VideoSink
+from tracking.datasets.recordings import Recording
+from tracking.live import Seen
+from tracking.poses import marker_geometry
+from tracking.sightings import seen_live
+from tracking.track import track
+
+__all__ = ["BatteryLow", "Guard", "RecordSettings", "record"]
+
+
+def record(
+    out: str | Path,
+    robot: Robot,
+    camera: Camera | None,
+    source: CommandSource,
+    settings: RecordSettings,
+    *,
+    calibration: str | Path | None = None,
+    live: bool = True,
+    on_seen: Callable[[Seen], None] | None = None,
+    resume: bool = False,
+    finish: Callable[[Path, int], None] | None = None,
+    lab: dict[str, Any] | None = None,
+    options: Mapping[str, Any] | None = None,
+    say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
+) -> Recording:
+    """Record a robot's commands and the video of what they did.
+
+    Args:
+        out: folder of the recording; new, or with ``resume`` one that was interrupted.
+        robot: the robot, not connected yet; its motors are stopped whatever happens.
+        camera: what films it, or None (a video from elsewhere is joined when tracking).
+        source: where commands come from.
+        settings: the rest.
+        calibration: calibration.json of the camera, copied into the recording.
+        live: with a camera and its place over the board, track while recording: the robot is
+            kept on the board by its position, and poses.csv is there when the recording ends.
+        on_seen: is shown every frame that was tracked.
+        resume: go on where the recording stopped, in a new session.
+        finish: called with (folder, session) when the session's files are closed, whatever
+            happened; the virtual lab writes its truth there.
+        lab: what the virtual lab was made with, or None for a real robot.
+        options: kept in recording.json, for whoever resumes.
+        say: takes messages for the user.
+
+    Raises:
+        UserError: if ``out`` is not what it should be, or a setting differs from those of the
+            recording to be resumed.
+        LinkLost: if the robot stopped answering; what was recorded stays.
+        BatteryLow: if the battery fell below the limit.
+    """
+    out = Path(out)
+    if calibration is not None:
+        _check_calibration(Path(calibration), camera, settings.markers)
+    wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
+    if options is not None:
+        wanted["options"] = dict(options)
+    recording = _resumed(out, wanted) if resume else None
+    with robot:
+        if recording is None:
+            recording = Recording.create(out, wanted)
+            if calibration is not None:
+                shutil.copyfile(calibration, out / "calibration.json")
+        elif calibration is not None:
+            _check_same_calibration(out, Path(calibration))
+        # Connected, it can say more: its name, its firmware.
+        recording.meta["robot"] = robot.describe()
+        number = recording.sessions + 1
+        # The part's name is written down before there is a part: a kill at any moment leaves
+        # a recording whose files are all named in it.
+        video = f"video-{number:03d}.avi" if camera is not None else None
+        session = recording.begin_session(video=video)
+        try:
+            with contextlib.ExitStack() as stack:
+                log = stack.enter_context(recording.command_log())
+                spotter = None
+                if camera is not None:
+                    frames = stack.enter_context(recording.frame_log())
+                    sink = VideoSink(out / str(video), frames, session, camera.size, camera.fps)
+                    stack.callback(sink.close)
+                    model = _model(out) if live else None
+                    if model is not None:
+                        spotter = Spotter(
+                            recording.meta["markers"],
+                            model,
+                            robot.clock.now,
+                            stack.enter_context(recording.sighting_log()),
+                            session,
+                            say,
+                            waits=getattr(camera, "waits", False),
+                            on_seen=on_seen,
+                        )
+                        stack.callback(spotter.close)
+                    camera.start(_to_both(sink, spotter))
+                try:
+                    done = Session(
+                        recording, session, robot, source, settings, log, say, camera, spotter
+                    ).run()
+                finally:
+                    # Before the camera stops: it should still see the robot stand still, and
+                    # nothing that goes wrong with the video may leave the motors on.
+                    _stop_quietly(robot)
+                    if camera is not None:
+                        camera.stop()
+        finally:
+            if finish is not None:
+                finish(out, session)
+        if camera is not None and getattr(camera, "failed", False):
+            raise UserError(
+                f"the camera stopped delivering frames; {out} keeps what was filmed: "
+                "check the camera and go on with --resume"
+            )
+        recording.meta["complete"] = done
+        recording.save_meta()
+    if done and spotter is not None:
+        _write_poses(recording, say)
+    return recording
+
+
+def _model(out: Path) -> CameraModel | None:
+    """Return the recording's calibration, if it can make poses."""
+    path = out / "calibration.json"
+    model = CameraModel.read(path) if path.exists() else None
+    return model if model is not None and model.has_board else None
+
+
+def _to_both(sink: VideoSink, spotter: Spotter | None) -> Callable[[float, np.ndarray], None]:
+    if spotter is None:
+        return sink.write
+
+    def deliver(time: float, frame: np.ndarray) -> None:
+        sink.write(time, frame)
+        spotter.take(time, frame)
+
+    return deliver
+
+
+def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
+    """Make poses.csv of what was seen live; a session that was not is tracked from its video."""
+    model = _model(recording.path)
+    sessions = range(1, recording.sessions + 1)
+    try:
+        live = {number: seen_live(recording, number, model) for number in sessions}
+        track(recording.path, live={number: seen for number, seen in live.items() if seen})
+    except UserError as error:
+        say(
+            f"the recording is whole, but its poses are not: {error}; "
+            f"neurosim track {recording.path} looks at the video again"
+        )
+
+
+def _stop_quietly(robot: Robot) -> None:
+    # A dead line has been reported already; nothing more can be said over it.
+    with contextlib.suppress(UserError):
+        robot.stop()
+
+
+def _wanted(
+    robot: Robot, camera: Camera | None, source: CommandSource, settings: RecordSettings
+) -> dict[str, Any]:
+    wanted = {
+        "robot": robot.describe(),
+        "camera": camera.describe() if camera is not None else {"kind": "none"},
+        "settings": {
+            "commands": settings.commands,
+            "source": source.describe(),
+            "guard": asdict(settings.guard),
+            "battery_limit": settings.battery_limit,
+            "flashes": [list(flash) for flash in FLASHES],
+        },
+        "markers": settings.markers,
+        "board": settings.board,
+    }
+    return json.loads(json.dumps(wanted))  # tuples as lists, as they will be read back
+
+
+def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
+    recording = Recording(out)
+    if recording.meta["complete"]:
+        raise UserError(f"{out} is complete; there is nothing to resume")
+    for part, keys in _SAME.items():
+        was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        if keys is not None:
+            was, now = ({key: side.get(key) for key in keys} for side in (was, now))
+        found = _difference(was, now, part)
+        if found:
+            raise UserError(
+                f"{out} was recorded with another {found[0]} ({found[1]!r}, now {found[2]!r}); "
+                "resume with the same settings, or start a new recording"
+            )
+    return recording
+
+
+#: What a resumed recording must share with its beginning: all of a part, or some keys of it.
+_SAME: dict[str, tuple[str, ...] | None] = {
+    "settings": None,
+    "markers": None,
+    "board": None,
+    "robot": ("kind", "ports", "invert", "regulation"),
+    "camera": ("kind", "source", "size", "fps"),
+    "virtual_lab": ("robot_seed",),
+}
+
+
+def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
+    if isinstance(was, dict) and isinstance(now, dict):
+        for key in [*was, *(key for key in now if key not in was)]:
+            found = _difference(was.get(key), now.get(key), f"{name}.{key}")
+            if found:
+                return found
+        return None
+    return None if was == now else (name, was, now)
+
+
+def _check_calibration(path: Path, camera: Camera | None, markers: dict[str, Any]) -> None:
+    """Refuse a calibration before anything moves, rather than after the drive."""
+    model = CameraModel.read(path)
+    if model.has_board:
+        marker_geometry(markers, model)
+    size = tuple(model.image_size)
+    if camera is not None and tuple(camera.size) != size:
+        raise UserError(
+            f"{path} is of pictures of {size[0]}x{size[1]}, but the camera's are "
+            f"{camera.size[0]}x{camera.size[1]}; calibrate at the size that is recorded"
+        )
+
+
+def _check_same_calibration(out: Path, calibration: Path) -> None:
+    kept = out / "calibration.json"
+    if not kept.exists():
+        shutil.copyfile(calibration, kept)
+    elif kept.read_bytes() != calibration.read_bytes():
+        raise UserError(f"{out} was recorded with another calibration than {calibration}")

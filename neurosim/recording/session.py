@@ -1,0 +1,358 @@
+"""One session of a recording: what is sent to the robot, and how it is kept on the board.
+
+Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands, motors that
+go straight from one command into the next, a perimeter line that the light sensors guard, and a
+lamp that flashes into the camera so that the video's clock can be found.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import zip_longest
+from typing import NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import LineLog
+from neurosim.base.progress import Progress
+from neurosim.recording.commands import Command, CommandSource
+from neurosim.recording.homing import Homing, bearing
+from neurosim.recording.perimeter import Perimeter
+from neurosim.recording.settings import RecordSettings
+from neurosim.recording.spotter import Spotter
+from neurosim.robots.base import Robot
+from tracking.camera.cameras import Camera
+from tracking.datasets.recordings import Recording
+
+#: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
+#: and no whole number of frames long, so that each edge meets another phase of the shutter.
+FLASHES = ((0.608, True), (0.408, False), (0.308, True))
+#: Seconds of stillness before and after the flashes.
+STILL = 0.5
+#: Without light sensors the robot's place is looked at so often, s.
+LOOK_EVERY = 1 / 30
+#: A robot that is lost has so long to be put into view again, s.
+PATIENCE = 60.0
+#: Going back inside by position ends this near to its goal, m.
+NEAR = 0.25
+
+
+class BatteryLow(UserError):
+    """The battery fell below its limit; the recording is readable and can be resumed."""
+
+
+@dataclass
+class _Todo:
+    """A command that waits to be sent."""
+
+    index: int
+    attempt: int = 1
+
+
+class Session:
+    """One session: from the flash at its start to the flash at its end."""
+
+    def __init__(
+        self,
+        recording: Recording,
+        session: int,
+        robot: Robot,
+        source: CommandSource,
+        settings: RecordSettings,
+        log: LineLog,
+        say: Callable[[str], None],
+        camera: Camera | None,
+        spotter: Spotter | None,
+    ):
+        self._camera = camera
+        self._spotter = spotter
+        self._perimeter = Perimeter(
+            settings.board, settings.guard.margin, settings.full_speed, settings.track
+        )
+        self._session = session
+        self._robot = robot
+        self._clock = robot.clock
+        self._source = source
+        self._settings = settings
+        self._guard = settings.guard
+        self._log = log
+        self._say = say
+        self._waiting = _waiting(recording, settings)
+        self._speeds = (0.0, 0.0)
+        self._since = self._clock.now()
+        self._homing = Homing(settings.full_speed, settings.track)
+        self._sent = 0.0
+        self._board: dict[str, float] = {}
+        # Random turns of the way back inside; not the commands' seed, and another one each
+        # session, so that a robot that was stuck does not repeat itself.
+        self._rng = np.random.default_rng([session, settings.commands])
+
+    def run(self) -> bool:
+        """Send what waits; return whether all of it was sent."""
+        self._flash()
+        self._learn_board()
+        if self._is_blind():
+            self._wait_for_sight()
+        total = self._settings.commands
+        with Progress("recording", total, "commands") as progress:
+            progress.advance(total - len(self._waiting))
+            since_battery = 0
+            while self._waiting and not getattr(self._camera, "failed", False):
+                if since_battery % 20 == 0:
+                    self._check_battery()
+                since_battery += 1
+                todo = self._waiting.popleft()
+                command = self._source.command(todo.index)
+                before = self._speeds
+                self._write("command", command.left, command.right, command.duration, todo.index)
+                if self._hold(command):
+                    progress.advance()
+                    continue
+                self._write("cut", 0, 0, number=todo.index)
+                if self._guard.at_line == "end":
+                    self._waiting.clear()
+                    break
+                self._return_inside()
+                if todo.attempt < self._guard.attempts:
+                    self._waiting.appendleft(replace(todo, attempt=todo.attempt + 1))
+                    self._lead_in(before)
+                else:
+                    progress.advance()
+        self._write("stop", 0, 0)
+        self._flash()
+        self._write("end")
+        return not self._waiting
+
+    # What is sent, and written down just before it is sent
+
+    def _write(
+        self,
+        kind: str,
+        left: float | None = None,
+        right: float | None = None,
+        duration: float | None = None,
+        number: int | None = None,
+    ) -> None:
+        now = round(self._clock.now(), 6)
+        self._log.append(self._session, number, kind, now, left, right, duration)
+        if left is not None and right is not None:
+            self._homing.moved(*self._speeds, now - self._since)
+            self._perimeter.sent(now, left, right)
+            self._since = now
+            if kind in ("cut", "stop"):
+                self._robot.stop()
+            else:
+                self._robot.drive(left, right)
+            self._speeds = (left, right)
+        self._sent = now
+
+    def _flash(self) -> None:
+        self._wait(2 * STILL)
+        for seconds, on in FLASHES:
+            self._write("lamp-on" if on else "lamp-off")
+            self._robot.lamp(on)
+            self._wait(seconds)
+        self._write("lamp-off")
+        self._robot.lamp(False)
+        self._wait(STILL)
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + seconds)
+
+    def _hold(self, command: Command) -> bool:
+        """Let a command run its duration; return False as soon as the robot must stop."""
+        end = self._sent + command.duration
+        moving = command.left != 0 or command.right != 0
+        watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
+        if moving and watched:
+            took = 0.0
+            # The last look must not make the next command late.
+            while (now := self._clock.now()) + 1.5 * took < end:
+                if (self._board and self._on_line()) or self._leaves() or self._is_blind():
+                    return False
+                if not self._board:
+                    self._clock.sleep_until(min(now + LOOK_EVERY, end))
+                took = max(took, self._clock.now() - now)
+        self._clock.sleep_until(end)
+        return True
+
+    # The perimeter
+
+    def _lines(self) -> dict[str, float]:
+        readings = self._robot.read_sensors()
+        return {name: readings[name] for name in ("line_left", "line_right") if name in readings}
+
+    def _learn_board(self) -> None:
+        if self._guard.at_line == "ignore":
+            return
+        looks = [self._lines() for _ in range(5)]
+        self._board = {
+            name: float(np.median([look[name] for look in looks if name in look]))
+            for name in looks[0]
+        }
+        if not self._board and self._spotter is None:
+            self._say("no light sensors: the perimeter is not guarded, stay with the robot")
+
+    def _on_line(self) -> bool:
+        return any(
+            abs(value - self._board[name]) > self._guard.contrast
+            for name, value in self._lines().items()
+            if name in self._board
+        )
+
+    def _leaves(self) -> bool:
+        """Return whether the robot, by its position, must stop now to stay on the board."""
+        last = None if self._spotter is None else self._spotter.last
+        return last is not None and self._perimeter.leaves(last[1], last[0], self._clock.now())
+
+    def _is_blind(self) -> bool:
+        """Return whether nothing tells where the robot is: no light sensors, and not seen."""
+        if self._spotter is None or self._board or self._guard.at_line == "ignore":
+            return False
+        return self._spotter.unseen(self._clock.now()) > self._guard.unseen
+
+    def _pose(self) -> NDArray | None:
+        """Return the robot's pose by now, None if it is not in sight."""
+        last = None if self._spotter is None else self._spotter.last
+        now = self._clock.now()
+        if last is None or now - last[0] > self._guard.unseen:
+            return None
+        return self._perimeter.predict(last[1], last[0], now)[0]
+
+    def _wait_for_sight(self) -> None:
+        """Wait until a robot that has no light sensors is seen."""
+        self._say(
+            "the robot is not seen, and without light sensors it cannot drive unseen: put it on "
+            "the board, in view"
+        )
+        end = self._clock.now() + PATIENCE
+        while self._is_blind():
+            if self._clock.now() > end:
+                self._write("stop", 0, 0)
+                raise UserError(
+                    f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
+                    "robot in the middle of the board and go on with --resume"
+                )
+            self._wait(LOOK_EVERY)
+
+    def _return_inside(self) -> None:
+        """Go back inside: by position where the robot is seen, else by dead reckoning."""
+        if self._is_blind():
+            self._wait_for_sight()
+        if self._pose() is None:
+            self._return_from_line()
+        else:
+            self._return_to_middle()
+
+    def _return_to_middle(self) -> None:
+        """Drive by position to where there is room for a long straight run, and turn some way."""
+        goal = self._perimeter.middle(self._guard.retreat, self._rng)
+        for _ in range(12):
+            pose = self._pose()
+            if pose is None:
+                self._return_inside()
+                return
+            way = goal - pose[:2]
+            distance = float(np.hypot(*way))
+            if distance < NEAR:
+                self._turn(float(self._rng.uniform(-math.pi, math.pi)))
+                return
+            angle, direction = bearing(pose, goal)
+            self._turn(angle)
+            speed = direction * self._guard.speed
+            seconds = distance / (self._guard.speed / 100 * self._settings.full_speed)
+            # In pieces, so that it is seen when it goes astray.
+            self._manoeuvre(speed, speed, min(seconds, 1.0), look=False)
+            self._manoeuvre(0, 0, 0.3, look=False)
+        self._give_up()
+
+    def _return_from_line(self) -> None:
+        """Drive away from the line, to where the robot has been and beyond, then turn some way.
+
+        Most of a board's width of it leaves room for a long straight run not to be cut again.
+        """
+        guard = self._guard
+        for _ in range(12):
+            angle, direction = self._homing.way_in()
+            self._turn(angle)
+            speed = direction * guard.speed
+            seconds = guard.retreat / (guard.speed / 100 * self._settings.full_speed)
+            # The first stretch takes the sensors off the line they stand on.
+            self._manoeuvre(speed, speed, 0.3 * seconds, look=False)
+            began = self._clock.now()
+            arrived = self._manoeuvre(speed, speed, 0.7 * seconds, look=True)
+            if not arrived and self._clock.now() - began > 0.2 * seconds:
+                # So far from the first line, this one is on the other side: half way back.
+                self._manoeuvre(-speed, -speed, 0.3 * seconds, look=False)
+                arrived = True
+            if arrived:
+                self._turn(float(self._rng.uniform(-math.pi, math.pi)))
+                return
+        self._give_up()
+
+    def _give_up(self) -> NoReturn:
+        self._write("stop", 0, 0)
+        raise UserError(
+            "the robot does not find its way back inside the lines; "
+            "put it in the middle of the board and go on with --resume"
+        )
+
+    def _turn(self, angle: float) -> None:
+        speed = math.copysign(self._guard.speed / 2, angle)
+        seconds = self._homing.turning_time(angle, abs(speed))
+        if seconds > 0.05:
+            self._manoeuvre(-speed, speed, seconds, look=False)
+
+    def _manoeuvre(self, left: float, right: float, seconds: float, *, look: bool) -> bool:
+        command = Command(round(left), round(right), seconds)
+        self._write("manoeuvre", command.left, command.right, round(seconds, 3))
+        if not look:
+            self._clock.sleep_until(self._sent + seconds)
+            return True
+        return self._hold(command)
+
+    def _lead_in(self, speeds: tuple[float, float]) -> None:
+        if any(speeds):
+            self._manoeuvre(*speeds, self._guard.lead_in, look=True)
+        else:
+            self._manoeuvre(0, 0, self._guard.lead_in, look=False)
+
+    # The battery
+
+    def _check_battery(self) -> None:
+        volts, limit = self._robot.battery(), self._settings.battery_limit
+        # A robot that cannot tell says NaN.
+        if not volts < limit:
+            return
+        self._write("stop", 0, 0)
+        self._write("pause")
+        raise BatteryLow(
+            f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "
+            "the robot back inside the lines and go on with --resume"
+        )
+
+
+def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
+    """Return the commands still to be sent: all that no session sent to their end."""
+    attempts: dict[int, int] = {}
+    settled: set[int] = set()
+    if (recording.path / "commands.csv").exists():
+        lines = [line for line in recording.commands() if line.is_motor]
+        for line, after in zip_longest(lines, lines[1:]):
+            if line.kind != "command" or line.command is None:
+                continue
+            attempts[line.command] = attempts.get(line.command, 0) + 1
+            ran = after is not None and after.session == line.session and after.kind != "cut"
+            if ran or attempts[line.command] >= settings.guard.attempts:
+                settled.add(line.command)
+    todo = (
+        _Todo(index, attempts.get(index, 0) + 1)
+        for index in range(settings.commands)
+        if index not in settled
+    )
+    return deque(todo)

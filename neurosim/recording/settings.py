@@ -1,0 +1,65 @@
+"""What a recording is made with, beside robot, camera and commands."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from neurosim.base.errors import UserError
+from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
+
+
+@dataclass(frozen=True)
+class Guard:
+    """How the robot is kept on the board, by light sensors and by its tracked position.
+
+    Attributes:
+        at_line: what happens at the perimeter: ``return`` inside and go on, ``end`` the session,
+            or ``ignore`` it.
+        contrast: by how much of 0..1 a sensor's reading must differ from that of the bare board
+            to be a line (or the floor).
+        retreat: metres to drive back over, away from the line: more than the longest straight
+            command, so that a robot sent back has room ahead of it.
+        speed: of the retreat, in percent.
+        attempts: how often a command is sent again if it was cut.
+        lead_in: seconds to drive the previous command's speeds again before a command that was
+            cut is repeated: it then starts from what it would have started from.
+        margin: by position, the middle of the axle stays so far inside the board's edge, m.
+        unseen: without light sensors, a robot that was not seen for so many seconds is stopped
+            until it is.
+    """
+
+    at_line: Literal["return", "end", "ignore"] = "return"
+    contrast: float = 0.12
+    retreat: float = 0.9
+    speed: float = 50.0
+    attempts: int = 4
+    lead_in: float = 0.6
+    margin: float = 0.12
+    unseen: float = 1.0
+
+
+@dataclass(frozen=True)
+class RecordSettings:
+    """What a recording is made with, beside robot, camera and commands.
+
+    Attributes:
+        commands: how many different commands to send.
+        guard: of the perimeter line.
+        battery_limit: volts below which the recording pauses.
+        full_speed: wheel speed at 100 %, in m/s, and
+        track: distance between the wheels, in m: both only to find back inside.
+        markers, board: as in recording.json.
+    """
+
+    commands: int
+    guard: Guard = field(default_factory=Guard)
+    battery_limit: float = 6.5
+    full_speed: float = 0.5
+    track: float = 0.13
+    markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
+    board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
+
+    def __post_init__(self) -> None:
+        if self.commands < 1:
+            raise UserError(f"a recording needs at least 1 command, not {self.commands}")

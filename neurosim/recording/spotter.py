@@ -1,0 +1,113 @@
+"""The recorder's eyes: where the robot is seen while it is recorded, and what is kept of that."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from numpy.typing import NDArray
+
+from neurosim.base.files import LineLog
+from tracking.camera.camera_model import CameraModel
+from tracking.live import LiveTracker, Seen
+from tracking.markers.colours import parse_colour
+from tracking.markers.palette import Found, warning
+from tracking.poses import marker_geometry, marker_poses
+
+#: The user is told when the robot was not seen for so long, s.
+WARN_AFTER = 0.5
+
+
+class Spotter:
+    """Tracks a camera's frames, logs what is seen, and warns when the robot is lost.
+
+    Args:
+        markers: as in recording.json.
+        model: the camera's calibration, with its place over the board.
+        now: the robot's clock, s.
+        log: takes what is seen in every frame.
+        session: its number.
+        say: takes messages for the user.
+        waits: whether the camera waits for who takes its frames.
+        on_seen: is shown every frame too.
+    """
+
+    def __init__(
+        self,
+        markers: Mapping[str, Any],
+        model: CameraModel,
+        now: Callable[[], float],
+        log: LineLog,
+        session: int,
+        say: Callable[[str], None],
+        *,
+        waits: bool,
+        on_seen: Callable[[Seen], None] | None = None,
+    ):
+        self._markers, self._model = markers, model
+        self._log, self._session = log, session
+        self._say = say
+        self._on_seen = on_seen
+        self._lock = threading.Lock()
+        self._last: tuple[float, NDArray] | None = None
+        self._since = now()
+        self._warned = False
+        self._judged = False
+        front, rear = (parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
+        self._tracker = LiveTracker(
+            (front, rear), marker_geometry(markers, model), now, self._look, waits=waits
+        )
+        self.take = self._tracker.take
+
+    @property
+    def last(self) -> tuple[float, NDArray] | None:
+        """When the robot was last seen (s, robot clock), and at which pose [3]; None if never."""
+        with self._lock:
+            return self._last
+
+    def unseen(self, now: float) -> float:
+        """Return for how many seconds the robot has not been seen."""
+        with self._lock:
+            return now - (self._since if self._last is None else self._last[0])
+
+    @property
+    def passed_over(self) -> int:
+        """How many frames the tracker could not keep up with."""
+        return self._tracker.passed_over
+
+    def close(self) -> None:
+        """Track what still waits; raise what went wrong while tracking."""
+        self._tracker.close()
+
+    def _look(self, seen: Seen) -> None:
+        sighting = seen.sighting
+        self._log.append(
+            self._session, seen.index, *sighting.front, *sighting.rear, sighting.quality,
+            sighting.lamp,
+        )  # fmt: skip
+        if sighting.found:
+            pose = marker_poses(
+                sighting.front[None], sighting.rear[None], self._markers, self._model
+            )[0]
+            away = self.unseen(seen.arrived)
+            with self._lock:
+                self._last = (seen.arrived, pose)
+            if seen.colours is not None and not self._judged:
+                self._judge(seen.colours)
+            if self._warned:
+                self._say(f"the robot is seen again, after {away:.1f} s")
+                self._warned = False
+        elif not self._warned and self.unseen(seen.arrived) > WARN_AFTER:
+            self._warned = True
+            self._say("the robot is lost from sight: is it covered, or off the board?")
+        if self._on_seen is not None:
+            self._on_seen(seen)
+
+    def _judge(self, founds: tuple[Found, Found]) -> None:
+        """Warn at the first sight, before anything is driven, of colours that are not sure."""
+        self._judged = True
+        front, rear = founds
+        doubt = warning({"front": front.told, "rear": rear.told})
+        if doubt:
+            self._say(doubt)

@@ -1,0 +1,324 @@
+"""Driver of a Khepera (I, II or III) or an e-puck on a serial line, in K-Team's ASCII protocol."""
+
+from __future__ import annotations
+
+import math
+import time
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from neurosim.base.errors import RobotError, UserError
+from neurosim.robots.base import Clock, SystemClock
+from neurosim.robots.khepera.dialects import Dialect, Geometry, dialect_named
+from neurosim.robots.khepera.serial_line import SerialLine
+
+#: How often a command is sent before the robot counts as lost; all of them may be repeated.
+TRIES = 3
+#: Stands in the version of a robot of the virtual lab.
+VIRTUAL = "virtual"
+
+
+class Khepera:
+    """A small round robot with a ring of infra-red sensors and two wheels.
+
+    Follows :class:`neurosim.robots.base.Robot`. Bytes that make no answer are passed over,
+    commands without a good answer are sent again. A robot that reboots is noticed by what it
+    says then: it is set to the speeds that it had, its counters to what was last read, and
+    :attr:`reboots` counts it.
+
+    Args:
+        port: a device (``/dev/ttyUSB0``, ``COM3``) or any URL that pyserial opens.
+        dialect: ``khepera`` (I and II), ``khepera3`` or ``epuck``.
+        baud: the line's speed; the dialect's own by default (a Khepera's is set by jumpers).
+        full_speed: what 100 % is, in the robot's own units; the dialect's by default, which for
+            a Khepera is 10, 100 mm/s.
+        pulses_per_metre: of the position counters; the dialect's by default.
+        timeout: wall-clock seconds that an answer may take.
+        clock: the robot's clock; the virtual lab hands in its own.
+
+    Attributes:
+        geometry: radius and wheel base, m.
+        pulses_per_metre: of the position counters.
+        speed_unit: the wheel speed that a speed of 1 stands for, m/s.
+        angles: where the sensors look, [S] rad counter-clockwise from straight ahead, in the
+            order of :meth:`read_proximity`.
+        reboots: how often the robot was seen to start anew.
+
+    Raises:
+        UserError: for a dialect, a baud rate or a full speed that does not exist.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        *,
+        dialect: str = "khepera",
+        baud: int | None = None,
+        full_speed: int | None = None,
+        pulses_per_metre: float | None = None,
+        timeout: float = 1.0,
+        clock: Clock | None = None,
+    ):
+        self.dialect: Dialect = dialect_named(dialect)
+        self.clock: Clock = SystemClock() if clock is None else clock
+        self.full_speed = self.dialect.full_speed if full_speed is None else full_speed
+        if not 1 <= self.full_speed <= self.dialect.max_speed:
+            raise UserError(
+                f"full speed {self.full_speed} is not one of the {self.dialect.robot}'s: use 1 to "
+                f"{self.dialect.max_speed}"
+            )
+        if baud is not None and baud <= 0:
+            raise UserError(f"{baud} is not a baud rate")
+        self.geometry: Geometry = self.dialect.geometry
+        self.pulses_per_metre = float(pulses_per_metre or self.dialect.pulses_per_metre)
+        # A speed is a number of pulses in a time, so that it goes with the size of a pulse.
+        self.speed_unit = (
+            self.dialect.speed_unit * self.dialect.pulses_per_metre / self.pulses_per_metre
+        )
+        self.angles = np.radians(self.dialect.angles)
+        self.reboots = 0
+        self._timeout = timeout
+        self._line = SerialLine(
+            port, baud=baud or self.dialect.baud, stop_bits=self.dialect.stop_bits
+        )
+        self._speeds = (0, 0)
+        self._counts: tuple[int, int] | None = None
+        self._version = ""
+        self._restoring = False
+
+    def connect(self) -> None:
+        """Open the line, make sure that a robot of this kind answers, and stop it.
+
+        Raises:
+            RobotError: if the port cannot be opened, nothing answers, or something else does.
+        """
+        if self._line.is_open:
+            return
+        self._line.open()
+        try:
+            # Half a command of an earlier program must not stand before ours.
+            self._line.write(b"\r")
+            self._version = self._first_answer()
+            self.set_speeds(0, 0)
+        except BaseException:
+            self._line.close()
+            raise
+
+    def close(self) -> None:
+        """Stop the motors if the line still stands, and close it. Never raises."""
+        if self._line.is_open:
+            with suppress(Exception):
+                self.set_speeds(0, 0)
+        self._line.close()
+
+    def drive(self, left: float, right: float) -> None:
+        """Set both motors, in percent of full speed, -100 to 100; they hold it until the next.
+
+        The robot takes whole speeds only; what is asked for is rounded.
+
+        Raises:
+            UserError: if that is no speed.
+            LinkLost: if the robot does not acknowledge it.
+        """
+        self.set_speeds(*self._units(left, right))
+
+    def set_speeds(self, left: int, right: int) -> None:
+        """Set both wheels' speeds in the robot's own units (a Khepera's are pulses in 10 ms).
+
+        Raises:
+            UserError: beyond what the robot takes.
+            LinkLost: if the robot does not acknowledge it.
+        """
+        self._ask(self._speed_command(left, right), 0)
+
+    def stop(self) -> None:
+        """Stop both motors; their speed regulation holds them."""
+        self.set_speeds(0, 0)
+
+    def read_proximity(self) -> np.ndarray:
+        """Read reflected light, [8] int, larger where something is near.
+
+        In the robot's own order and range: a Khepera's from left to right in front (0 to 5),
+        behind to the right (6) and to the left (7), 0..1023; see the dialect's ``angles``.
+        """
+        return self._sensors("N")
+
+    def read_ambient(self) -> np.ndarray:
+        """Read ambient light, [8] int in the robot's own range; a Khepera's falls with light."""
+        return self._sensors("O")
+
+    def activations(self) -> np.ndarray:
+        """Read reflected light, [8] in 0..1 of the sensors' range."""
+        return self._scaled(self._ask("N", self.dialect.values))
+
+    def read_counts(self) -> tuple[int, int]:
+        """Read the position counters, left and right, in pulses."""
+        left, right = self._ask(self.dialect.read_counts, 2)
+        self._counts = (left, right)
+        return self._counts
+
+    def set_counts(self, left: int, right: int) -> None:
+        """Set the position counters, in pulses."""
+        self._ask(self._set(self.dialect.set_counts, (int(left), int(right))), 0)
+        self._counts = (int(left), int(right))
+
+    def read_sensors(self) -> dict[str, float]:
+        """Read the sensors: ``proximity_0`` to ``proximity_7``, 0 (nothing) to 1 (near)."""
+        return {f"proximity_{i}": float(value) for i, value in enumerate(self.activations())}
+
+    def lamp(self, on: bool) -> None:
+        """Switch the light-emitting diode on the robot's top.
+
+        Raises:
+            RobotError: where the dialect has none.
+        """
+        if self.dialect.lamp is None:
+            raise RobotError(f"the {self.dialect.robot} has no lamp that this driver can switch")
+        self._ask(f"{self.dialect.lamp},{int(on)}", 0)
+
+    def battery(self) -> float:
+        """Return NaN: the protocol does not tell the battery's voltage."""
+        return math.nan
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a recording should say of this robot."""
+        return {
+            "robot": "khepera",
+            "dialect": self.dialect.name,
+            "port": self._line.port,
+            "baud": self._line.baud,
+            "version": self._version,
+            **({"virtual": VIRTUAL in self._version} if self._version else {}),
+            "full_speed": self.full_speed,
+            "speed_unit": self.speed_unit,
+            "pulses_per_metre": self.pulses_per_metre,
+            "reboots": self.reboots,
+        }
+
+    def __enter__(self) -> Khepera:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _set(self, letter: str, values: tuple[int, int]) -> str:
+        return letter + "".join(f",{self.dialect.long}{value}" for value in values)
+
+    def _units(self, left: float, right: float) -> tuple[int, int]:
+        for value, side in ((left, "left"), (right, "right")):
+            if not math.isfinite(value) or abs(value) > 100:
+                raise UserError(f"{side} motor: {value} is not a speed; use -100 to 100 percent")
+        return round(left / 100 * self.full_speed), round(right / 100 * self.full_speed)
+
+    def _speed_command(self, left: int, right: int) -> str:
+        for value, side in ((left, "left"), (right, "right")):
+            if value != int(value) or abs(value) > self.dialect.max_speed:
+                raise UserError(
+                    f"{side} wheel: {value} is not a speed of the {self.dialect.robot}; use whole "
+                    f"numbers up to {self.dialect.max_speed}"
+                )
+        self._speeds = (int(left), int(right))
+        return self._set("D", self._speeds)
+
+    def _scaled(self, values: list[int]) -> np.ndarray:
+        found = np.array([values[place] for place in self.dialect.sensors], float)
+        return np.clip(found / self.dialect.full_scale, 0.0, 1.0)
+
+    def _sensors(self, letter: str) -> np.ndarray:
+        values = self._ask(letter, self.dialect.values)
+        return np.array([values[place] for place in self.dialect.sensors])
+
+    def _first_answer(self) -> str:
+        """Return the version that the robot tells."""
+        letter, heard = self.dialect.version, []
+        for _ in range(TRIES):
+            self._line.write(letter.encode() + b"\r")
+            end = time.monotonic() + self._timeout
+            while (line := self._line.read_line(max(end - time.monotonic(), 0.0))) is not None:
+                text = line.decode("ascii", "replace")
+                if text.startswith(letter.lower() + ","):
+                    return text[2:].strip()
+                heard.append(text.strip())
+        where = f"{self._line.port} at {self._line.baud} baud"
+        if not heard:
+            raise RobotError(
+                f"nothing answers on {where}: is the {self.dialect.robot} on, in its serial mode "
+                "and set to this speed, or does another program hold the line?"
+            )
+        if letter in heard:
+            raise RobotError(f"{where} sends back its own input, as a terminal does: no robot")
+        raise RobotError(
+            f"what answers on {where} is no {self.dialect.robot} ({heard[-1][:40]!r}): is this its "
+            "dialect, and its speed?"
+        )
+
+    def _ask(self, command: str, count: int) -> list[int]:
+        """Send a command and return the numbers of its answer, however often that takes."""
+        reason = ""
+        for _ in range(TRIES):
+            self._hear_reboots()
+            self._line.write(command.encode() + b"\r")
+            values, reason = self._answer(command[0].lower(), count)
+            if values is not None:
+                return values
+        if reason:
+            raise RobotError(
+                f"the {self.dialect.robot} on {self._line.port} does not carry out {command!r}: "
+                f"it answers {reason[:60]!r}"
+            )
+        raise self._line.lose(
+            f"the {self.dialect.robot} on {self._line.port} stopped answering: no reply to "
+            f"{command!r} within {self._timeout:g} s, {TRIES} times; is it on and its cable whole?"
+        )
+
+    def _answer(self, letter: str, count: int) -> tuple[list[int] | None, str]:
+        """Return an answer's numbers, or None and what came in its place."""
+        end = time.monotonic() + self._timeout
+        seconds = self._timeout
+        while (line := self._line.read_line(seconds)) is not None:
+            text = line.decode("ascii", "replace")
+            values = _numbers(text, letter)
+            if values is not None and len(values) == count:
+                return values, ""
+            if self._notice_reboot(line):
+                return None, text
+            if text[0] in (letter, "z"):
+                # Half an answer, or a command that reached the robot in pieces.
+                return None, text
+            seconds = max(end - time.monotonic(), 0.0)
+        return None, ""
+
+    def _hear_reboots(self) -> None:
+        for line in self._line.waiting():
+            self._notice_reboot(line)
+
+    def _notice_reboot(self, line: bytes) -> bool:
+        """Set a robot that starts anew to what it was; return whether it did."""
+        text = line.decode("ascii", "replace")
+        if not any(banner in text for banner in self.dialect.banners):
+            return False
+        self.reboots += 1
+        if not self._restoring:
+            self._restoring = True
+            try:
+                if self._counts is not None:
+                    self._ask(self._set(self.dialect.set_counts, self._counts), 0)
+                self._ask(self._set("D", self._speeds), 0)
+            finally:
+                self._restoring = False
+        return True
+
+
+def _numbers(text: str, letter: str) -> list[int] | None:
+    """Return the numbers of an answer, or None if it is not one to this letter."""
+    name, *values = text.split(",")
+    if name != letter:
+        return None
+    try:
+        # The Khepera III may put d or l before a number, as it asks for in commands.
+        return [int(value.strip().lstrip("dl")) for value in values]
+    except ValueError:
+        return None

@@ -1,0 +1,378 @@
+"""Driver of a LEGO MINDSTORMS NXT with two driving motors, through nxt-python."""
+
+from __future__ import annotations
+
+import math
+import struct
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, TypeVar
+
+import nxt.brick
+import nxt.error
+from nxt.motor import Mode, RegulationMode, RunState
+from nxt.motor import Port as MotorPort
+from nxt.sensor import Mode as SensorMode
+from nxt.sensor import Port as SensorPort
+from nxt.sensor import Type as SensorType
+from nxt.telegram import Opcode, Telegram
+
+from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.robots.base import Clock, SystemClock
+from neurosim.robots.nxt.link import GARBAGE, Guard, open_brick
+
+T = TypeVar("T")
+
+#: A light sensor reads 0 (dark) to this.
+FULL_SCALE = 1023
+#: A sensor whose type was just set needs up to 0.4 s (the colour sensor) to give a value.
+VALID_WITHIN = 2.0
+POLL_EVERY = 0.02
+#: The brick switches itself off after some minutes, 2 at the least, and commands alone do not
+#: keep it from that.
+KEEP_AWAKE_EVERY = 45.0
+
+#: Bluetooth addresses of virtual bricks begin so: locally administered, no maker sells them.
+VIRTUAL_ADDRESS = "02:16:53"
+
+_LINKS = {
+    "host": "Bluetooth",
+    "filename": "device file",
+    "server_host": "nxt-server",
+    "server_port": "nxt-server",
+}
+_LAMP_ON, _LAMP_OFF = SensorType.COLOR_RED, SensorType.COLOR_NONE
+
+
+class NXT:
+    """An NXT robot: a motor left and right, a lamp, a light sensor on either side.
+
+    The brick is reached by one of: Bluetooth (``host``), a device file (``filename``),
+    nxt-server (``server_host``, ``server_port``), or USB if none of them is given. Follows
+    :class:`neurosim.robots.base.Robot`.
+
+    Args:
+        host: Bluetooth address, ``00:16:53:..``.
+        filename: device file, ``/dev/rfcomm0`` or a serial port on macOS.
+        server_host: computer on which nxt-python's nxt-server runs.
+        server_port: its port.
+        left: port of the left motor, ``A``, ``B`` or ``C``.
+        right: port of the right motor.
+        lamp: a motor port with a LEGO lamp on it; ``color:3`` for the red lamp of the NXT 2.0
+            colour sensor on sensor port 3; None or ``none``.
+        light_left: port of the left light sensor, 1 to 4; None or ``none``.
+        light_right: port of the right light sensor.
+        invert: the motors are mounted the other way round: forward turns them backwards.
+        clock: the robot's clock; the virtual lab hands in its own.
+        deadline: wall-clock seconds after which a silent brick counts as lost.
+
+    Raises:
+        UserError: if a port does not exist or is given twice.
+    """
+
+    def __init__(
+        self,
+        *,
+        host: str | None = None,
+        filename: str | None = None,
+        server_host: str | None = None,
+        server_port: int | None = None,
+        left: str = "B",
+        right: str = "C",
+        lamp: str | None = "A",
+        light_left: int | str | None = 1,
+        light_right: int | str | None = 2,
+        invert: bool = False,
+        clock: Clock | None = None,
+        deadline: float = 3.0,
+    ):
+        self.clock: Clock = SystemClock() if clock is None else clock
+        self._way = {
+            "host": host,
+            "filename": None if filename is None else str(filename),
+            "server_host": server_host,
+            "server_port": server_port,
+        }
+        self._deadline = deadline
+        self._left = _motor_port(left, "left")
+        self._right = _motor_port(right, "right")
+        self._lamp = _lamp_port(lamp)
+        self._lights = {
+            "line_left": _sensor_port(light_left, "light_left"),
+            "line_right": _sensor_port(light_right, "light_right"),
+        }
+        _all_different([self._left, self._right, self._lamp, *self._lights.values()])
+        self._sign = -1 if invert else 1
+        self._brick: nxt.brick.Brick | None = None
+        self._about: dict[str, Any] = {}
+        self._kept_awake = 0.0
+
+    def connect(self) -> None:
+        """Open the line, ask the brick who it is, and switch its sensors on.
+
+        Raises:
+            RobotError: if there is no brick: no line, nothing on it, or something else.
+        """
+        if self._brick is not None:
+            return
+        brick = open_brick(**self._way, deadline=self._deadline)
+        self._brick = brick
+        try:
+            try:
+                name, address, _, _ = self._ask(brick.get_device_info)
+                protocol, firmware = self._ask(brick.get_firmware_version)
+                self._ask(brick.keep_alive)
+                self._kept_awake = self.clock.now()
+            except LinkLost:
+                guard = self._guard
+                raise RobotError(f"no NXT brick answers {guard.place}: {guard.lost}") from None
+            self._about = {
+                "name": name,
+                "address": address,
+                "virtual": address.startswith(VIRTUAL_ADDRESS),
+                "firmware": "{}.{}".format(*firmware),
+                "protocol": "{}.{}".format(*protocol),
+            }
+            for port in self._lights.values():
+                if port is not None:
+                    self._set_sensor(port, SensorType.LIGHT_ACTIVE)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """Stop the motors, put the lamps out and close the line. Never raises."""
+        brick, guard = self._brick, self._guard
+        if brick is None:
+            return
+        for step in (self.stop, lambda: self.lamp(False), self._lights_out):
+            if guard.lost is not None:
+                break
+            with suppress(Exception):
+                step()
+        self._brick = None
+        guard.close()
+        brick._sock = None
+
+    def drive(self, left: float, right: float) -> None:
+        """Set both motors, in percent of full speed, and return when the brick has taken it.
+
+        The motors turn with the firmware's speed regulation and hold a speed, also that of
+        zero, until the next call. Percentages are rounded to whole ones.
+
+        Raises:
+            UserError: for a speed that is not within -100 to 100.
+            LinkLost: if the brick does not acknowledge it.
+        """
+        speeds = [self._sign * _percent(left, "left"), self._sign * _percent(right, "right")]
+        for port, power in zip((self._left, self._right), speeds, strict=True):
+            self._set_motor(port, power)
+        self._acknowledge(self._right, speeds[1])
+
+    def stop(self) -> None:
+        """Stop both motors; the regulation holds them where they are."""
+        self.drive(0, 0)
+
+    def read_sensors(self) -> dict[str, float]:
+        """Return ``line_left`` and ``line_right``, each 0 (dark) to 1, as far as configured."""
+        return {
+            name: self._read_valid(port, SensorType.LIGHT_ACTIVE) / FULL_SCALE
+            for name, port in self._lights.items()
+            if port is not None
+        }
+
+    def lamp(self, on: bool) -> None:
+        """Switch the lamp that the camera sees; nothing happens where none is configured."""
+        brick = self._connected()
+        if isinstance(self._lamp, MotorPort):
+            power = 100 if on else 0
+            self._ask(
+                brick.set_output_state,
+                self._lamp,
+                power,
+                Mode.ON if on else Mode.IDLE,
+                RegulationMode.IDLE,
+                0,
+                RunState.RUNNING if on else RunState.IDLE,
+                0,
+            )
+            self._acknowledge(self._lamp, power)
+        elif self._lamp is not None:
+            wanted = _LAMP_ON if on else _LAMP_OFF
+            self._ask(brick.set_input_mode, self._lamp, wanted, SensorMode.RAW)
+            taken = self._ask(brick.get_input_values, self._lamp)[3]
+            if taken is not wanted:
+                raise self._refused(f"its sensor port {self._lamp.value + 1} is {taken.name}")
+
+    def battery(self) -> float:
+        """Return the battery's voltage in volts."""
+        return self._ask(self._connected().get_battery_level) / 1000.0
+
+    def odometry(self) -> tuple[float, float]:
+        """Return how far the left and the right motor have turned, in degrees, forward positive.
+
+        The zero is where the brick was switched on or last ran a program.
+        """
+        brick = self._connected()
+        left, right = (
+            self._sign * self._ask(brick.get_output_state, port)[9]
+            for port in (self._left, self._right)
+        )
+        return float(left), float(right)
+
+    def describe(self) -> dict[str, Any]:
+        """Return kind, ports, kind of link and, once connected, who the brick is.
+
+        Not which device file or server: the same robot may come by another one tomorrow.
+        """
+        lamp = self._lamp
+        return {
+            "kind": "nxt",
+            **self._about,
+            "link": next((_LINKS[key] for key, way in self._way.items() if way is not None), "USB"),
+            "ports": {
+                "left": self._left.name,
+                "right": self._right.name,
+                "lamp": f"color:{lamp.value + 1}" if isinstance(lamp, SensorPort) else _name(lamp),
+                "light_left": _number(self._lights["line_left"]),
+                "light_right": _number(self._lights["line_right"]),
+            },
+            "invert": self._sign < 0,
+            "regulation": "speed",
+        }
+
+    def __enter__(self) -> NXT:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    @property
+    def _guard(self) -> Guard | None:
+        return None if self._brick is None else self._brick._sock
+
+    def _connected(self) -> nxt.brick.Brick:
+        if self._brick is None:
+            raise RobotError("the NXT is not connected: call connect() first")
+        return self._brick
+
+    def _ask(self, function: Callable[..., T], *arguments: Any) -> T:
+        """Call a method of nxt-python's brick; whatever goes wrong becomes one sentence."""
+        try:
+            return function(*arguments)
+        except (nxt.error.SystemProtocolError, nxt.error.DirectProtocolError) as error:
+            raise self._refused(str(error)) from None
+        except (nxt.error.ProtocolError, struct.error, ValueError, IndexError):
+            raise self._guard.lose(GARBAGE) from None
+
+    def _refused(self, why: str) -> RobotError:
+        return RobotError(f"the brick {self._guard.place} did not take a command: {why}")
+
+    def _set_motor(self, port: MotorPort, power: int) -> None:
+        self._ask(
+            self._connected().set_output_state,
+            port,
+            power,
+            Mode.ON | Mode.BRAKE | Mode.REGULATED,
+            RegulationMode.SPEED,
+            0,
+            RunState.RUNNING,
+            0,
+        )
+
+    def _acknowledge(self, port: MotorPort, power: int) -> None:
+        """Ask for a reply, after which everything sent before has been carried out."""
+        if self.clock.now() - self._kept_awake > KEEP_AWAKE_EVERY:
+            telegram = Telegram(Opcode.DIRECT_KEEP_ALIVE, reply_req=False)
+            self._ask(self._connected()._cmd_noreply, telegram)
+            self._kept_awake = self.clock.now()
+        taken = self._ask(self._connected().get_output_state, port)[1]
+        if taken != power:
+            raise self._refused(f"motor port {port.name} is at {taken} % instead of {power} %")
+
+    def _set_sensor(self, port: SensorPort, type_: SensorType) -> None:
+        self._ask(self._connected().set_input_mode, port, type_, SensorMode.RAW)
+        self._read_valid(port, type_)
+
+    def _read_valid(self, port: SensorPort, type_: SensorType) -> int:
+        """Return the normalised value, once the brick calls it valid and of this type."""
+        end = self.clock.now() + VALID_WITHIN
+        while True:
+            values = self._ask(self._connected().get_input_values, port)
+            if values[1] and values[3] is type_:
+                return values[6]
+            if self.clock.now() >= end:
+                raise RobotError(
+                    f"the brick {self._guard.place} gives no value for the sensor on port "
+                    f"{port.value + 1}"
+                )
+            self.clock.sleep_until(self.clock.now() + POLL_EVERY)
+
+    def _lights_out(self) -> None:
+        ports = [port for port in self._lights.values() if port is not None]
+        for port in ports:
+            self._ask(
+                self._connected().set_input_mode, port, SensorType.LIGHT_INACTIVE, SensorMode.RAW
+            )
+        if ports:
+            self._ask(self._connected().get_input_values, ports[-1])
+
+
+def _is_none(value: object) -> bool:
+    return value is None or str(value).strip().lower() in ("", "none")
+
+
+def _motor_port(value: str, option: str) -> MotorPort:
+    try:
+        return MotorPort[str(value).strip().upper()]
+    except KeyError:
+        raise UserError(f"{option}: {value!r} is not a motor port; use A, B or C") from None
+
+
+def _sensor_port(value: int | str | None, option: str) -> SensorPort | None:
+    if _is_none(value):
+        return None
+    try:
+        return SensorPort[f"S{str(value).strip()}"]
+    except KeyError:
+        raise UserError(
+            f"{option}: {value!r} is not a sensor port; use 1, 2, 3, 4 or none"
+        ) from None
+
+
+def _lamp_port(value: str | None) -> MotorPort | SensorPort | None:
+    if _is_none(value):
+        return None
+    kind, colon, port = str(value).partition(":")
+    if colon and kind.strip().lower() == "color" and not _is_none(port):
+        return _sensor_port(port, "lamp")
+    try:
+        return _motor_port(value, "lamp")
+    except UserError:
+        raise UserError(
+            f"lamp: {value!r} is neither a motor port (A, B, C), nor color:1 to color:4, nor none"
+        ) from None
+
+
+def _all_different(ports: list[MotorPort | SensorPort | None]) -> None:
+    used = [port for port in ports if port is not None]
+    for port in used:
+        if used.count(port) > 1:
+            kind = "motor" if isinstance(port, MotorPort) else "sensor"
+            label = port.name if kind == "motor" else port.value + 1
+            raise UserError(f"{kind} port {label} is given to two things; give each its own")
+
+
+def _percent(value: float, side: str) -> int:
+    if not math.isfinite(value) or abs(value) > 100:
+        raise UserError(f"{side} motor: {value} is not a speed; use -100 to 100 percent")
+    return round(value)
+
+
+def _name(port: MotorPort | None) -> str | None:
+    return None if port is None else port.name
+
+
+def _number(port: SensorPort | None) -> int | None:
+    return None if port is None else port.value + 1

@@ -1,0 +1,318 @@
+"""The motion network: three networks predict how a command displaces the robot.
+
+Pretorius et al. 2009, section 5.3: the networks are given the motors' speeds before and during
+the command and its duration, and predict the displacement in the robot's own frame; displacements
+are composed into a path. Which inputs there are is the dataset's matter: those called ``prev_...``
+are remembered in the state, the others are the command.
+
+Beyond the paper, a simulator may be an ensemble of such networks with a learned noise model: the
+members disagree where there was little to learn from, the noise is what no network can foresee.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
+from neurosim.simulators.motion.derived import Derived, can_swing
+from neurosim.simulators.motion.kernels import Arrays
+from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, disturb
+
+OUTPUTS = ("dx", "dy", "dtheta")
+
+#: What the networks' outputs are, and how many networks that takes: the displacement itself; the
+#: constant body twist whose exponential it is (see :mod:`neurosim.base.se2`), the duration taken
+#: as unit time; or such a twist and an offset (x, y), added in the frame at the command's start,
+#: where the speed changes.
+COORDINATES = {"displacement": 3, "twist": 3, "twist-offset": 5}
+
+
+class MotionNetwork:
+    """A simulator of a robot in the plane, learned from a dataset.
+
+    A trajectory keeps one member of the ensemble from its start to its end; the column
+    ``member`` of its state says which, -1 standing for the mean of all. A simulator of one member,
+    as in the paper, has no such column.
+
+    Attributes:
+        inputs: names and units of the inputs, [{name, unit}].
+        network: the shape that its networks have.
+        genes: their weights, [M, O, G], float64: M members of as many networks as
+            :data:`COORDINATES` says; if ``central``, [1 + M, O, G], the mean's before them.
+        central: whether the mean of the ensemble is a network of its own, which has learned from
+            all rows; if not, it is the members' average.
+        input_scale: [I]; inputs are divided by it.
+        output_scale: as genes, [M, O]; the networks' outputs times this are in metres and radians.
+        coordinates: one of :data:`COORDINATES`.
+        noise: the noise model, or None.
+        dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
+            too slowly stands.
+        derived: inputs of the networks that follow from the others and stand after them.
+        meta: what else simulator.json says: training, test errors, source.
+    """
+
+    kind = "motion-network"
+
+    def __init__(
+        self,
+        inputs: Sequence[Mapping[str, str]],
+        network: ProductSummationNetwork | Perceptron,
+        genes: Tensor,
+        input_scale: Tensor,
+        output_scale: Tensor,
+        coordinates: str = "displacement",
+        meta: Mapping[str, Any] | None = None,
+        noise: NoiseModel | None = None,
+        dead_zone: Tensor | None = None,
+        central: bool = False,
+        derived: Derived | None = None,
+    ):
+        """Make a simulator.
+
+        ``genes`` [O, G] are those of a single member, an ``output_scale`` [O] is that of all.
+        """
+        names = tuple(entry["name"] for entry in inputs)
+        remembered = tuple(name for name in names if name.startswith("prev_"))
+        self.command_names = tuple(name for name in names if name not in remembered)
+        for name in remembered:
+            if name.removeprefix("prev_") not in self.command_names:
+                raise ValueError(f"there is an input {name}, but no {name.removeprefix('prev_')}")
+        genes = genes.unsqueeze(0) if genes.ndim == 2 else genes
+        if coordinates not in COORDINATES:
+            raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}")
+        shape = (len(genes), COORDINATES[coordinates], network.genes)
+        derived = derived or Derived()
+        if (
+            len(names) + len(derived) != network.inputs
+            or genes.shape != shape
+            or len(genes) <= central
+        ):
+            raise ValueError("inputs, network and genes do not fit each other")
+        self.inputs = [dict(entry) for entry in inputs]
+        self.network = network
+        self.genes = genes.double()
+        self.central = central
+        self.input_scale = input_scale.to(self.genes)
+        self.output_scale = output_scale.to(self.genes).expand(shape[:2]).contiguous()
+        zero = torch.zeros_like(self.input_scale)
+        self.dead_zone = zero if dead_zone is None else dead_zone.to(zero)
+        self.coordinates = coordinates
+        self.noise = noise
+        self.meta = dict(meta or {})
+        self.state_names = ("x", "y", "theta", *remembered)
+        if self.members > 1:
+            self.state_names += ("member",)
+        given = (*remembered, *self.command_names)
+        device = self.genes.device
+        self._columns = CommandFeatures.of(names)
+        if derived.swing is not None and not can_swing(self._columns):
+            raise ValueError("a swing takes two remembered inputs")
+        self.derived = derived
+        self._predict = Prediction(network, self.genes.flatten(0, 1))
+        self._predict_mean = Prediction(network, self.genes[0]) if central else None
+        self._remembered = slice(3, 3 + len(remembered))
+        self._order = torch.tensor([given.index(name) for name in names], device=device)
+        self._next = torch.tensor(
+            [self.command_names.index(name.removeprefix("prev_")) for name in remembered],
+            dtype=torch.long,
+            device=device,
+        )
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the inputs, in the order of :meth:`displacement`'s columns."""
+        return tuple(entry["name"] for entry in self.inputs)
+
+    @property
+    def members(self) -> int:
+        """How many networks of each output there are."""
+        return len(self.genes) - self.central
+
+    def start(
+        self,
+        pose: Tensor,
+        generator: torch.Generator | None = None,
+        member: Tensor | int | None = None,
+    ) -> Tensor:
+        """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
+
+        Args:
+            pose: x (m), y (m), heading (rad).
+            generator: each trajectory draws its member; without one it follows the mean.
+            member: 0..M-1, or -1 for the mean, of all or of each [B]; not drawn then.
+        """
+        pose = pose.to(self.genes)
+        rows = len(pose)
+        state = torch.cat([pose, pose.new_zeros(rows, len(self.state_names) - 3)], dim=1)
+        if self.members > 1:
+            if member is None:
+                member = -1 if generator is None else self.draw_members(rows, generator)
+            state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
+        return state
+
+    def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
+        """Return a member for each trajectory, [rows], all alike probable."""
+        device = generator.device
+        return torch.randint(self.members, (rows,), generator=generator, device=device)
+
+    def step(
+        self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the states [B, S] after ``command`` [B, C] was carried out from ``state``.
+
+        With a generator, and where there is a noise model, fresh noise is drawn for every row;
+        without one the answer is the mean of the row's member.
+        """
+        inputs = torch.cat([state[:, self._remembered], command], dim=1)[:, self._order]
+        member = state[:, self._remembered.stop].long() if self.members > 1 else -1
+        moved = self.displacement(inputs, member)
+        rest = state[:, self._remembered.stop :]
+        if generator is not None and self.noise is not None:
+            z = self.noise.draw(len(moved), 1, generator)[:, 0]
+            moved = self.disturbed(inputs, moved, z)
+        pose = compose(state[:, :3], moved)
+        return torch.cat([pose, command[:, self._next], rest], dim=1)
+
+    def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
+        """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
+
+        They are in the robot's frame at the command's start, REP 103.
+
+        Args:
+            inputs: in the dataset's units.
+            member: of the ensemble, for all rows or for each [B]; -1: the mean.
+        """
+        if self.central and isinstance(member, int) and member < 0:
+            outputs = self._predict_mean(self.network_inputs(inputs)) * self.output_scale[0]
+        else:
+            outputs = _of_member(self._outputs(inputs), member, self.central)
+        return self.from_outputs(outputs)
+
+    def scaled(self, inputs: Tensor) -> Tensor:
+        """Return ``inputs`` [B, I] scaled, those within the dead zone zero."""
+        scaled = inputs / self.input_scale
+        return torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+
+    def network_inputs(self, inputs: Tensor) -> Tensor:
+        """Return ``inputs`` [B, I] as the networks take them, the derived ones appended."""
+        return self.derived.append(self._columns, inputs, self.scaled(inputs))
+
+    def outputs(self, inputs: Tensor) -> Tensor:
+        """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
+        return self._outputs(inputs)[:, int(self.central) :]
+
+    def _outputs(self, inputs: Tensor) -> Tensor:
+        outputs = self._predict(self.network_inputs(inputs))
+        return outputs.unflatten(-1, (len(self.genes), -1)) * self.output_scale
+
+    def from_outputs(self, outputs: Tensor) -> Tensor:
+        """Return the displacements [B, 3] that networks' outputs [B, O] stand for."""
+        if self.coordinates == "displacement":
+            return outputs
+        moved = exp(outputs[:, :3])
+        if self.coordinates == "twist":
+            return moved
+        return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
+
+    def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:
+        """Return displacements [B, 3] with noise of the draws ``z`` [B, DRAWS].
+
+        Args:
+            inputs: [B, I], in the dataset's units.
+            mean: of :meth:`displacement`, [B, 3].
+            z: of :meth:`NoiseModel.draw`.
+        """
+        if self.noise is None:
+            return mean
+        return disturb(self.noise, self._columns, self.scaled(inputs), mean, z)
+
+    def arrays(self) -> Arrays:
+        """Return what :mod:`neurosim.simulators.motion.kernels` computes with.
+
+        Raises:
+            ValueError: if the networks' activations are not linear.
+        """
+        if not self.network.linear:
+            raise ValueError("compiled simulators are of networks with linear activations")
+        genes, scale = self.genes.cpu(), self.output_scale.cpu().unsqueeze(-1)
+        w, count = self.network.split(genes), self.network.inputs
+        patterns = torch.arange(2**count).unsqueeze(-1)
+        negative = (patterns // 2 ** torch.arange(count) % 2).to(genes)  # [2^I, I]
+        cosines = torch.cos(torch.pi * (negative @ w.phases.transpose(-1, -2)))
+        linear, bias = self.network.collapsed(genes)
+        shapes = NoiseModel.SHAPES
+        noise = {
+            name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
+            for name in shapes
+        }
+        tensors = {
+            "exponents": w.exponents,
+            "ceiling": w.ceilings,
+            "signed": cosines * (scale * w.product_weights).unsqueeze(-2),
+            "linear": scale * linear,
+            "bias": scale.squeeze(-1) * bias,
+            "input_scale": self.input_scale,
+            "dead_zone": self.dead_zone,
+            **{f"noise_{name}": value for name, value in noise.items()},
+        }
+        return Arrays(
+            **{k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()},
+            floor=self.network.floor,
+            twist=self.coordinates != "displacement",
+            central=self.central,
+            noisy=self.noise is not None,
+            driven=np.array(self._columns.driven, np.int64),
+            before=np.array(self._columns.before, np.int64),
+            duration=self._columns.duration,
+            moving=self.derived.moving,
+            swing=math.nan if self.derived.swing is None else self.derived.swing,
+        )
+
+    def write(self, folder: str | Path) -> None:
+        """Write simulator.json and weights.safetensors into an existing folder."""
+        from neurosim.simulators.motion.files import write_motion
+
+        write_motion(self, folder)
+
+    @classmethod
+    def read(cls, folder: str | Path, device: str | torch.device = "cpu") -> MotionNetwork:
+        """Read and check a motion network; see :func:`motion_files.read_motion`."""
+        from neurosim.simulators.motion.files import read_motion
+
+        return read_motion(folder, device)
+
+
+def compose(pose: Tensor, displacement: Tensor) -> Tensor:
+    """Return the poses [B, 3] after displacements [B, 3] in their own frames; as base.se2."""
+    x, y, theta = pose.unbind(-1)
+    dx, dy, dtheta = displacement.unbind(-1)
+    cos, sin = theta.cos(), theta.sin()
+    return torch.stack([x + cos * dx - sin * dy, y + sin * dx + cos * dy, theta + dtheta], dim=-1)
+
+
+def exp(twist: Tensor) -> Tensor:
+    """Return the displacements [B, 3] of constant body twists [B, 3] over unit time."""
+    vx, vy, omega = twist.unbind(-1)
+    # torch.sinc(t) is sin(pi t) / (pi t): the chord of the arc, turned by half the angle.
+    chord = torch.sinc(omega / (2.0 * torch.pi))
+    cos, sin = chord * (omega / 2.0).cos(), chord * (omega / 2.0).sin()
+    return torch.stack([cos * vx - sin * vy, sin * vx + cos * vy, omega], dim=-1)
+
+
+def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
+    """Return the outputs [N, O] of a member, of outputs [N, M, O], or [N, 1 + M, O] if central."""
+    if isinstance(member, int):
+        return outputs.mean(1) if member < 0 else outputs[:, member + central]
+    place = (member + central).clamp(min=0)[:, None, None]
+    own = torch.take_along_dim(outputs, place, 1).squeeze(1)
+    average = member < 0
+    if central or not average.any():  # the mean's own network is the one before the first
+        return own
+    return torch.where(average.unsqueeze(-1), outputs.mean(1), own)

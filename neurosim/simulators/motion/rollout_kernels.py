@@ -1,0 +1,315 @@
+"""Rollouts of plans in a motion network, compiled and on all cores.
+
+They compute what :func:`neurosim.evolve.rollouts.stepped` does one step at a time. Two things make
+them fast. What a command does to the network's inputs and to the size of the noise is the same
+for all draws of a plan, so networks are evaluated once a command and member, not once a draw.
+And the product units of a whole ensemble lie in one row, networks with the same exponents only
+once, so that a core works on several at a time.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+from neurosim.networks import LOG_LIMIT
+from neurosim.simulators.motion.kernels import SIZES, Arrays, network_inputs, shake, spread
+
+#: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
+_FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+_LOG2_LIMIT = LOG_LIMIT / math.log(2.0)
+#: Added to a number of at most 2^51 it leaves the nearest whole number in the lowest bits.
+_ROUND = 1.5 * 2.0**52
+
+
+class Ensemble(NamedTuple):
+    """An ensemble's networks, laid out for evaluation of all of them on the same inputs.
+
+    A row is one output of one member, row ``member * outputs + output``. It is a sum of terms,
+    each over a run of product units.
+    """
+
+    members: int
+    outputs: int
+    exponents: np.ndarray  #: [I, U] of all different product units, for base-2 logarithms
+    ceiling: np.ndarray  #: [U] of the base-2 logarithms of their magnitudes
+    row: np.ndarray  #: of each term
+    unit: np.ndarray  #: first product unit of each term
+    count: np.ndarray  #: product units of each term
+    weight: np.ndarray  #: place of each term's first weight in ``signed``
+    signed: np.ndarray  #: [2^I, W] weights times cosines by the inputs' signs
+    linear: np.ndarray  #: [R, I]
+    bias: np.ndarray  #: [R]
+    input_scale: np.ndarray  #: [I]
+    dead_zone: np.ndarray  #: [I]
+    driven: np.ndarray  #: this and the next three as in Arrays
+    before: np.ndarray
+    moving: bool
+    swing: float
+    floor: float
+    twist: bool
+
+
+def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
+    """Return the networks of a simulator for these kernels.
+
+    Args:
+        a: the simulator's numbers.
+        mean: whether only the mean of all members is wanted: an ensemble of one.
+    """
+    if a.central:
+        own = slice(0, 1) if mean else slice(1, None)
+        names = ("exponents", "ceiling", "signed", "linear", "bias")
+        a = a._replace(**{name: getattr(a, name)[own] for name in names})
+    members, outputs, _, inputs = a.exponents.shape
+    units, ceilings, weights, terms, places = [], [], [], [], {}
+    filled = written = 0
+    for m in range(members):
+        for o in range(outputs):
+            used = (a.signed[m, o] != 0.0).any(axis=0)
+            exponents, signed = a.exponents[m, o][used], a.signed[m, o][:, used]
+            ceiling = a.ceiling[m, o][used] / math.log(2.0)
+            if not used.any():
+                continue
+            key = exponents.tobytes(), ceiling.tobytes()
+            if key not in places:
+                places[key] = filled
+                units.append(exponents)
+                ceilings.append(ceiling)
+                filled += len(exponents)
+            row, share = (o, 1.0 / members) if mean else (m * outputs + o, 1.0)
+            same = [t for t in terms if t[0] == row and t[1] == places[key]]
+            if same:
+                weights[terms.index(same[0])] += share * signed
+                continue
+            terms.append((row, places[key], len(exponents), written))
+            weights.append(share * signed)
+            written += len(exponents)
+    columns = np.array(terms, np.int64).reshape(-1, 4).T
+    linear, bias = (v.mean(0, keepdims=True) if mean else v for v in (a.linear, a.bias))
+    return Ensemble(
+        members=1 if mean else members,
+        outputs=outputs,
+        exponents=np.ascontiguousarray(np.concatenate(units).T) if units else np.empty((inputs, 0)),
+        ceiling=np.concatenate([*ceilings, np.empty(0)]),
+        row=np.ascontiguousarray(columns[0]),
+        unit=np.ascontiguousarray(columns[1]),
+        count=np.ascontiguousarray(columns[2]),
+        weight=np.ascontiguousarray(columns[3]),
+        signed=np.ascontiguousarray(np.concatenate(weights, axis=1))
+        if weights
+        else np.empty((2**inputs, 0)),
+        linear=np.ascontiguousarray(linear.reshape(-1, inputs)),
+        bias=np.ascontiguousarray(bias.reshape(-1)),
+        input_scale=a.input_scale,
+        dead_zone=a.dead_zone,
+        driven=a.driven,
+        before=a.before,
+        moving=a.moving,
+        swing=a.swing,
+        floor=a.floor,
+        twist=a.twist,
+    )
+
+
+@njit(fastmath={"contract", "nsz"}, inline="always")
+def _exp2(z):
+    """Return 2 to the power of z, |z| < 1000, to about 1e-12 relative.
+
+    Plain arithmetic, which the compiler turns into vector instructions: Taylor's series of
+    exp(f ln 2) for what is left beside the nearest whole number, whose bits go into the exponent.
+    """
+    shifted = z + _ROUND
+    f = z - (shifted - _ROUND)
+    p = 7.0549116208011233e-9
+    p = p * f + 1.0178086009239699e-7
+    p = p * f + 1.3215486790144309e-6
+    p = p * f + 1.5252733804059840e-5
+    p = p * f + 1.5403530393381608e-4
+    p = p * f + 1.3333558146428443e-3
+    p = p * f + 9.6181291076284772e-3
+    p = p * f + 5.5504108664821580e-2
+    p = p * f + 2.4022650695910071e-1
+    p = p * f + 6.9314718055994531e-1
+    p = p * f + 1.0
+    bits = np.float64(shifted).view(np.int64) << np.int64(52)
+    return np.int64(np.float64(p).view(np.int64) + bits).view(np.float64)
+
+
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _units(exponents, ceiling, log2, out):
+    """Write the magnitude of every product unit."""
+    count = out.shape[0]
+    inputs = exponents.shape[0]
+    if 5 <= inputs <= 7:
+        # Without the detour through memory; both kinds of robots have five inputs, and up to two
+        # derived from them. One that is not there counts as the first to the power of 0.
+        l0, l1, l2, l3, l4 = log2[0], log2[1], log2[2], log2[3], log2[4]
+        l5, e5 = (log2[5], exponents[5]) if inputs > 5 else (0.0, exponents[0])
+        l6, e6 = (log2[6], exponents[6]) if inputs > 6 else (0.0, exponents[0])
+        e0, e1, e2 = exponents[0], exponents[1], exponents[2]
+        e3, e4 = exponents[3], exponents[4]
+        for u in range(count):
+            z = e0[u] * l0 + e1[u] * l1 + e2[u] * l2 + e3[u] * l3 + e4[u] * l4
+            z += e5[u] * l5 + e6[u] * l6
+            out[u] = _exp2(max(min(z, ceiling[u]), -_LOG2_LIMIT))
+        return
+    for u in range(count):
+        out[u] = 0.0
+    for i in range(exponents.shape[0]):
+        e, log = exponents[i], log2[i]
+        for u in range(count):
+            out[u] += e[u] * log
+    for u in range(count):
+        out[u] = _exp2(max(min(out[u], ceiling[u]), -_LOG2_LIMIT))
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def displacements(e, inputs, x, log2, units, rows, out):
+    """Write every member's mean displacement (m, m, rad) of a command.
+
+    Args:
+        e: :class:`Ensemble`.
+        inputs: [I], in the dataset's units.
+        x, log2, units, rows: scratch, [J], [J], [U] and [R], J inputs of a network.
+        out: [M, 3], written.
+    """
+    network_inputs(e, inputs, x)
+    pattern = 0
+    for i in range(len(x)):
+        if x[i] < 0.0:
+            pattern += 1 << i
+        log2[i] = math.log2(max(abs(x[i]), e.floor))
+    _units(e.exponents, e.ceiling, log2, units)
+    for r in range(len(rows)):
+        total = e.bias[r]
+        for i in range(len(x)):
+            total += e.linear[r, i] * x[i]
+        rows[r] = total
+    signed = e.signed[pattern]
+    for t in range(len(e.row)):
+        first, weight, count = e.unit[t], e.weight[t], e.count[t]
+        rows[e.row[t]] += _dot(signed[weight : weight + count], units[first : first + count])
+    for m in range(e.members):
+        first = m * e.outputs
+        dx, dy, turn = rows[first], rows[first + 1], rows[first + 2]
+        if e.twist:
+            half = 0.5 * turn
+            chord = math.sin(half) / half if half != 0.0 else 1.0
+            cos, sin = chord * math.cos(half), chord * math.sin(half)
+            dx, dy = cos * dx - sin * dy, sin * dx + cos * dy
+        if e.outputs == 5:
+            dx += rows[first + 3]
+            dy += rows[first + 4]
+        out[m, 0], out[m, 1], out[m, 2] = dx, dy, turn
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _inputs(source, before, command, inputs):
+    """Write the network's inputs: from the command before or from this one."""
+    for i in range(len(source)):
+        inputs[i] = before[-source[i] - 1] if source[i] < 0 else command[source[i]]
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def mean_poses(e, source, start, commands, given, stop):
+    """Drive plans as the mean of the ensemble says.
+
+    Args:
+        e: :class:`Ensemble` of the mean.
+        source: [I] where each input comes from: c for column c of the command, -c - 1 for column
+            c of the command before.
+        start: [3] pose.
+        commands: [B, K, C].
+        given: [B, K] bool.
+        stop: [C], the command that stops the robot after the last.
+
+    Returns:
+        [B, K + 2, 3].
+    """
+    batch, count, width = commands.shape
+    poses = np.empty((batch, count + 2, 3))
+    for b in prange(batch):
+        inputs = np.empty(len(source))
+        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
+        units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
+        moved, before = np.empty((1, 3)), np.zeros(width)
+        px, py, theta = start[0], start[1], start[2]
+        for k in range(count + 1):
+            poses[b, k, 0], poses[b, k, 1], poses[b, k, 2] = px, py, theta
+            if k < count and not given[b, k]:
+                continue
+            command = stop if k == count else commands[b, k]
+            _inputs(source, before, command, inputs)
+            before = command
+            displacements(e, inputs, x, log2, units, rows, moved)
+            cos, sin = math.cos(theta), math.sin(theta)
+            px += cos * moved[0, 0] - sin * moved[0, 1]
+            py += sin * moved[0, 0] + cos * moved[0, 1]
+            theta += moved[0, 2]
+        poses[b, count + 1, 0], poses[b, count + 1, 1], poses[b, count + 1, 2] = px, py, theta
+    return poses
+
+
+@njit(cache=True, error_model="numpy", parallel=True)
+def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
+    """Drive every plan through the same drawn outcomes.
+
+    Args:
+        e: :class:`Ensemble` of all members.
+        a: :class:`neurosim.simulators.motion.kernels.Arrays`, for the noise.
+        source, commands, given, stop: as :func:`mean_poses` takes them.
+        starts: [R, 3] poses.
+        member: [R] of the ensemble; below 0 in none.
+        z: [R, K + 1, DRAWS] draws for the n-th command that is given, and the stop.
+
+    Returns:
+        [B, R, K + 2, 3].
+    """
+    batch, count, width = commands.shape
+    draws = len(starts)
+    poses = np.empty((batch, draws, count + 2, 3))
+    for b in prange(batch):
+        inputs = np.empty(len(source))
+        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
+        units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
+        means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
+        moved, before = np.empty(3), np.zeros(width)
+        poses[b, :, 0] = starts
+        sent = 0
+        for k in range(count + 1):
+            if k < count and not given[b, k]:
+                poses[b, :, k + 1] = poses[b, :, k]
+                continue
+            command = stop if k == count else commands[b, k]
+            _inputs(source, before, command, inputs)
+            before = command
+            displacements(e, inputs, x, log2, units, rows, means)
+            if a.noisy:
+                for m in range(e.members):
+                    spread(a, inputs, means[m], sizes[m])
+            for r in range(draws):
+                m = member[r]
+                if a.noisy:
+                    shake(means[m], sizes[m], z[r, sent], moved)
+                else:
+                    moved[0], moved[1], moved[2] = means[m, 0], means[m, 1], means[m, 2]
+                theta = poses[b, r, k, 2]
+                cos, sin = math.cos(theta), math.sin(theta)
+                poses[b, r, k + 1, 0] = poses[b, r, k, 0] + cos * moved[0] - sin * moved[1]
+                poses[b, r, k + 1, 1] = poses[b, r, k, 1] + sin * moved[0] + cos * moved[1]
+                poses[b, r, k + 1, 2] = theta + moved[2]
+            sent += 1
+    return poses

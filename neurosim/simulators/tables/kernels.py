@@ -1,0 +1,367 @@
+"""The table simulator, compiled: sensing, motion, collisions and network controllers.
+
+They compute what :class:`neurosim.simulators.tables.simulator.TableSimulator` does in plain
+tensors, one robot after the other. Readings are in single precision, poses in double.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit, prange
+
+#: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
+_FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+#: Places in :data:`neurosim.simulators.tables.simulator.NOISES`.
+UNIFORM_NOISE, SAMPLES_NOISE = 1, 2
+SENSORS = 8
+#: A robot in a corner is moved out of one wall and then the other, at most so often.
+PASSES = 8
+#: What is left of an overlap then, m; with more it is jammed and stays where it was.
+SLACK = 1e-4
+
+
+class TableArrays(NamedTuple):
+    """A table simulator's numbers, laid out for these kernels.
+
+    Objects are 0, walls, and 1, round obstacles. The column of the first angle is repeated
+    after the last.
+    """
+
+    excess: np.ndarray  #: [2, D, A + 1, 8] float32, reading above ambient
+    variance: np.ndarray  #: [2, D, A + 1, 8] float32, of a reading, above ambient
+    ambient: np.ndarray  #: [8] float32, reading far from everything
+    ambient_variance: np.ndarray  #: [8] float32
+    first: float  #: smallest sampled distance, rim to surface, m
+    pitch: float  #: between sampled distances, m
+    fade: float  #: beyond the last distance readings fade over this length, m
+    twist: np.ndarray  #: [L, R, 3] body twists, m/s, m/s, rad/s
+    twist_spread: np.ndarray  #: [L, R, 3] per square root of a second
+    lowest: float  #: the first level of both motors, %
+    level_pitch: float  #: between levels, %
+    resolution: float  #: commands are rounded to multiples of it, %; 0: not at all
+    delay: float  #: until the wheels begin to answer a command, s
+    lag: np.ndarray  #: [2] in which a wheel comes within 1/e of its new speed, s
+    radius: float  #: of the robot, m
+    walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length
+    hiding: np.ndarray  #: places of walls that may stand before something
+    corners: np.ndarray  #: [W, 2] as :attr:`neurosim.simulators.tables.arena.Arena.inward_corners`
+    obstacles: np.ndarray  #: [N, 3] x, y, radius
+    noise: int  #: place in :data:`neurosim.simulators.tables.simulator.NOISES`
+    sensor_noise: float  #: half width of uniform noise
+    twist_noise: np.ndarray  #: [3] half widths of uniform noise, per square root of a second
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _nearest(wall, x, y):
+    """Return the vector from (x, y) to the nearest point of a wall."""
+    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+    along = min(max(along, 0.0), wall[4])
+    return wall[0] + along * wall[2] - x, wall[1] + along * wall[3] - y
+
+
+@njit(cache=True, error_model="numpy")
+def _share(t, w, x, y):
+    """Return how much of a wall counts for a robot at (x, y): less beyond an inward corner."""
+    wall = t.walls[w]
+    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+    if 0.0 <= along <= wall[4]:
+        return 1.0
+    other = t.corners[w, 0 if along < 0.0 else 1]
+    if other < 0:
+        return 1.0
+    wall = t.walls[other]
+    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+    return 0.0 if 0.0 <= along <= wall[4] else 0.5
+
+
+@njit(cache=True, error_model="numpy")
+def _hidden(walls, hiding, x, y, dx, dy, itself):
+    """Return whether a wall stands between (x, y) and the point (dx, dy) from it."""
+    for h in hiding:
+        if h == itself:
+            continue
+        w = walls[h]
+        here = (x - w[0]) * w[3] - (y - w[1]) * w[2]
+        change = dx * w[3] - dy * w[2]
+        there = here + change
+        if here * there >= 0.0 or abs(there) < 1e-9:
+            continue
+        part = -here / change
+        along = (x + part * dx - w[0]) * w[2] + (y + part * dy - w[1]) * w[3]
+        if 0.0 <= along <= w[4]:
+            return True
+    return False
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+def _add(t, kind, distance, bearing, weight, out, variance):
+    """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
+    distances, angles = t.excess.shape[1], t.excess.shape[2] - 1
+    row = max((distance - t.first) / t.pitch, 0.0)
+    if row > distances - 1:
+        weight *= 1.0 - (row - (distances - 1)) * t.pitch / t.fade
+        row = float(distances - 1)
+    # Samples are in the order in which the robot turned to the left: objects pass to the right.
+    turn = -bearing / (2.0 * math.pi)
+    column = (turn - math.floor(turn)) * angles
+    r, c = min(int(row), distances - 2), min(int(column), angles - 1)
+    u, v = row - r, column - c
+    a = np.float32(weight * (1.0 - u) * (1.0 - v))
+    b = np.float32(weight * (1.0 - u) * v)
+    p = np.float32(weight * u * (1.0 - v))
+    q = np.float32(weight * u * v)
+    near, far = t.excess[kind, r], t.excess[kind, r + 1]
+    for s in range(SENSORS):
+        out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
+    if t.noise == SAMPLES_NOISE:
+        near, far = t.variance[kind, r], t.variance[kind, r + 1]
+        for s in range(SENSORS):
+            variance[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _sense(t, x, y, theta, out, variance):
+    """Write the mean readings [8], not yet clipped, and their variance."""
+    reach = t.first + (t.excess.shape[1] - 1) * t.pitch + t.fade + t.radius
+    for s in range(SENSORS):
+        out[s] = t.ambient[s]
+        variance[s] = t.ambient_variance[s]
+    for w in range(len(t.walls)):
+        dx, dy = _nearest(t.walls[w], x, y)
+        square = dx * dx + dy * dy
+        if square >= reach * reach or _hidden(t.walls, t.hiding, x, y, dx, dy, w):
+            continue
+        share = _share(t, w, x, y)
+        if share > 0.0:
+            distance = math.sqrt(square) - t.radius
+            _add(t, 0, distance, math.atan2(dy, dx) - theta, share, out, variance)
+    for o in range(len(t.obstacles)):
+        dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
+        square, limit = dx * dx + dy * dy, reach + t.obstacles[o, 2]
+        if square >= limit * limit or _hidden(t.walls, t.hiding, x, y, dx, dy, -1):
+            continue
+        distance = math.sqrt(square) - t.radius - t.obstacles[o, 2]
+        _add(t, 1, distance, math.atan2(dy, dx) - theta, 1.0, out, variance)
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _push_out(t, x, y):
+    """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
+    for _ in range(PASSES):
+        free = True
+        for w in range(len(t.walls)):
+            dx, dy = _nearest(t.walls[w], x, y)
+            square = dx * dx + dy * dy
+            if 0.0 < square < t.radius * t.radius:
+                distance = math.sqrt(square)
+                back = (t.radius - distance) / distance
+                x -= back * dx
+                y -= back * dy
+                free = free and t.radius - distance < SLACK
+        for o in range(len(t.obstacles)):
+            dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
+            square, limit = dx * dx + dy * dy, t.radius + t.obstacles[o, 2]
+            if 0.0 < square < limit * limit:
+                distance = math.sqrt(square)
+                back = (limit - distance) / distance
+                x -= back * dx
+                y -= back * dy
+                free = free and limit - distance < SLACK
+        if free:
+            return x, y, True
+    return x, y, False
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _rounded(t, speed):
+    """Return the speed in percent that the robot takes for one."""
+    return t.resolution * np.rint(speed / t.resolution) if t.resolution > 0.0 else speed
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _level(t, speed, levels):
+    """Return place and share of the level below a speed in percent."""
+    place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
+    below = min(int(place), levels - 2)
+    return below, place - below
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def _twist(t, table, left, right, out):
+    """Write a motor table's value [3] at the wheels' speeds (%, %)."""
+    i, u = _level(t, left, table.shape[0])
+    j, v = _level(t, right, table.shape[1])
+    for k in range(3):
+        out[k] = (1.0 - u) * ((1.0 - v) * table[i, j, k] + v * table[i, j + 1, k]) + u * (
+            (1.0 - v) * table[i + 1, j, k] + v * table[i + 1, j + 1, k]
+        )
+
+
+@njit(cache=True)
+def phases(t, duration, parts):
+    """Return how speeds approach their goals in the parts of a command of ``duration`` (s).
+
+    Returns:
+        [parts, 2, 5]; in every part first what is left of the goals before, then the new ones.
+        Each for so long (s); then, for either wheel, the share that the speed at its beginning
+        has in the mean over that time, and in the speed at its end.
+    """
+    out = np.zeros((parts, 2, 5))
+    for part in range(parts):
+        length = duration / parts
+        waiting = min(max(t.delay - part * length, 0.0), length)
+        for phase in range(2):
+            time = waiting if phase == 0 else length - waiting
+            out[part, phase, 0] = time
+            for wheel in range(2):
+                mean, end = 1.0, 1.0
+                if time > 0.0:
+                    lag = t.lag[wheel]
+                    end = math.exp(-time / lag) if lag > 0.0 else 0.0
+                    mean = lag * (1.0 - end) / time
+                out[part, phase, 1 + wheel], out[part, phase, 3 + wheel] = mean, end
+    return out
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _advance(t, phase, speeds, left, right, out):
+    """Let speeds [2] approach goals (%, %) for a phase [5], and write the displacement's log."""
+    left_off, right_off = speeds[0] - left, speeds[1] - right
+    _twist(t, t.twist, left + phase[1] * left_off, right + phase[2] * right_off, out)
+    for k in range(3):
+        out[k] *= phase[0]
+    speeds[0], speeds[1] = left + phase[3] * left_off, right + phase[4] * right_off
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _moved(t, x, y, theta, first, second, noise):
+    """Return where two motions in a row, their logs and the noise's [3], lead from a pose."""
+    # As one motion (Baker, Campbell and Hausdorff, second order).
+    ahead = 0.5 * (second[2] * first[1] - first[2] * second[1])
+    side = 0.5 * (first[2] * second[0] - second[2] * first[0])
+    forward = second[0] + first[0] + ahead + noise[0]
+    leftward = second[1] + first[1] + side + noise[1]
+    turn = second[2] + first[2] + noise[2]
+    half = 0.5 * turn
+    chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
+    cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
+    to_x, to_y, fits = _push_out(
+        t, x + cos * forward - sin * leftward, y + sin * forward + cos * leftward
+    )
+    if fits:
+        x, y = to_x, to_y
+    return x, y, theta + turn
+
+
+@njit(cache=True, inline="always")
+def _random(state):
+    """Return 64 random bits of a state, a counter times an odd number (SplitMix64)."""
+    z = state
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _draw_uniform(state, out):
+    """Write 12 numbers, uniform in -1 to 1; return the next state."""
+    for word in range(3):
+        state += _GOLDEN
+        bits = _random(state)
+        for part in range(4):
+            low = np.int64((bits >> np.uint64(16 * part)) & np.uint64(0xFFFF))
+            out[4 * word + part] = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
+    return state
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _draw_normal(state, out):
+    """Write 12 standard normal numbers (Box and Muller); return the next state."""
+    for pair in range(6):
+        state += _GOLDEN
+        bits = _random(state)
+        u = (np.float64(bits >> np.uint64(32)) + 0.5) / 4294967296.0
+        angle = np.float64(bits & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
+        size = math.sqrt(-2.0 * math.log(u))
+        out[2 * pair], out[2 * pair + 1] = size * math.cos(angle), size * math.sin(angle)
+    return state
+
+
+@njit(cache=True, inline="always", error_model="numpy")
+def _tanh_percent(x):
+    """Return 100 tanh(x); the library's own takes twice as long."""
+    return 100.0 - 200.0 / (math.exp(2.0 * x) + 1.0)
+
+
+@njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
+def drive_networks(t, genes, starts, seeds, duration, substeps, poses, readings, commands):
+    """Drive every network from every start, where the robot stands still at first.
+
+    What is written may be room that was used before: new room of tens of megabytes takes as long
+    as the driving.
+
+    Args:
+        t: :class:`TableArrays`.
+        genes: [P, 18] weights of 8 sensors and a bias, to the left motor and to the right.
+        starts: [R, 3] poses.
+        seeds: [R] uint64, of the noise: the same for all networks.
+        duration: of a step, s.
+        substeps: motions into which a step is cut; see :meth:`TableSimulator.substeps`.
+        poses: [P, R, T + 1, 3] float64, written: before the first of T steps and after each.
+        readings: [P, R, T, 8] float32, written.
+        commands: [P, R, T, 2] float32, %, written.
+    """
+    population, count, steps = len(genes), len(starts), readings.shape[2]
+    root = math.sqrt(duration)
+    timing = phases(t, duration, substeps)
+    for job in prange(population * count):
+        p, r = job // count, job % count
+        mean, variance = np.empty(SENSORS, np.float32), np.empty(SENSORS, np.float32)
+        draws = np.zeros(12, np.float32)
+        twist, before, noise = np.empty(3), np.zeros(3), np.zeros(3)
+        speeds, left_goal, right_goal = np.zeros(2), 0.0, 0.0
+        weights = genes[p]
+        x, y, theta = starts[r, 0], starts[r, 1], starts[r, 2]
+        state = seeds[r]
+        for k in range(steps):
+            poses[p, r, k, 0], poses[p, r, k, 1], poses[p, r, k, 2] = x, y, theta
+            _sense(t, x, y, theta, mean, variance)
+            if t.noise == UNIFORM_NOISE:
+                state = _draw_uniform(state, draws)
+                for s in range(SENSORS):
+                    mean[s] += np.float32(t.sensor_noise) * draws[s]
+            elif t.noise == SAMPLES_NOISE:
+                state = _draw_normal(state, draws)
+                for s in range(SENSORS):
+                    mean[s] += math.sqrt(variance[s]) * draws[s]
+            left, right = weights[8], weights[17]
+            for s in range(SENSORS):
+                value = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
+                readings[p, r, k, s] = value
+                left += weights[s] * value
+                right += weights[9 + s] * value
+            left, right = _tanh_percent(left), _tanh_percent(right)
+            commands[p, r, k, 0], commands[p, r, k, 1] = left, right
+            left, right = _rounded(t, left), _rounded(t, right)
+            if t.noise == SAMPLES_NOISE:
+                _twist(t, t.twist_spread, left, right, noise)
+            for i in range(3):
+                if t.noise == UNIFORM_NOISE:
+                    noise[i] = t.twist_noise[i]
+                noise[i] *= root * draws[SENSORS + i] / substeps
+            for part in range(substeps):
+                if timing[part, 0, 0] > 0.0:
+                    _advance(t, timing[part, 0], speeds, left_goal, right_goal, before)
+                else:
+                    before[:] = 0.0
+                _advance(t, timing[part, 1], speeds, left, right, twist)
+                x, y, theta = _moved(t, x, y, theta, before, twist, noise)
+            left_goal, right_goal = left, right
+        poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta

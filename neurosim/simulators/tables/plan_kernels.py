@@ -1,0 +1,81 @@
+"""Plans driven in a table simulator, compiled.
+
+As :meth:`neurosim.simulators.tables.simulator.TableSimulator.step` does it in plain tensors, one
+robot after the other.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit, prange
+
+from neurosim.simulators.tables.kernels import (
+    SAMPLES_NOISE,
+    UNIFORM_NOISE,
+    _advance,
+    _moved,
+    _rounded,
+    _twist,
+    phases,
+)
+
+
+@njit(cache=True, error_model="numpy")
+def _drive(t, pose, speeds, goals, command, parts, z, kept):
+    """Drive a command [3] (%, %, s) in ``parts`` motions; change pose [3], speeds and goals [2].
+
+    ``z`` [3] is the command's noise; ``kept`` [3, 3] is room to work in.
+    """
+    twist, before, noise = kept[0], kept[1], kept[2]
+    left, right, duration = _rounded(t, command[0]), _rounded(t, command[1]), command[2]
+    noise[:] = 0.0
+    if t.noise == UNIFORM_NOISE:
+        noise[:] = t.twist_noise
+    elif t.noise == SAMPLES_NOISE:
+        _twist(t, t.twist_spread, left, right, noise)
+    for i in range(3):
+        noise[i] *= math.sqrt(duration) * z[i] / parts
+    timing = phases(t, duration, parts)
+    x, y, theta = pose[0], pose[1], pose[2]
+    for part in range(parts):
+        _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
+        _advance(t, timing[part, 1], speeds, left, right, twist)
+        x, y, theta = _moved(t, x, y, theta, before, twist, noise)
+    pose[0], pose[1], pose[2] = x, y, theta
+    goals[0], goals[1] = left, right
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def drive_plans(t, starts, z, commands, parts, given, stop, stop_parts):
+    """Drive every plan from every start, where the robot stands still at first.
+
+    Args:
+        t: :class:`~neurosim.simulators.tables.kernels.TableArrays`.
+        starts: [R, 3] poses.
+        z: [R, K + 1, 3] the noise of every command, the same for all plans.
+        commands: [B, K, 3] left, right (%), duration (s).
+        parts: [B, K] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
+        given: [B, K] bool; a command that is not given leaves the robot as it is.
+        stop: [3] the command at the end.
+        stop_parts: of it.
+
+    Returns:
+        Poses [B, R, K + 2, 3]: at the start, after each command, and at rest.
+    """
+    plans, length = given.shape
+    count = len(starts)
+    poses = np.empty((plans, count, length + 2, 3))
+    for job in prange(plans * count):
+        b, r = job // count, job % count
+        pose, speeds, goals = starts[r].copy(), np.zeros(2), np.zeros(2)
+        kept = np.empty((3, 3))
+        poses[b, r, 0] = pose
+        for k in range(length):
+            if given[b, k]:
+                _drive(t, pose, speeds, goals, commands[b, k], parts[b, k], z[r, k], kept)
+            poses[b, r, k + 1] = pose
+        _drive(t, pose, speeds, goals, stop, stop_parts, z[r, length], kept)
+        poses[b, r, length + 1] = pose
+    return poses

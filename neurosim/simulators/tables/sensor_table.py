@@ -1,0 +1,126 @@
+"""A sensor table: what every sensor says of each class of objects, by distance and angle."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.simulators.tables.samples import Samples
+
+#: The classes of objects: straight walls, and round obstacles of the size that was sampled.
+OBJECTS = ("wall", "cylinder")
+
+
+@dataclass(frozen=True, eq=False)
+class SensorTable:
+    """Readings in 0..1 by object class, distance, angle and sensor.
+
+    Attributes:
+        mean: (2, D, A, S) means over repeats; objects as in :data:`OBJECTS`.
+        spread: (2, D, A, S) standard deviations of a single reading, or None where nothing was
+            sampled twice.
+        first_distance: the smallest, from the robot's rim to the surface, m.
+        distance_step: between distances, m.
+    """
+
+    mean: NDArray[np.float64]
+    spread: NDArray[np.float64] | None
+    first_distance: float
+    distance_step: float
+
+    def __post_init__(self) -> None:
+        if self.mean.ndim != 4 or len(self.mean) != len(OBJECTS):
+            raise ValueError("expected readings (objects, distances, angles, sensors)")
+        for name, table in (("readings", self.mean), ("spread", self.spread)):
+            holes = np.argwhere(~np.isfinite(table)) if table is not None else ()
+            if len(holes):
+                k, d, a, s = holes[0]
+                raise UserError(
+                    f"the sensor table has {len(holes)} holes in its {name}, the first at the "
+                    f"{OBJECTS[k]}, {1000 * (self.first_distance + d * self.distance_step):g} mm, "
+                    f"angle {a} of {self.mean.shape[2]}, sensor {s}; sample these again"
+                )
+
+    @property
+    def ambient(self) -> NDArray[np.float64]:
+        """Each sensor's reading with nothing near, [S].
+
+        The median over all angles and objects at the largest distance: at most angles a sensor
+        looks past the object.
+        """
+        return np.median(self.mean[:, -1], axis=(0, 1))
+
+    @property
+    def ambient_spread(self) -> NDArray[np.float64]:
+        """Its standard deviation [S], found in the same way; zero without repeats."""
+        if self.spread is None:
+            return np.zeros(self.mean.shape[-1])
+        return np.median(self.spread[:, -1], axis=(0, 1))
+
+    @classmethod
+    def from_samples(cls, samples: Mapping[str, Sequence[Samples]]) -> SensorTable:
+        """Make a table of repeated samples of each object.
+
+        Args:
+            samples: object class -> repeats, at least one each.
+
+        Raises:
+            UserError: if a class is missing, or samples differ in their distances, angles or
+                sensors.
+        """
+        missing = [name for name in OBJECTS if not samples.get(name)]
+        if missing:
+            raise UserError(f"there are no samples of the {missing[0]}; sample it too")
+        every = [one for name in OBJECTS for one in samples[name]]
+        first = every[0]
+        for other in every[1:]:
+            if _grid(other) != _grid(first):
+                raise UserError(
+                    "the samples do not fit each other: one has "
+                    f"{_in_words(first)}, another {_in_words(other)}"
+                )
+        stacks = [np.stack([one.activations for one in samples[name]]) for name in OBJECTS]
+        repeated = min(map(len, stacks)) > 1
+        return cls(
+            mean=np.stack([stack.mean(axis=0) for stack in stacks]),
+            spread=np.stack([stack.std(axis=0, ddof=1) for stack in stacks]) if repeated else None,
+            first_distance=first.first_distance,
+            distance_step=first.distance_step,
+        )
+
+    @classmethod
+    def from_files(cls, paths: Sequence[str | Path]) -> SensorTable:
+        """Make a table of ``.sample`` files; the object's class is part of each file's name.
+
+        Raises:
+            FileError: if a file is not what it should be.
+            UserError: if a name names no class of objects or two, and as :meth:`from_samples`.
+        """
+        samples: dict[str, list[Samples]] = {name: [] for name in OBJECTS}
+        for path in paths:
+            found = Samples.read(path)
+            named = [name for name in OBJECTS if name in Path(path).stem.lower()]
+            if len(named) != 1:
+                raise UserError(
+                    f"{path}: which object was sampled? The file's name must contain "
+                    f"{' or '.join(OBJECTS)}"
+                )
+            samples[named[0]].append(found)
+        return cls.from_samples(samples)
+
+
+def _grid(samples: Samples) -> tuple:
+    return (samples.activations.shape, samples.first_distance, samples.distance_step)
+
+
+def _in_words(samples: Samples) -> str:
+    distances, angles, sensors = samples.activations.shape
+    return (
+        f"{sensors} sensors x {angles} angles x {distances} distances from "
+        f"{1000 * samples.first_distance:g} mm in steps of {1000 * samples.distance_step:g} mm"
+    )

@@ -1,0 +1,441 @@
+"""The table simulator: a robot that samples its own sensors and motors, and moves in an arena.
+
+Lund and Miglino 1996: what the sensors say in front of a wall and of an obstacle, and how the
+motors move the robot, is looked up in tables that the robot filled itself.
+
+Readings. Every object adds the light that it reflects: what the table says above ambient, at
+the distance from the robot's rim to the nearest point of its surface and the bearing of that
+point, interpolated between samples in both; the sum is clipped to 0..1, as a sensor saturates.
+Walls that meet in a corner are two objects; where a corner points into the arena, a wall that
+is seen only by that end does not count beside the other, and where both are, each counts for
+half. Nearer than the first sampled distance the first counts; beyond the last a reading fades
+to ambient over half of the sampled reach. What a wall hides is not seen.
+
+Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
+straight out of it, so that it slides along; where it does not fit, as in a gap that is too
+narrow, it stays. Its heading turns as the motors say.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.motion.network import compose, exp
+from neurosim.simulators.tables.arena import Arena, paper_arena
+from neurosim.simulators.tables.kernels import PASSES, SLACK, TableArrays
+from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.reaction import Reaction
+from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
+
+#: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
+NOISES = ("none", "uniform", "samples")
+#: Radius of a Khepera, m.
+RADIUS = 0.0275
+#: Duration of a step of which uniform noise is a share of the range, s.
+STEP = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class TableSimulator:
+    """A simulator of a robot in an arena, from tables.
+
+    Attributes:
+        sensors: what the sensors say.
+        motors: how the motors move the robot.
+        arena: where it moves.
+        radius: of the robot, m.
+        reaction: how late the robot answers a command.
+        noise: one of :data:`NOISES`, drawn only where a generator is given.
+        noise_level: half width of uniform noise: a share of 1 for every sensor, and of the
+            largest displacement in 100 ms forward, sideways and in heading. Over other durations
+            a displacement's noise grows with the square root.
+        meta: what else simulator.json says.
+    """
+
+    kind = "tables"
+    state_names = ("x", "y", "theta", "left", "right", "left_goal", "right_goal")
+    command_names = ("left", "right", "duration")
+
+    sensors: SensorTable
+    motors: MotorTable = field(default_factory=MotorTable.ideal)
+    arena: Arena = field(default_factory=paper_arena)
+    radius: float = RADIUS
+    noise: str = "uniform"
+    noise_level: float = 0.05
+    reaction: Reaction = field(default_factory=Reaction)
+    meta: Mapping[str, Any] = field(default_factory=dict)
+    device: str | torch.device = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.noise not in NOISES:
+            raise UserError(f"noise is one of {', '.join(NOISES)}, not {self.noise!r}")
+        if self.arena.start is not None:
+            self.arena.check_start(self.arena.start, self.radius)
+        repeats = self.sensors.spread is not None or self.motors.spread is not None
+        if self.noise == "samples" and not repeats:
+            raise UserError(
+                "noise from the samples needs repeated samples; sample every object (and motor "
+                "setting) twice or more, or use uniform noise"
+            )
+
+    def changed(self, **changes: Any) -> TableSimulator:
+        """Return this simulator with another arena, noise or other attributes."""
+        return replace(self, **changes)
+
+    def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Return the states [B, 7] of robots that stand at ``pose`` [B, 3] (m, m, rad)."""
+        pose = pose.to(self._tensors["twist"])
+        return torch.cat([pose, pose.new_zeros(len(pose), 4)], dim=1)
+
+    def step(
+        self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the states [B, 7] after ``command`` [B, 3] (%, %, s); see the module.
+
+        Noise is drawn only where a generator is given.
+        """
+        t, a = self._tensors, self.arrays
+        command = command.to(t["twist"])
+        duration = command[:, 2:]
+        goal = command[:, :2]
+        if a.resolution > 0:
+            goal = a.resolution * (goal / a.resolution).round()
+        pose, speeds, last_goal = state[:, :3], state[:, 3:5], state[:, 5:7]
+        noise = torch.zeros_like(pose)
+        if generator is not None and self.noise != "none":
+            draw = torch.rand if self.noise == "uniform" else torch.randn
+            z = draw(pose.shape, generator=generator, dtype=pose.dtype, device=pose.device)
+            if self.noise == "uniform":
+                noise = duration.sqrt() * t["twist_noise"] * (2.0 * z - 1.0)
+            else:
+                noise = duration.sqrt() * self._motion(t["twist_spread"], goal) * z
+        parts = torch.as_tensor(self.substeps(command[:, 2].cpu().numpy()), device=pose.device)
+        parts = parts.unsqueeze(-1)
+        length = duration / parts
+        for part in range(int(parts.max())):
+            waiting = torch.minimum((a.delay - part * length).clamp(min=0.0), length)
+            before, reached = self._advanced(speeds, last_goal, waiting)
+            after, reached = self._advanced(reached, goal, length - waiting)
+            moved = exp(_joined(before, after) + noise / parts)
+            here = part < parts
+            pose = torch.where(here, self._collided(pose, compose(pose, moved)), pose)
+            speeds = torch.where(here, reached, speeds)
+        return torch.cat([pose, speeds, goal], dim=1)
+
+    def sense(self, state: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Return the readings [B, 8] in 0..1 of robots in ``state`` [B, 7], or at poses [B, 3].
+
+        Noise is drawn only where a generator is given.
+        """
+        t = self._tensors
+        to, distance, kind = self._objects(state)
+        bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:3]
+        weights, rows, columns = self._place(distance, bearing)
+        weights = weights * self._share(state) * ~self._hidden(state, to)
+        looked_up = {
+            name: sum(
+                weights[i, j].unsqueeze(-1) * t[name][kind, rows[i], columns[j]]
+                for i in range(2)
+                for j in range(2)
+            ).sum(1)
+            for name in ("excess", "variance")
+        }
+        reading = t["ambient"] + looked_up["excess"]
+        if generator is not None and self.noise != "none":
+            draw = torch.rand if self.noise == "uniform" else torch.randn
+            z = draw(reading.shape, generator=generator, dtype=reading.dtype, device=reading.device)
+            if self.noise == "uniform":
+                reading = reading + self.noise_level * (2.0 * z - 1.0)
+            else:
+                reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
+        return reading.clamp(0.0, 1.0)
+
+    def substeps(self, duration: Any) -> Any:
+        """Return into how many motions commands of a duration (s) are cut.
+
+        None is longer than half the robot's radius, so that it cannot pass through a wall; nor,
+        where wheels are late, than a step, through which their mean speeds count.
+        """
+        fastest = np.linalg.norm(self.motors.twist[..., :2], axis=-1).max()
+        parts = np.ceil(2.0 * duration * fastest / self.radius)
+        if self.reaction != Reaction():
+            parts = np.maximum(parts, np.ceil(duration / STEP - 1e-9))
+        return np.maximum(parts, 1.0).astype(np.int64)
+
+    @cached_property
+    def arrays(self) -> TableArrays:
+        """What :mod:`neurosim.simulators.tables.kernels` computes with."""
+        sensors, motors = self.sensors, self.motors
+        _, distances, _, _ = sensors.mean.shape
+        ambient, variance = sensors.ambient, sensors.ambient_spread**2
+        spread = np.zeros_like(sensors.mean) if sensors.spread is None else sensors.spread
+        twist_spread = np.zeros_like(motors.twist) if motors.spread is None else motors.spread
+        walls = self.arena.walls
+        along = walls[:, 2:] - walls[:, :2]
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        largest = np.abs(motors.twist).max(axis=(0, 1)) * STEP
+        last = sensors.first_distance + (distances - 1) * sensors.distance_step
+        return TableArrays(
+            excess=_closed(sensors.mean - ambient),
+            variance=_closed(np.maximum(spread**2 - variance, 0.0)),
+            ambient=ambient.astype(np.float32),
+            ambient_variance=variance.astype(np.float32),
+            first=float(sensors.first_distance),
+            pitch=float(sensors.distance_step),
+            fade=last / 2.0,
+            twist=np.ascontiguousarray(motors.twist),
+            twist_spread=np.ascontiguousarray(twist_spread),
+            lowest=float(motors.levels[0]),
+            level_pitch=float(np.diff(motors.levels).mean()),
+            resolution=float(motors.resolution),
+            delay=float(self.reaction.delay),
+            lag=np.array(self.reaction.lag, float),
+            radius=float(self.radius),
+            walls=np.concatenate([walls[:, :2], along / length, length], axis=1),
+            hiding=self.arena.hiding,
+            corners=self.arena.inward_corners,
+            obstacles=self.arena.cylinders,
+            noise=NOISES.index(self.noise),
+            sensor_noise=float(self.noise_level),
+            twist_noise=self.noise_level * largest / math.sqrt(STEP),
+        )
+
+    @cached_property
+    def _tensors(self) -> dict[str, Tensor]:
+        arrays = self.arrays._asdict()
+        return {
+            name: torch.from_numpy(value).to(self.device, torch.float64)
+            for name, value in arrays.items()
+            if isinstance(value, np.ndarray) and name not in ("hiding", "corners")
+        }
+
+    def _objects(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return vectors to nearest points [B, K, 2], distances [B, K] from rim and kinds [K].
+
+        Of an obstacle the vector is to its centre.
+        """
+        walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
+        centre = state[:, None, :2]
+        off = centre - walls[:, :2]
+        share = torch.minimum((off * walls[:, 2:4]).sum(-1).clamp(min=0.0), walls[:, 4])
+        to_walls = walls[:, :2] + share.unsqueeze(-1) * walls[:, 2:4] - centre
+        to = torch.cat([to_walls, obstacles[:, :2] - centre], dim=1)
+        size = torch.cat([torch.zeros_like(walls[:, 0]), obstacles[:, 2]])
+        kind = torch.tensor([0] * len(walls) + [1] * len(obstacles), device=to.device)
+        return to, to.norm(dim=-1) - self.radius - size, kind
+
+    def _place(self, distance: Tensor, bearing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return bilinear weights [2, 2, B, K], rows [2, B, K] and columns [2, B, K]."""
+        a = self.arrays
+        distances, angles = a.excess.shape[1], a.excess.shape[2] - 1
+        row = (distance - a.first) / a.pitch
+        fade = (1.0 - (row - (distances - 1)) * a.pitch / a.fade).clamp(0.0, 1.0)
+        row = row.clamp(0.0, distances - 1.0)
+        turn = -bearing / (2.0 * torch.pi)
+        column = (turn - turn.floor()) * angles
+        r = row.long().clamp(max=distances - 2)
+        c = column.long().clamp(max=angles - 1)
+        u, v = row - r, column - c
+        weights = torch.stack(
+            [torch.stack([(1 - u) * (1 - v), (1 - u) * v]), torch.stack([u * (1 - v), u * v])]
+        )
+        return weights * fade, torch.stack([r, r + 1]), torch.stack([c, c + 1])
+
+    def _share(self, state: Tensor) -> Tensor:
+        """Return how much of each object counts, [B, K]: less of a wall beyond an inward corner."""
+        walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
+        along = ((state[:, None, :2] - walls[:, :2]) * walls[:, 2:4]).sum(-1)
+        within = (along >= 0) & (along <= walls[:, 4])
+        corners = torch.from_numpy(self.arrays.corners).to(along.device)
+        other = torch.where(along < 0, corners[:, 0], corners[:, 1])
+        beside = torch.take_along_dim(within, other.clamp(min=0), dim=1)
+        share = torch.where(beside, 0.0, 0.5).to(along)
+        share = torch.where(within | (other < 0), 1.0, share)
+        return torch.cat([share, torch.ones_like(share[:, :1]).expand(-1, len(obstacles))], dim=1)
+
+    def _hidden(self, state: Tensor, to: Tensor) -> Tensor:
+        """Return whether a wall stands before the nearest point of each object, [B, K]."""
+        walls = self._tensors["walls"]
+        hidden = torch.zeros(to.shape[:2], dtype=torch.bool, device=to.device)
+        for place in self.arrays.hiding:
+            x, y, ux, uy, length = walls[place]
+            off = state[:, None, :2] - torch.stack([x, y])
+            here = off[..., 0] * uy - off[..., 1] * ux
+            change = to[..., 0] * uy - to[..., 1] * ux
+            there = here + change
+            part = torch.where(change == 0.0, 0.0, -here / change)
+            met = off + part.unsqueeze(-1) * to
+            along = met[..., 0] * ux + met[..., 1] * uy
+            stands = (here * there < 0) & (there.abs() >= 1e-9) & (along >= 0) & (along <= length)
+            stands[:, place] = False
+            hidden |= stands
+        return hidden
+
+    def _collided(self, before: Tensor, after: Tensor) -> Tensor:
+        """Return the poses [B, 3] of robots that would go from one pose to the other."""
+        xy, fits = after[:, :2], torch.zeros(len(after), 1, dtype=torch.bool, device=after.device)
+        for _ in range(PASSES):
+            if fits.all():
+                break
+            moved, free = xy, torch.ones_like(fits)
+            for place in range(len(self.arrays.walls) + len(self.arrays.obstacles)):
+                to, distance, _ = self._objects(moved)
+                to, deep = to[:, place], -distance[:, place : place + 1]
+                norm = to.norm(dim=-1, keepdim=True)
+                moved = moved - torch.where((deep > 0) & (norm > 0), deep / norm, 0.0) * to
+                free &= deep < SLACK
+            xy, fits = torch.where(fits, xy, moved), fits | free
+        return torch.cat([torch.where(fits, xy, before[:, :2]), after[:, 2:]], dim=1)
+
+    def _advanced(self, speeds: Tensor, goal: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the log of the displacement [B, 3] in a time [B, 1] (s) and speeds [B, 2] then."""
+        lag = self._tensors["lag"]
+        end = torch.where(time > 0.0, torch.exp(-time / lag), 1.0)
+        mean = torch.where(time > 0.0, lag * (1.0 - end) / time, 1.0)
+        motion = self._motion(self._tensors["twist"], goal + mean * (speeds - goal)) * time
+        return motion, goal + end * (speeds - goal)
+
+    def _motion(self, table: Tensor, speeds: Tensor) -> Tensor:
+        """Return a motor table's values [B, 3] at the wheels' speeds [B, 2] (%), interpolated."""
+        a = self.arrays
+        place = ((speeds - a.lowest) / a.level_pitch).clamp(0.0, len(table) - 1.0)
+        below = place.long().clamp(max=len(table) - 2)
+        (i, j), (u, v) = below.unbind(1), (place - below).unsqueeze(-1).unbind(1)
+        return (1 - u) * ((1 - v) * table[i, j] + v * table[i, j + 1]) + u * (
+            (1 - v) * table[i + 1, j] + v * table[i + 1, j + 1]
+        )
+
+    def write(self, folder: str | Path) -> None:
+        """Write simulator.json and tables.safetensors into an existing folder."""
+        folder = Path(folder)
+        tensors = {
+            "sensor_mean": self.sensors.mean,
+            "sensor_spread": self.sensors.spread,
+            "motor_levels": self.motors.levels,
+            "motor_twist": self.motors.twist,
+            "motor_spread": self.motors.spread,
+        }
+        content = {
+            "kind": self.kind,
+            "sensors": {
+                "objects": list(OBJECTS),
+                "first_distance": self.sensors.first_distance,
+                "distance_step": self.sensors.distance_step,
+                "repeated": self.sensors.spread is not None,
+            },
+            "motors": {
+                "resolution": self.motors.resolution,
+                "repeated": self.motors.spread is not None,
+            },
+            "radius": self.radius,
+            "reaction": self.reaction.to_json(),
+            "noise": {"kind": self.noise, "level": self.noise_level},
+            "arena": self.arena.to_json(),
+            **self.meta,
+        }
+        found = {name: value for name, value in tensors.items() if value is not None}
+        files.write_tensors(folder / "tables.safetensors", found)
+        files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
+
+    @classmethod
+    def read(cls, folder: str | Path, device: str | torch.device = "cpu") -> TableSimulator:
+        """Read and check a table simulator.
+
+        Raises:
+            FileError: naming file and field, if something is missing, cut short, of another
+                version, of the wrong shape, or not a number.
+        """
+        path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
+        fields = {
+            "kind": str,
+            "sensors": dict,
+            "motors": dict,
+            "radius": (int, float),
+            "noise": dict,
+            "arena": dict,
+        }
+        content = files.read_json(path, FORMAT, VERSION, fields)
+        if content["kind"] != cls.kind:
+            raise FileError(path, f"expected {cls.kind!r}, found {content['kind']!r}", field="kind")
+        about, motors, noise = content["sensors"], content["motors"], content["noise"]
+        if about.get("objects") != list(OBJECTS):
+            raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
+        for name, value in (
+            ("sensors.first_distance", about.get("first_distance")),
+            ("sensors.distance_step", about.get("distance_step")),
+            ("motors.resolution", motors.get("resolution")),
+            ("radius", content["radius"]),
+            ("noise.level", noise.get("level")),
+        ):
+            wrong = isinstance(value, bool) or not isinstance(value, int | float)
+            free = name in ("sensors.first_distance", "motors.resolution", "noise.level")
+            if wrong or not math.isfinite(value) or value < 0 or (value == 0 and not free):
+                raise FileError(path, f"expected a length or size, found {value!r:.60}", field=name)
+        shapes = {
+            "sensor_mean": (len(OBJECTS), None, None, 8),
+            "motor_levels": (None,),
+            "motor_twist": (None, None, 3),
+        }
+        if about.get("repeated"):
+            shapes["sensor_spread"] = shapes["sensor_mean"]
+        if motors.get("repeated"):
+            shapes["motor_spread"] = shapes["motor_twist"]
+        found = files.read_tensors(tables, shapes)
+        reaction = content.get("reaction", {})
+        if not isinstance(reaction, dict):
+            raise FileError(path, "expected times", field="reaction")
+        described = ("format", "version", "reaction", *fields)
+        try:
+            return cls(
+                SensorTable(
+                    found["sensor_mean"],
+                    found.get("sensor_spread"),
+                    about["first_distance"],
+                    about["distance_step"],
+                ),
+                MotorTable(
+                    found["motor_levels"],
+                    found["motor_twist"],
+                    found.get("motor_spread"),
+                    motors["resolution"],
+                ),
+                Arena.from_json(path, content["arena"]),
+                content["radius"],
+                noise.get("kind"),
+                noise["level"],
+                Reaction.from_json(reaction) if reaction else Reaction(),
+                {key: value for key, value in content.items() if key not in described},
+                device,
+            )
+        except FileError:
+            raise
+        except (UserError, ValueError) as error:
+            raise FileError(path, f"is no table simulator ({error})") from None
+
+
+def _joined(first: Tensor, second: Tensor) -> Tensor:
+    """Return the twist [B, 3] of one motion and then another.
+
+    The Baker-Campbell-Hausdorff series to second order; what is left out is below 0.1 mm in a
+    step of 100 ms.
+    """
+    (x1, y1, w1), (x2, y2, w2) = first.unbind(-1), second.unbind(-1)
+    bracket = torch.stack([w2 * y1 - w1 * y2, w1 * x2 - w2 * x1, torch.zeros_like(w1)], dim=-1)
+    return first + second + 0.5 * bracket
+
+
+def _closed(table: np.ndarray) -> np.ndarray:
+    """Return a table [2, D, A, S] with the first angle again after the last, float32."""
+    return np.concatenate([table, table[:, :, :1]], axis=2).astype(np.float32)

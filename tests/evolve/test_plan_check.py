@@ -1,0 +1,113 @@
+"""What is said of a plan before the robot moves."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from click.testing import CliRunner
+from ideal_simulator import IdealWheels
+
+from neurosim.base.errors import UserError
+from neurosim.cli.plan_check import _in_words, plan_check
+from neurosim.controllers import Plan
+from neurosim.evolve.plan_check import check_commands, check_plan, wilson
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.tasks.nine_rectangles import NineRectangles
+
+TASK = NineRectangles()
+
+
+class Gusts(IdealWheels):
+    """Every command is blown away by 1 cm in x, one way or the other, but for stops."""
+
+    def step(self, state, command, generator=None):
+        after = super().step(state, command)
+        if generator is not None:
+            sign = torch.randint(2, (len(state),), generator=generator) * 2 - 1
+            after[:, 0] += 0.01 * sign * (command[:, 0] != 0)
+        return after
+
+
+def plan(*commands):
+    return Plan(
+        commands=commands,
+        task=TASK.describe(),
+        start=TASK.start,
+        predicted={
+            "poses": [list(TASK.start)] * (len([c for c in commands if c]) + 1),
+            "rest": list(TASK.start),
+            "fitness": 0.0,
+            "completes": False,
+        },
+    )
+
+
+def test_failures_are_counted_where_they_happen():
+    # Up into rectangle 1 and no further: no outcome ends where it should.
+    commands = [(48.0, 48.0, 1.0), (48.0, 48.0, 1.0)]
+    check = check_commands(commands, Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
+    assert check.probability == 0.0
+    assert check.members is None
+    assert [(f.command, f.reason, f.share) for f in check.failures] == [
+        (3, "did not end in rectangle 8", 1.0)
+    ]
+    # 1 cm after one command; 0 or 2 cm after two.
+    assert check.spread[0] == pytest.approx(0.01, abs=1e-3)
+    assert check.spread[1] == pytest.approx(0.02, abs=1e-3)
+    assert check.spread[2] == check.spread[1]
+    assert check.turn == pytest.approx([0.0] * 3)
+    # On the border of the grid one gust of two carries the robot out.
+    edge = (-1.195, 0.0, math.pi / 2)
+    check = check_commands(commands, Gusts(), TASK, start=edge, draws=4000, placing=(0.0, 0.0))
+    shares = {(f.command, f.reason): f.share for f in check.failures}
+    assert shares.pop((1, "left the grid")) == pytest.approx(0.5, abs=0.03)
+    assert shares.pop((3, "did not end in rectangle 8")) == pytest.approx(0.5, abs=0.03)
+    assert not shares
+    words = _in_words(check)
+    assert "probability of 0.0 % (4000 outcomes drawn: 0.0 % to 0.1 %)" in words
+    assert "command 1: left the grid" in words
+    assert "running down: did not end in rectangle 8" in words
+
+
+def test_intervals_of_wilson():
+    # Newcombe 1998, Statistics in Medicine 17, table I: 81 of 263, 15 of 148, 0 of 20.
+    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
+    assert wilson(15, 148) == pytest.approx((0.0624, 0.1605), abs=1e-4)
+    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+
+
+def motion_network(members):
+    network = ProductSummationNetwork(inputs=5)
+    names = ("prev_left", "prev_right", "left", "right", "duration")
+    generator = torch.Generator().manual_seed(0)
+    genes = 0.2 * torch.randn(members, 3, network.genes, generator=generator, dtype=torch.float64)
+    return MotionNetwork(
+        [{"name": name, "unit": ""} for name in names],
+        network,
+        genes,
+        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
+        torch.full((3,), 0.1),
+    )
+
+
+def test_a_simulator_that_knows_one_outcome_is_refused():
+    with pytest.raises(UserError, match="neither noise nor an ensemble"):
+        check_plan(plan((10.0, 10.0, 1.0)), motion_network(1))
+
+
+def test_the_verb_reads_folders(tmp_path):
+    plan((10.0, 10.0, 1.0), None, (-20.0, 30.0, 2.0)).write(tmp_path / "plan")
+    (tmp_path / "simulator").mkdir()
+    motion_network(4).write(tmp_path / "simulator")
+    words = [str(tmp_path / "plan"), str(tmp_path / "simulator"), "--draws", "200"]
+    result = CliRunner().invoke(plan_check, words, catch_exceptions=False)
+    assert result.exit_code == 0
+    assert "members of the simulator's ensemble" in result.output
+    assert "at rest" in result.output
+    again = check_plan(tmp_path / "plan", tmp_path / "simulator", draws=200)
+    assert len(again.spread) == len(again.turn) == 3
+    assert np.isclose(sum(f.share for f in again.failures), 1.0 - again.probability)
+    low, high = again.members
+    assert low <= again.probability <= high

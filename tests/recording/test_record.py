@@ -1,0 +1,249 @@
+"""The recorder against a robot without physics, whose clock is the test's."""
+
+import itertools
+import json
+import math
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import LinkLost, UserError
+from neurosim.recording.commands import Command, FixedCommands, RandomCommands
+from neurosim.recording.record import BatteryLow, Guard, RecordSettings, record
+from tracking.datasets.recordings import Recording
+
+
+class FakeClock:
+    def __init__(self):
+        self.time = 0.0
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, time):
+        self.time = max(self.time, time)
+
+
+class FakeRobot:
+    """A point on an endless strip with lines at +-half_width across its path; 0.5 m/s at 100 %."""
+
+    def __init__(self, half_width=math.inf, volts=8.0, dies_after=math.inf):
+        self.clock = FakeClock()
+        self.half_width = half_width
+        self.volts = volts
+        self.dies_after = dies_after
+        self.place = 0.0
+        self.speeds = (0.0, 0.0)
+        self.since = 0.0
+        self.sent = []
+        self.lamps = []
+        self.closed = False
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.closed = True
+
+    def _move(self):
+        now = self.clock.now()
+        if self.speeds[0] == self.speeds[1]:
+            self.place += self.speeds[0] / 100 * 0.5 * (now - self.since)
+        self.since = now
+
+    def drive(self, left, right):
+        self._move()
+        if len(self.sent) >= self.dies_after:
+            raise LinkLost("the robot stopped answering")
+        self.speeds = (left, right)
+        self.sent.append((left, right))
+
+    def stop(self):
+        self._move()
+        self.speeds = (0.0, 0.0)
+
+    def read_sensors(self):
+        self.clock.time += 0.03
+        self._move()
+        dark = 0.25 if abs(self.place) > self.half_width else 0.55
+        return {"line_left": dark, "line_right": 0.55}
+
+    def lamp(self, on):
+        self.lamps.append((self.clock.now(), on))
+
+    def battery(self):
+        return self.volts
+
+    def describe(self):
+        return {"kind": "fake"}
+
+
+def run(path, robot, commands, source=None, **options):
+    settings = RecordSettings(commands, **options.pop("settings", {}))
+    return record(path, robot, None, source or RandomCommands(seed=3), settings, **options)
+
+
+def kinds(recording):
+    return [line.kind for line in recording.commands()]
+
+
+def test_random_commands_have_the_shares_and_limits_of_the_paper():
+    commands = [RandomCommands(seed=1).command(i) for i in range(4000)]
+    stops = sum(c.left == c.right == 0 for c in commands)
+    equal = sum(c.left == c.right != 0 for c in commands)
+    assert stops / 4000 == pytest.approx(0.2, abs=0.02)
+    assert equal / 4000 == pytest.approx(0.3, abs=0.02)
+    assert max(abs(c.left) for c in commands) == 50
+    durations = [c.duration for c in commands]
+    assert min(durations) >= 0.5
+    assert max(durations) <= 3.0
+    assert np.mean(durations) == pytest.approx(1.75, abs=0.05)
+    forwards = sum(c.left > 0 for c in commands) / (4000 - stops)
+    assert forwards == pytest.approx(0.5, abs=0.03)
+
+
+def test_command_k_is_the_same_wherever_one_begins():
+    assert RandomCommands(seed=5).command(17) == RandomCommands(seed=5).command(17)
+    assert RandomCommands(seed=5).command(17) != RandomCommands(seed=6).command(17)
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"max_speed": 0}, {"max_speed": 101}, {"durations": (2, 1)}, {"straight": 0.9}],
+)
+def test_settings_that_cannot_be_are_refused(wrong):
+    with pytest.raises(UserError):
+        RandomCommands(**wrong)
+
+
+def test_motors_go_straight_from_one_command_into_the_next(tmp_path):
+    robot = FakeRobot()
+    recording = run(tmp_path / "r", robot, 20)
+    lines = [line for line in recording.commands() if line.is_motor]
+    assert [line.kind for line in lines] == ["command"] * 20 + ["stop"]
+    for line, after in itertools.pairwise(lines):
+        assert after.time - line.time == pytest.approx(line.duration, abs=1e-5)
+    assert [(line.left, line.right) for line in lines[:-1]] == robot.sent
+    assert recording.meta["complete"] is True
+    assert robot.closed
+
+
+def test_the_lamp_flashes_at_the_beginning_and_at_the_end(tmp_path):
+    robot = FakeRobot()
+    recording = run(tmp_path / "r", robot, 3)
+    logged = [
+        (line.time, line.kind == "lamp-on") for line in recording.commands() if "lamp" in line.kind
+    ]
+    assert logged == [(pytest.approx(time), on) for time, on in robot.lamps]
+    assert [on for _, on in logged] == [True, False, True, False] * 2
+    first_command = next(line for line in recording.commands() if line.kind == "command")
+    assert logged[3][0] < first_command.time
+    assert kinds(recording)[-1] == "end"
+
+
+def test_a_command_cut_at_the_line_is_repeated_from_the_same_speeds(tmp_path):
+    robot = FakeRobot(half_width=1.2)
+    source = FixedCommands([Command(20, 20, 2), *[Command(50, 50, 3)] * 4, Command(0, 0, 1)])
+    recording = run(tmp_path / "r", robot, 6, source)
+    lines = [line for line in recording.commands() if line.is_motor]
+    cut = [i for i, line in enumerate(lines) if line.kind == "cut"]
+    assert cut
+    for i in cut:
+        assert lines[i - 1].kind == "command"
+        assert lines[i].command == lines[i - 1].command
+        assert lines[i].time - lines[i - 1].time < lines[i - 1].duration
+        again = next(j for j in range(i, len(lines)) if lines[j].kind == "command")
+        assert lines[again].command == lines[i].command
+        before = next(line for line in lines if line.command == lines[i].command - 1)
+        assert (lines[again - 1].left, lines[again - 1].right) == (before.left, before.right)
+    # Every command ran to its end in the end.
+    done = {
+        a.command for a, b in itertools.pairwise(lines) if a.kind == "command" and b.kind != "cut"
+    }
+    assert done == set(range(6))
+    assert abs(robot.place) < 1.2 + 0.1
+
+
+def test_a_guard_that_ends_stops_at_the_line(tmp_path):
+    robot = FakeRobot(half_width=0.3)
+    source = FixedCommands([Command(50, 50, 3), Command(50, 50, 3)])
+    recording = run(tmp_path / "r", robot, 2, source, settings={"guard": Guard("end")})
+    assert [line.kind for line in recording.commands() if line.is_motor] == [
+        "command",
+        "cut",
+        "stop",
+    ]
+
+
+def test_a_robot_that_does_not_find_back_asks_for_help(tmp_path):
+    class Lost(FakeRobot):
+        def read_sensors(self):
+            reading = super().read_sensors()
+            return {**reading, "line_left": 0.1} if self.clock.now() > 6 else reading
+
+    robot = Lost()
+    with pytest.raises(UserError, match="middle of the board"):
+        run(tmp_path / "r", robot, 20, FixedCommands([Command(30, 30, 2)] * 20))
+    assert robot.speeds == (0.0, 0.0)
+
+
+def test_a_lost_link_leaves_a_recording_that_resumes(tmp_path):
+    source = RandomCommands(seed=3)
+    with pytest.raises(LinkLost):
+        run(tmp_path / "r", FakeRobot(dies_after=7), 15, source)
+    broken = Recording(tmp_path / "r")
+    assert broken.meta["complete"] is False
+    assert sum(kind == "command" for kind in kinds(broken)) == 8  # the eighth never arrived
+    recording = run(tmp_path / "r", FakeRobot(), 15, source, resume=True)
+    assert recording.sessions == 2
+    assert recording.meta["complete"] is True
+    second = [line for line in recording.commands() if line.session == 2]
+    sent = [(line.command, line.left, line.right) for line in second if line.kind == "command"]
+    # The last two of the first session did not run to their end as far as the log can tell.
+    assert sent == [(i, source.command(i).left, source.command(i).right) for i in range(7, 15)]
+
+
+def test_resuming_with_other_settings_is_refused_and_names_the_setting(tmp_path):
+    with pytest.raises(LinkLost):
+        run(tmp_path / "r", FakeRobot(dies_after=2), 5)
+    with pytest.raises(UserError, match=r"settings\.source\.seed.*3, now 4"):
+        run(tmp_path / "r", FakeRobot(), 5, RandomCommands(seed=4), resume=True)
+    with pytest.raises(UserError, match=r"settings\.commands"):
+        run(tmp_path / "r", FakeRobot(), 6, resume=True)
+    with pytest.raises(UserError, match=r"settings\.guard\.contrast"):
+        run(tmp_path / "r", FakeRobot(), 5, settings={"guard": Guard(contrast=0.2)}, resume=True)
+
+
+def test_a_complete_recording_is_neither_resumed_nor_overwritten(tmp_path):
+    run(tmp_path / "r", FakeRobot(), 2)
+    with pytest.raises(UserError, match="nothing to resume"):
+        run(tmp_path / "r", FakeRobot(), 2, resume=True)
+    with pytest.raises(UserError, match="not empty"):
+        run(tmp_path / "r", FakeRobot(), 2)
+
+
+def test_a_low_battery_pauses_and_says_so(tmp_path):
+    robot = FakeRobot(volts=6.0)
+    with pytest.raises(BatteryLow, match=r"6\.00 V.*--resume"):
+        run(tmp_path / "r", robot, 2)
+    assert kinds(Recording(tmp_path / "r"))[-1] == "pause"
+    assert json.loads((tmp_path / "r" / "recording.json").read_text())["complete"] is False
+    assert run(tmp_path / "r", FakeRobot(), 2, resume=True).meta["complete"] is True
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, LinkLost("gone")])
+def test_the_motors_are_stopped_whatever_happens(tmp_path, error):
+    class Faulty(FakeRobot):
+        def drive(self, left, right):
+            super().drive(left, right)
+            if len(self.sent) == 4:
+                raise error
+
+    robot = Faulty()
+    finished = []
+    with pytest.raises((KeyboardInterrupt, RuntimeError, LinkLost)):
+        run(tmp_path / "r", robot, 9, finish=lambda folder, session: finished.append(session))
+    assert robot.speeds == (0.0, 0.0)
+    assert robot.closed
+    assert finished == [1]
+    assert Recording(tmp_path / "r").commands()

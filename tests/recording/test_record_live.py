@@ -1,0 +1,302 @@
+"""Recording with the robot in sight: in the lab, whose truth is known, and cannot be seen by it."""
+
+import itertools
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from urllib.request import urlopen
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import UserError
+from neurosim.lab import VirtualRig, read_truth
+from neurosim.recording.commands import Command, FixedCommands, RandomCommands
+from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.robots.nxt.driver import NXT
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import Recording
+from tracking.sightings import seen_live
+from tracking.track import track
+
+SIZE = (320, 240)
+#: Half a board: the guard has its work without long drives.
+BOARD = {"length": 1.4, "width": 1.1}
+
+
+def calibrate(rig, path):
+    optics = rig.camera.optics
+    CameraModel(SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation).write(
+        path
+    )
+
+
+def make(folder, source, count, *, sensors=False, prepare=None, **options):
+    """Record in the lab; return the recording, what was said, and the truth."""
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    said = []
+    settings = options.pop("settings", {"board": BOARD})
+    with VirtualRig(2, noise_seed=options.pop("seed", 5), camera_size=SIZE) as rig:
+        calibration = folder.parent / "calibration.json"
+        calibrate(rig, calibration)
+        robot = rig.robot
+        if not sensors:
+            robot = NXT(
+                clock=rig.lab.clock, lamp="A", light_left=None, light_right=None, deadline=60.0,
+                **rig.address,
+            )  # fmt: skip
+        if prepare is not None:
+            prepare(rig)
+        made = record(
+            folder,
+            robot,
+            rig.camera,
+            source,
+            RecordSettings(count, **settings),
+            calibration=calibration,
+            finish=rig.write_truth,
+            lab=rig.describe(),
+            say=said.append,
+            **options,
+        )
+    return made, said, read_truth(folder)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A robot without light sensors, on a small board."""
+    folder = tmp_path_factory.mktemp("live") / "recording"
+    return make(folder, RandomCommands(seed=3), 16)
+
+
+def test_a_robot_without_light_sensors_stays_on_the_board(kept):
+    recording, said, truth = kept
+    kinds = [line.kind for line in recording.commands()]
+    assert kinds.count("cut") >= 2
+    half = np.array([BOARD["length"], BOARD["width"]]) / 2
+    assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
+    assert recording.meta["complete"] is True
+    assert said == []
+    turns = {np.sign(line.right) for line in recording.commands()
+             if line.kind == "manoeuvre" and line.left == -line.right != 0}  # fmt: skip
+    assert turns == {-1.0, 1.0}
+
+
+def test_light_sensors_that_see_no_line_do_not_let_it_leave(tmp_path):
+    # The line that the lab's sensors could see lies well outside of this board's edge.
+    recording, _, truth = make(tmp_path / "r", RandomCommands(seed=3), 10, sensors=True)
+    assert recording.meta["robot"]["ports"]["light_left"] is not None
+    assert [line.kind for line in recording.commands()].count("cut") >= 1
+    half = np.array([BOARD["length"], BOARD["width"]]) / 2
+    assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
+    assert recording.is_tracked
+
+
+def test_the_poses_are_there_and_are_what_a_second_pass_gives(kept, tmp_path):
+    recording, _, truth = kept
+    live = recording.poses()
+    assert (live.quality > 0).mean() > 0.99
+    copy = tmp_path / "again"
+    shutil.copytree(recording.path, copy)
+    track(copy)
+    again = Recording(copy).poses()
+    assert np.array_equal(live.frame, again.frame)
+    assert np.abs(live.time - again.time).max() < 1e-3
+    both = (live.quality > 0) & (again.quality > 0)
+    # What compression does to the second is the difference, at 1 cm a pixel.
+    off = (live.pose - again.pose)[both]
+    assert np.sqrt((off[:, :2] ** 2).mean()) < 4e-4
+    true = truth.pose_at(live.time[both])
+    assert np.sqrt(((live.pose[both] - true)[:, :2] ** 2).mean()) < 4e-3
+
+
+def test_the_same_seed_gives_the_same_files(kept, tmp_path):
+    first, _, _ = kept
+    second, _, _ = make(tmp_path / "recording", RandomCommands(seed=3), 16)
+    for name in ("commands.csv", "frames.csv", "sightings.csv", "poses.csv", "tracking.json"):
+        assert (first.path / name).read_bytes() == (second.path / name).read_bytes(), name
+
+
+def test_frames_that_were_passed_over_are_looked_at_in_the_video(kept, tmp_path):
+    recording, _, _ = kept
+    camera = CameraModel.read(recording.path / "calibration.json")
+    whole = seen_live(recording, 1, camera)
+    copy = tmp_path / "gaps"
+    shutil.copytree(recording.path, copy)
+    lines = (copy / "sightings.csv").read_text().splitlines(keepends=True)
+    missing = [*range(60), *range(200, 230), 301, len(lines) - 2]
+    kept_lines = [line for number, line in enumerate(lines, start=-1) if number not in missing]
+    (copy / "sightings.csv").write_text("".join(kept_lines))
+    filled = seen_live(Recording(copy), 1, camera)
+    assert np.array_equal(filled.frame, whole.frame)
+    rest = np.setdiff1d(whole.frame, missing)
+    np.testing.assert_array_equal(filled.front[rest], whole.front[rest])
+    assert (filled.quality[missing] > 0).all()
+    assert np.abs(filled.front[missing] - whole.front[missing]).max() < 0.5
+
+
+def test_a_camera_that_does_not_wait_is_never_slowed_and_misses_nothing_in_the_end(tmp_path):
+    def impatient(rig):
+        rig.camera.waits = False
+
+    source = FixedCommands([Command(20, 25, 1.0)] * 4)
+    made, _, _ = make(
+        tmp_path / "r", source, 4, prepare=impatient, settings={"guard": Guard("ignore")}
+    )
+    poses = made.poses()
+    assert len(poses.frame) == len(made.frame_times(1))
+    assert (poses.quality > 0).mean() > 0.95
+
+
+def taken_away(begin, end):
+    """Return how to prepare a lab whose robot a hand covers from ``begin`` to ``end`` (s)."""
+
+    def prepare(rig):
+        render = rig.camera.render
+        rig.camera.render = lambda poses, lamp=0.0: render(
+            None if begin < rig.lab.time < end else poses, lamp
+        )
+
+    return prepare
+
+
+STEADY = FixedCommands([Command(15, 18, 1.0)] * 8)
+
+
+def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp_path):
+    away = taken_away(6.0, 12.0)
+    recording, said, truth = make(tmp_path / "r", STEADY, 8, prepare=away, settings={})
+    assert said[0].startswith("the robot is lost from sight")
+    assert "without light sensors it cannot drive unseen" in said[1]
+    assert said[2].startswith("the robot is seen again, after 6.")
+    assert len(said) == 3
+    cut = [line for line in recording.commands() if line.kind == "cut"]
+    assert len(cut) == 1
+    assert 6.9 < cut[0].time < 7.2
+    still = (truth.times > cut[0].time + 0.4) & (truth.times < 12.0)
+    assert np.ptp(truth.poses[still, :2], axis=0).max() < 1e-3
+    # All was sent in the end, the one that was cut once more.
+    sent = [line.command for line in recording.commands() if line.kind == "command"]
+    assert sorted(set(sent)) == list(range(8))
+    assert len(sent) == 9
+
+
+def test_with_light_sensors_it_drives_on(tmp_path):
+    recording, said, _ = make(tmp_path / "r", STEADY, 4, sensors=True, prepare=taken_away(5.0, 7.0))
+    assert [line.kind for line in recording.commands() if line.is_motor] == ["command"] * 4 + [
+        "stop"
+    ]
+    assert len(said) == 2
+    poses = recording.poses()
+    lost = (poses.time > 5.1) & (poses.time < 6.9)
+    assert (poses.quality[lost] == 0).all()
+    assert np.isnan(poses.pose[lost]).all()
+
+
+def test_a_robot_that_stays_away_ends_the_session_which_resumes(tmp_path):
+    folder = tmp_path / "r"
+    with pytest.raises(UserError, match=r"not seen for 60 s.*--resume"):
+        make(folder, STEADY, 8, prepare=taken_away(6.0, np.inf))
+    broken = Recording(folder)
+    assert broken.meta["complete"] is False
+    assert not broken.is_tracked
+    assert broken.commands()[-1].kind == "stop"
+    recording, _, _ = make(folder, STEADY, 8, resume=True, seed=6)
+    assert recording.meta["complete"] is True
+    poses = recording.poses()
+    assert set(poses.session) == {1, 2}
+    assert len(poses.of_session(1).frame) == len(recording.frame_times(1))
+
+
+def test_a_robot_that_was_never_in_sight_does_not_drive(tmp_path):
+    with pytest.raises(UserError, match="neurosim watch"):
+        make(tmp_path / "r", STEADY, 8, prepare=taken_away(0.0, np.inf))
+    assert not any(line.kind == "command" for line in Recording(tmp_path / "r").commands())
+
+
+def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
+    def dark(rig):
+        render = rig.camera.render
+        rig.camera.render = lambda poses, lamp=0.0: render(poses, 0.0)
+
+    recording, said, _ = make(tmp_path / "r", STEADY, 2, prepare=dark)
+    assert recording.meta["complete"] is True
+    assert not recording.is_tracked
+    assert len(said) == 1
+    assert "the recording is whole, but its poses are not" in said[0]
+    assert "neurosim track" in said[0]
+
+
+def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
+    def dying(rig):
+        look = rig.camera.look
+        rig.camera.failed = False
+
+        def until(*what):
+            if rig.lab.time < 5.0:
+                look(*what)
+            else:
+                rig.camera.stop()
+                rig.camera.failed = True
+
+        rig.camera.look = until
+
+    with pytest.raises(UserError, match=r"the camera stopped.*--resume"):
+        make(tmp_path / "r", STEADY, 8, sensors=True, prepare=dying)
+    sent = [line for line in Recording(tmp_path / "r").commands() if line.kind == "command"]
+    assert 1 <= len(sent) <= 3
+
+
+LONG = ("--calibration", "c.json", "--camera-size", "320x240", "--commands", "400")
+
+
+def neurosim(*words, cwd):
+    return subprocess.Popen(
+        [sys.executable, "-m", "neurosim", *map(str, words)],
+        cwd=cwd,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
+    shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")
+    child = neurosim("record", "r", "--watch", *LONG, cwd=tmp_path)
+    try:
+        line = child.stderr.readline()
+        assert line.startswith("Watch at http://127.0.0.1:")
+        url = line.split()[-1]
+        end = time.monotonic() + 60
+        found = False
+        while not found and time.monotonic() < end:
+            with urlopen(f"{url}picture?after=0", timeout=30) as reply:
+                state = reply.headers["Neurosim-State"]
+            found = '"found":true' in state
+        assert found
+        assert '"settable":false' in state
+        assert '"pose":{' in state
+    finally:
+        child.kill()
+        child.communicate()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
+def test_a_kill_leaves_a_recording_that_can_be_tracked(kept, tmp_path):
+    shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")
+    child = neurosim("record", "r", *LONG, cwd=tmp_path)
+    path = tmp_path / "r" / "sightings.csv"
+    end = time.monotonic() + 120
+    while time.monotonic() < end and (not path.exists() or path.read_bytes().count(b"\n") < 400):
+        time.sleep(0.05)
+    child.send_signal(signal.SIGKILL)
+    child.communicate()
+    recording = Recording(tmp_path / "r")
+    assert not recording.is_tracked
+    summary = track(recording.path)
+    assert summary["frames"] >= 300
+    times = recording.poses().time
+    assert all(b > a for a, b in itertools.pairwise(times))

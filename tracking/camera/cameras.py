@@ -1,0 +1,224 @@
+"""Cameras that deliver frames, and the video file that keeps them."""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time as _time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Protocol
+
+import cv2
+import numpy as np
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import LineLog
+from tracking.camera.video import Video
+
+OnFrame = Callable[[float, np.ndarray], None]
+
+
+class Camera(Protocol):
+    """Whatever delivers frames: camera time in seconds, and the picture, BGR [H, W, 3] uint8.
+
+    A delivered frame belongs to the receiver: the camera does not write to it again. A camera may
+    say ``waits = True``: it makes the next frame only when this one was taken, so that none need
+    be passed over; and ``failed = True`` once it stopped by itself.
+    """
+
+    size: tuple[int, int]
+    fps: float
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Deliver every frame to ``on_frame`` from now on."""
+        ...
+
+    def stop(self) -> None:
+        """Deliver no more frames."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a recording should say of this camera."""
+        ...
+
+
+class OpenCVCamera:
+    """A webcam, or anything else that OpenCV opens, read in a thread of its own.
+
+    A frame's time is when it arrived, on the clock that is handed in; the pipeline's constant
+    latency is taken out later by the flash.
+    """
+
+    def __init__(
+        self,
+        source: int | str,
+        now: Callable[[], float],
+        size: tuple[int, int] | None = None,
+        fps: float | None = None,
+    ):
+        self._source = source
+        self._now = now
+        self._capture = cv2.VideoCapture(source)
+        if not self._capture.isOpened():
+            raise UserError(
+                f"camera {source!r} cannot be opened: is it plugged in and not in use elsewhere? "
+                "Name another with --camera"
+            )
+        if size:
+            self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
+            self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, size[1])
+        if fps:
+            self._capture.set(cv2.CAP_PROP_FPS, fps)
+        good, frame = self._capture.read()
+        if not good:
+            self._capture.release()
+            raise UserError(f"camera {source!r} opens but delivers no picture")
+        self.size = (frame.shape[1], frame.shape[0])
+        self.fps = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
+        self._running = threading.Event()
+        self._thread: threading.Thread | None = None
+        self.failed = False
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Deliver every frame from a thread; ``failed`` is set when the camera stops."""
+
+        def read() -> None:
+            while self._running.is_set():
+                good, frame = self._capture.read()
+                if not good:
+                    self.failed = True
+                    return
+                try:
+                    on_frame(self._now(), frame)
+                except UserError:  # who takes the frames has kept it, to tell at the end
+                    self.failed = True
+                    return
+
+        self._running.set()
+        self._thread = threading.Thread(target=read, name="camera", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Deliver no more frames and let the camera go."""
+        self._running.clear()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+        self._capture.release()
+
+    def describe(self) -> dict[str, Any]:
+        """Return source, size and frame rate."""
+        return {
+            "kind": "opencv",
+            "source": str(self._source),
+            "size": list(self.size),
+            "fps": self.fps,
+        }
+
+
+class VideoCamera:
+    """A video file as a camera: frames at their own pace, from the beginning again at the end.
+
+    Args:
+        path: the file.
+
+    Raises:
+        FileError: if it is no video that can be read.
+    """
+
+    def __init__(self, path: str | Path):
+        self._path = Path(path)
+        with Video(path) as video:
+            self.size, self.fps = video.size, video.fps
+        self.failed = False
+        self._stopped = threading.Event()
+        self._thread: threading.Thread | None = None
+
+    def start(self, on_frame: OnFrame) -> None:
+        """Deliver every frame from a thread, at the times of the file."""
+
+        def play() -> None:
+            begun = passed = 0.0
+            try:
+                while not self._stopped.is_set():
+                    begun, zero = begun + passed, _time.monotonic()
+                    with Video(self._path) as video:
+                        for _, time, frame in video:
+                            if self._stopped.wait(max(0.0, zero + time - _time.monotonic())):
+                                return
+                            on_frame(begun + time, frame)
+                            passed = time + 1.0 / self.fps
+            except UserError:
+                self.failed = True
+
+        self._thread = threading.Thread(target=play, name="video camera", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Deliver no more frames."""
+        self._stopped.set()
+        if self._thread is not None:
+            self._thread.join(timeout=2.0)
+
+    def describe(self) -> dict[str, Any]:
+        """Return file, size and frame rate."""
+        return {"kind": "video", "source": str(self._path), "size": [*self.size], "fps": self.fps}
+
+
+class VideoSink:
+    """Encodes frames in a thread of its own, and logs each frame's time as it is written.
+
+    Motion JPEG in AVI: every frame stands on its own, the file can be read up to where a kill cut
+    it off, and it holds nothing but the frames (Matroska adds a random number), so that the
+    virtual lab's is the same for the same seed; all at the price of some disk.
+    """
+
+    def __init__(
+        self, path: str | Path, log: LineLog, session: int, size: tuple[int, int], fps: float
+    ):
+        self._path = Path(path)
+        if self._path.exists():
+            raise UserError(f"{self._path} exists already; a recording is never overwritten")
+        fourcc = cv2.VideoWriter.fourcc(*"MJPG")
+        self._writer = cv2.VideoWriter(str(self._path), fourcc, fps, size)
+        if not self._writer.isOpened():
+            raise UserError(f"{self._path}: OpenCV cannot write this video here")
+        self._log = log
+        self._session = session
+        self._frames = 0
+        self._queue: queue.Queue = queue.Queue(maxsize=64)
+        self._error: BaseException | None = None
+        self._thread = threading.Thread(target=self._encode, name="video", daemon=True)
+        self._thread.start()
+
+    def write(self, time: float, frame: np.ndarray) -> None:
+        """Hand a frame over; waits while the encoder is far behind."""
+        if self._error is not None:
+            raise UserError(f"{self._path}: writing the video failed: {self._error}")
+        self._queue.put((time, frame))
+
+    def close(self) -> int:
+        """Write what is left, close the file and return the number of frames.
+
+        Raises:
+            UserError: if a frame could not be written.
+        """
+        if self._thread.is_alive():
+            self._queue.put(None)
+            self._thread.join()
+        self._writer.release()
+        if self._error is not None:
+            raise UserError(f"{self._path}: writing the video failed: {self._error}")
+        return self._frames
+
+    def _encode(self) -> None:
+        while (item := self._queue.get()) is not None:
+            if self._error is not None:
+                continue
+            time, frame = item
+            try:
+                self._writer.write(frame)
+                self._log.append(self._session, self._frames, round(time, 6))
+                self._frames += 1
+            except Exception as error:
+                self._error = error

@@ -1,0 +1,196 @@
+"""Clock sync by motion: where in a video, and when exactly, a robot answers its commands.
+
+The speeds that were seen are slid along those that were commanded; the answers to single commands
+(:mod:`tracking.clock.motor_delay`) then fix the clock, and check that of the flashes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base.errors import UserError
+from tracking.clock.motor_delay import (
+    FEWEST,
+    REACH,
+    STEP,
+    MotorLine,
+    answers_to,
+    changes_of,
+    delay_of,
+    signals_of,
+)
+from tracking.clock.sync import ClockFit
+
+#: The commands of the first so many seconds are looked for in a video.
+TEMPLATE = 120.0
+#: The motion agrees with the commands at least so well (a correlation), and no second place in
+#: the video does so to this share of the best.
+LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
+#: Answers are put together over this long before the next ones are predicted from them, s.
+STRETCH = 60.0
+#: Flashes and motion may differ by this, s: a radio takes some of it.
+MOST_APART = 0.06
+
+
+def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]) -> ClockFit:
+    """Find the robot's clock from commands and motion alone, without any flash.
+
+    On this clock the motors begin to answer at the time of their command. The speeds that were
+    seen are first compared with those that were commanded wherever the commands may lie in the
+    video; the answers to the single commands then fix the clock, stretch by stretch, so that a
+    drift does not add up.
+
+    Args:
+        times: camera times [N] of the frames, s.
+        poses: [N, 3], m, m, unwrapped rad; NaN where the robot was not seen.
+        lines: what was sent to the motors in this session, in order.
+
+    Raises:
+        UserError: if too few commands change the speeds, the motion does not follow the
+            commands, or it does so at several places in the video.
+    """
+    times, signals = signals_of(times, poses)
+    changes = changes_of(lines)
+    if len(times) < 10 or len(changes) < FEWEST:
+        raise UserError(
+            f"the clock cannot be found from the motion: {len(changes)} commands and {len(times)} "
+            "frames in which the robot was found are too few"
+        )
+    shift, drift = _place(times, signals, lines), 0.0
+    offsets: list[tuple[float, float, float]] = []  # robot time, shift, its standard deviation
+    begin, last = float(changes[0, 0]), float(changes[-1, 0])
+    while begin <= last:
+        near = changes[(changes[:, 0] >= begin) & (changes[:, 0] < begin + STRETCH)]
+        begin += STRETCH
+        for _ in range(2):  # once more with the answers in the middle of what is tried
+            answers = answers_to(times + shift, signals, near)
+            found = None if answers is None else delay_of(answers)
+            if found is None or abs(found.delay) >= REACH - STEP:
+                found = None
+                break
+            shift -= found.delay
+        if found is not None:
+            offsets.append((float(answers.times.mean()), shift, found.sd))
+    if not offsets:
+        raise UserError(
+            "the clock cannot be found from the motion: too few commands are seen to change the "
+            "robot's speed; record more of them, or with the lamp"
+        )
+    at, shifts, sds = np.array(offsets).T
+    middle, drift_sd = float(np.average(at, weights=sds**-2)), 0.0
+    if at[-1] - at[0] >= STRETCH:
+        drift, shift = (float(c) for c in np.polyfit(at - middle, shifts, 1, w=1 / sds))
+        drift_sd = float(1 / np.sqrt((((at - middle) / sds) ** 2).sum()))
+    else:
+        shift = float(np.average(shifts, weights=sds**-2))
+    # robot = camera + shift + drift (robot - middle), solved for the robot's time.
+    offset = (shift - drift * middle) / (1 - drift)
+    rest = shifts - shift - drift * (at - middle)
+    return ClockFit(
+        offset,
+        drift / (1 - drift),
+        float(np.sqrt(np.mean(rest**2))),
+        (),
+        sd=float(1 / np.sqrt((sds**-2.0).sum())),
+        drift_sd=drift_sd,
+    )
+
+
+_NO_MOTION = (
+    "the motion in the video does not follow the commands; is this the video of this recording, "
+    "and was the robot in view?"
+)
+
+
+def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> float:
+    """Return the shift (robot minus camera time) at which seen and commanded speeds agree best."""
+    step = max(float(np.median(np.diff(times))), 0.01)
+    grid = np.arange(times[0], times[-1], step)
+    seen = np.gradient(
+        np.stack([np.interp(grid, times, signals[:, i]) for i in range(2)]), step, axis=1
+    )
+    # What a mistaken frame gives must not outweigh all the rest.
+    most = np.quantile(np.abs(seen), 0.99, axis=1, keepdims=True) * 1.2
+    seen = np.clip(seen, -most, most)
+    first = lines[0].time
+    wanted = _commanded(lines, first, min(lines[-1].time, first + TEMPLATE), step)
+    length = wanted.shape[1]
+    size = 1 << (len(grid) + 2 * length).bit_length()
+
+    def slide(series: NDArray, kernel: NDArray) -> NDArray:
+        """Return the sum of products at every overlap, the kernel's start at -length + 1 + i."""
+        spectrum = np.fft.rfft(series, size) * np.conj(np.fft.rfft(kernel, size))
+        return np.roll(np.fft.irfft(spectrum, size), length - 1)[: len(grid) + length - 1]
+
+    ones, whole = np.ones(len(grid)), np.ones(length)
+    agreement, channels = np.zeros(len(grid) + length - 1), 0
+    for moved, told in zip(seen, wanted, strict=True):
+        told_power, moved_power = float(told @ told), slide(moved**2, whole)
+        if told_power < 1e-9 or not moved.any():
+            continue
+        covered = slide(ones, told**2)
+        # Little of the commands in the video would agree with anything.
+        enough = covered > 0.5 * told_power
+        power = np.maximum(covered * moved_power, 1e-12 * told_power * (moved @ moved))
+        agreement += np.where(enough, slide(moved, told) / np.sqrt(power), 0.0)
+        channels += 1
+    if channels == 0:
+        raise UserError(_NO_MOTION)
+    agreement /= channels
+    best = int(agreement.argmax())
+    if agreement[best] < LEAST_AGREEMENT:
+        raise UserError(_NO_MOTION)
+    shifts = first - (times[0] + step * (np.arange(len(agreement)) - length + 1))
+    others = np.where(np.abs(shifts - shifts[best]) > 1.0, agreement, 0.0)
+    if others.max() > AMBIGUOUS * agreement[best]:
+        rival = int(others.argmax())
+        raise UserError(
+            "the clock cannot be found from the motion: it follows the commands from "
+            f"{first - shifts[best]:.2f} s and from {first - shifts[rival]:.2f} s of the video; "
+            "record with the lamp, or cut the video"
+        )
+    return float(shifts[best])
+
+
+def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float) -> NDArray:
+    """Return [2, N] mean and half difference of the commanded speeds, behind a lag of 0.1 s."""
+    grid = np.arange(begin, end + 0.5, step)
+    current = np.searchsorted([line.time for line in lines], grid, side="right") - 1
+    speeds = np.array([(line.left, line.right) for line in lines], float)[current]
+    profile = np.stack([speeds.mean(axis=1), (speeds[:, 1] - speeds[:, 0]) / 2])
+    lag = np.exp(-np.arange(0.0, 0.6, step) / 0.1)
+    lag /= lag.sum()
+    return np.stack([np.convolve(row, lag)[: profile.shape[1]] for row in profile])
+
+
+def disagreement(
+    clock: ClockFit, times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]
+) -> str | None:
+    """Say by how much the clock of the flashes and that of the motion differ, if they do.
+
+    A radio's delay is within what is let pass: 60 ms, and four standard deviations.
+
+    Args:
+        clock: by the flashes.
+        times, poses, lines: as :func:`fit_clock_to_motion` takes them.
+    """
+    try:
+        motion = fit_clock_to_motion(times, poses, lines)
+    except UserError:
+        return None
+    first = float(np.asarray(times, float)[0])
+    begin, moved = (
+        (lines[0].time - fit.offset) / (1 + fit.drift) - first for fit in (clock, motion)
+    )
+    apart = moved - begin
+    if abs(apart) <= max(MOST_APART, 4 * math.hypot(clock.sd, motion.sd)):
+        return None
+    return (
+        f"the flashes say that the first command was sent {begin:.2f} s into the video, the "
+        f"motion says {moved:.2f} s, {1000 * abs(apart):.0f} ms "
+        f"{'later' if apart > 0 else 'earlier'}; use --sync motion if the flashes are mistaken"
+    )

@@ -1,0 +1,361 @@
+"""Datasets: one row per command, what was sent and how the robot was displaced by it.
+
+A dataset is a folder: ``dataset.csv`` with the columns ``recording, command, <inputs>,
+<outputs>, quality``, and ``dataset.json``, which names inputs and outputs with their units,
+says from which files the rows came and counts by reason what was left out. Another robot's
+inputs may be others, which is why the names stand in the file.
+
+The outputs are the displacement (dx, dy, dtheta) of the middle of the axle in the robot's frame
+at the command's start, REP 103: the dy of Pretorius et al. (2009) is dx here, its dx is -dy.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.progress import track
+from neurosim.base.provenance import is_virtual
+from tracking.datasets.displacements import REASONS, Settings, displacements
+from tracking.datasets.recordings import Recording
+
+FORMAT, VERSION = "neurosim-dataset", 1
+
+#: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
+MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
+OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
+
+
+@dataclass
+class Dataset:
+    """Commands and the displacements they caused, in the order in which they were given.
+
+    Attributes:
+        table: columns recording, command, the inputs, the outputs, quality.
+        inputs: names of the input columns.
+        outputs: names of the output columns.
+        meta: what dataset.json says: inputs and outputs [{name, unit}], sources
+            [{path, sha256}], rows, left_out {reason: count}, settings, and more.
+    """
+
+    table: pd.DataFrame
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    meta: dict[str, Any]
+
+    def __len__(self) -> int:
+        return len(self.table)
+
+    def input_array(self) -> NDArray[np.float64]:
+        """Return the inputs (N, I), in the units that ``meta`` names."""
+        return self.table[list(self.inputs)].to_numpy(np.float64, copy=True)
+
+    def output_array(self) -> NDArray[np.float64]:
+        """Return the outputs (N, 3): metres, metres, radians."""
+        return self.table[list(self.outputs)].to_numpy(np.float64, copy=True)
+
+    def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
+        """Split by time into the earlier rows and the last ``held_out`` share of them.
+
+        The first part has floor((1 - held_out) N) rows.
+
+        Raises:
+            UserError: if either part would be empty.
+        """
+        if not 0 < held_out < 1:
+            raise UserError(f"the share to hold out must be between 0 and 1, not {held_out:g}")
+        # The small amount keeps 0.8 * 5 from being 3.9999.
+        earlier = int(len(self) * (1 - held_out) + 1e-9)
+        if not 0 < earlier < len(self):
+            raise UserError(
+                f"the dataset has {len(self)} row{'s' * (len(self) != 1)}, too few to hold out "
+                f"{held_out:.0%} of them; record more commands"
+            )
+        return self._part(slice(None, earlier)), self._part(slice(earlier, None))
+
+    def _part(self, rows: slice) -> Dataset:
+        table = self.table.iloc[rows].reset_index(drop=True)
+        return Dataset(table, self.inputs, self.outputs, {**self.meta, "rows": len(table)})
+
+    def write(self, folder: str | Path) -> None:
+        """Write the dataset to a new folder, whole or not at all.
+
+        Raises:
+            UserError: if there is something at ``folder``.
+        """
+        with files.new_folder(folder) as partial:
+            columns = {name: self.table[name].tolist() for name in self.table.columns}
+            files.write_csv(partial / "dataset.csv", columns)
+            files.write_json(partial / "dataset.json", FORMAT, VERSION, self.meta)
+
+    @classmethod
+    def read(cls, folder: str | Path) -> Dataset:
+        """Read and check a dataset.
+
+        Raises:
+            FileError: naming file, line and field: a missing file or column, another version,
+                a word or NaN where a number belongs, no rows, or fewer rows than were written.
+        """
+        folder = Path(folder)
+        if not folder.is_dir():
+            raise FileError(folder, "no such dataset; expected a folder with dataset.json")
+        json_path, csv_path = folder / "dataset.json", folder / "dataset.csv"
+        fields = {"inputs": list, "outputs": list, "sources": list, "rows": int, "left_out": dict}
+        meta = files.read_json(json_path, FORMAT, VERSION, fields)
+        inputs, outputs = (_names(json_path, field, meta[field]) for field in ("inputs", "outputs"))
+        if outputs != tuple(OUTPUTS):
+            raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")
+        columns = {"recording": str, "command": files.integer}
+        columns |= dict.fromkeys((*inputs, *outputs, "quality"), files.number)
+        table = pd.DataFrame(files.read_csv(csv_path, columns))
+        if len(table) == 0:
+            raise FileError(csv_path, "holds no rows")
+        if len(table) != meta["rows"]:
+            raise FileError(
+                csv_path,
+                f"holds {len(table)} rows where dataset.json says {meta['rows']}; "
+                "it may have been cut short",
+            )
+        if "duration" in inputs and (table["duration"] <= 0).any():
+            line = int(np.argmax(table["duration"] <= 0)) + 2
+            raise FileError(csv_path, "expected a number above 0", line=line, field="duration")
+        meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
+        return cls(table, inputs, outputs, meta)
+
+
+def _names(path: Path, field: str, columns: list) -> tuple[str, ...]:
+    names = [column.get("name") if isinstance(column, dict) else None for column in columns]
+    if not names or not all(isinstance(name, str) and name for name in names):
+        raise FileError(path, "expected a list of {name, unit}", field=field)
+    if len(set(names)) != len(names):
+        raise FileError(path, "names a column twice", field=field)
+    return tuple(names)
+
+
+def make(
+    rows: Sequence[Mapping[str, Any]],
+    inputs: Mapping[str, str],
+    *,
+    sources: Sequence[Mapping[str, str]],
+    left_out: Mapping[str, int],
+    settings: Mapping[str, Any],
+    **more: Any,
+) -> Dataset:
+    """Make a dataset of rows.
+
+    Args:
+        rows: one mapping per row, with recording, command, every input and output, quality.
+        inputs: name of every input column -> its unit.
+        sources: path and sha256 of the files that the rows came from.
+        left_out: reason -> count of what gave no row.
+        settings: how the rows were taken.
+        more: further keys of dataset.json.
+
+    Raises:
+        UserError: if there are no rows.
+    """
+    if not rows:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
+        where = " and ".join(dict.fromkeys(source["path"] for source in sources))
+        raise UserError(f"{where}: no usable command (left out: {reasons or 'none'})")
+    table = pd.DataFrame(rows)[["recording", "command", *inputs, *OUTPUTS, "quality"]]
+    meta = {
+        "inputs": [{"name": name, "unit": unit} for name, unit in inputs.items()],
+        "outputs": [{"name": name, "unit": unit} for name, unit in OUTPUTS.items()],
+        "rows": len(table),
+        "left_out": dict(left_out),
+        "settings": dict(settings),
+        "sources": list(sources),
+        **more,
+    }
+    return Dataset(table, tuple(inputs), tuple(OUTPUTS), meta)
+
+
+def build(
+    recordings: Iterable[str | Path],
+    out: str | Path,
+    *,
+    settings: Settings | None = None,
+    correct_delay: bool = True,
+    mixed: bool = False,
+) -> Dataset:
+    """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
+
+    Args:
+        recordings: folders with commands.csv and poses.csv, in the order of their recording.
+        out: the folder to write.
+        settings: how displacements are taken from the track, and what is left out.
+        correct_delay: whether displacements count from when the motors were seen to answer
+            rather than from when the commands were sent.
+        mixed: whether recordings may be of different robots.
+
+    Raises:
+        FileError: if a recording's files are missing or wrong, or its clock goes backwards.
+        UserError: if no command is usable, a recording is named twice, recordings are of
+            different robots, or ``out`` is taken.
+    """
+    settings = settings or Settings()
+    recordings = [Path(path) for path in recordings]
+    files.check_new_folder(out)
+    names = _recording_names(recordings)
+    if not mixed:
+        _check_one_robot(recordings)
+    rows: list[dict[str, Any]] = []
+    sent: list[dict[str, Any]] = []
+    left_out = Counter(dict.fromkeys(REASONS, 0))
+    delays: list[dict[str, Any]] = []
+    clocks: list[dict[str, Any]] = []
+    markers: list[dict[str, Any]] = []
+    sources, robots, virtual = [], [], False
+    for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
+        recording = Recording(path)
+        found = displacements(recording, settings, correct_delay=correct_delay)
+        rows += [{"recording": name, **row} for row in found.rows]
+        sent += found.sent
+        left_out.update(found.left_out)
+        delays += [
+            {
+                "recording": name,
+                "session": session,
+                **asdict(delay),
+                "corrected": session in found.corrected,
+            }
+            for session, delay in found.delays.items()
+        ]
+        for session in recording.tracked_sessions():
+            of = {"recording": name, "session": session["session"]}
+            clocks.append(of | session["clock"])
+            markers.append(of | session.get("markers", {}))
+        sources += [
+            {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
+            for file in ("commands.csv", "poses.csv")
+        ]
+        virtual = virtual or bool(is_virtual(recording.meta))
+        if recording.meta["robot"] not in robots:
+            robots.append(recording.meta["robot"])
+    dataset = make(
+        rows,
+        MOTOR_INPUTS,
+        sources=sources,
+        left_out=left_out,
+        settings=asdict(settings),
+        reasons=REASONS,
+        cutting=cutting(sent),
+        motor_delays=delays,
+        clocks=clocks,
+        markers=markers,
+        robots=robots,
+        virtual=virtual,
+    )
+    dataset.write(out)
+    return dataset
+
+
+#: What of a robot's description tells it from another, or its commands from another's.
+_IDENTITY = (
+    "kind", "robot", "dialect", "name", "address", "virtual", "invert", "full_speed", "speed_unit",
+)  # fmt: skip
+
+
+def _check_one_robot(recordings: Sequence[Path]) -> None:
+    """Refuse recordings of different robots: one simulator cannot be right about both."""
+    first: dict[str, Any] | None = None
+    for path in recordings:
+        meta = Recording(path).meta
+        robot, lab = meta["robot"], meta.get("virtual_lab")
+        found = {key: robot.get(key) for key in _IDENTITY}
+        ports = robot.get("ports")
+        for side in ("left", "right"):
+            found[f"{side} motor"] = ports.get(side) if isinstance(ports, Mapping) else None
+        found["robot of the lab"] = lab.get("robot_seed") if isinstance(lab, Mapping) else None
+        first = found if first is None else first
+        for key, value in found.items():
+            if value != first[key]:
+                raise UserError(
+                    f"{recordings[0]} and {path} are of different robots ({key}: {first[key]!r} "
+                    f"and {value!r}): make a dataset of each, or mix them knowingly with --mixed"
+                )
+
+
+def _recording_names(paths: Sequence[Path]) -> list[str]:
+    if not paths:
+        raise UserError("name at least one recording")
+    resolved = [path.resolve() for path in paths]
+    for index, path in enumerate(resolved):
+        if path in resolved[:index]:
+            raise UserError(f"{paths[index]} is named twice; its commands would count double")
+    names = [path.name for path in resolved]
+    if len(set(names)) == len(names):
+        return names
+    return [str(path) for path in paths]
+
+
+def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[str, Any]:
+    """Report how cutting commands short at the lines has thinned out the data.
+
+    A command that goes far is more likely to meet a line: without a counter-measure the
+    commands that were completed are slower, shorter and turn more than those that were sent.
+
+    Args:
+        sent: left, right (percent), duration (s), fate and attempt (from 1) of every command
+            that was sent, one that was cut and sent again as often as it was sent.
+        bin_width: width of the bins of duration, s.
+
+    Returns:
+        ``by_class`` (random, equal, stop) and ``by_duration``: how many were sent, cut and
+        completed; ``equal_reach``: mean |speed| x duration of the commands with equal speeds
+        that were drawn, completed at the first attempt, and completed at any; ``ratio`` is the
+        last over the first: 1 where cutting has taken nothing away; ``ratio_first`` is what it
+        would be if nothing were sent again.
+    """
+    sent = list(sent)
+    classes: dict[str, list] = {"random": [], "equal": [], "stop": []}
+    bins: dict[int, list] = {}
+    for command in sent:
+        classes[_class(command)].append(command)
+        bins.setdefault(int(command["duration"] / bin_width + 1e-9), []).append(command)
+    straight = classes["equal"]
+    done = [command for command in straight if command["fate"] == "completed"]
+    drawn = _reach(command for command in straight if command["attempt"] == 1)
+    completed_first = _reach(command for command in done if command["attempt"] == 1)
+    completed = _reach(done)
+    return {
+        "by_class": {name: _fates(commands) for name, commands in classes.items()},
+        "by_duration": [
+            {"from": number * bin_width, "to": (number + 1) * bin_width, **_fates(bins[number])}
+            for number in sorted(bins)
+        ],
+        "equal_reach": {
+            "unit": "% s",
+            "drawn": drawn,
+            "completed_first": completed_first,
+            "completed": completed,
+            "ratio_first": completed_first / drawn if drawn and completed_first else None,
+            "ratio": completed / drawn if drawn and completed else None,
+        },
+    }
+
+
+def _reach(commands: Iterable[Mapping[str, Any]]) -> float | None:
+    values = [abs(command["left"]) * command["duration"] for command in commands]
+    return float(np.mean(values)) if values else None
+
+
+def _class(command: Mapping[str, Any]) -> str:
+    if command["left"] == command["right"]:
+        return "stop" if command["left"] == 0 else "equal"
+    return "random"
+
+
+def _fates(commands: Sequence[Mapping[str, Any]]) -> dict[str, int]:
+    fates = Counter(command["fate"] for command in commands)
+    return {"sent": len(commands), "cut": fates["cut"], "completed": fates["completed"]}

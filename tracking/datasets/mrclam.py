@@ -1,0 +1,267 @@
+"""Datasets from the UTIAS Multi-Robot Cooperative Localization and Mapping format (MRCLAM).
+
+K. Leung, Y. Halpern, T. Barfoot, H. Liu, "The UTIAS multi-robot cooperative localization and
+mapping dataset", IJRR 30(8), 2011. Text files of numbers between blanks, comments after ``#``:
+an odometry file with time (s), commanded forward velocity (m/s) and angular velocity (rad/s),
+and a ground-truth file with time (s), x, y (m) and heading (rad). Times may be unix times, and
+the two files need have neither times nor rates in common.
+
+A command is held from its sample to the first sample that differs. Such a run, cut from its
+beginning into pieces of at most 3 s, gives one row for every piece of at least 0.5 s; the
+previous command of a piece is that of the sample just before its first.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files, se2
+from neurosim.base.errors import FileError, UserError
+from tracking.datasets.dataset import Dataset, make
+
+#: Inputs of a robot that is commanded by its velocities, with units.
+VELOCITY_INPUTS = {
+    "prev_v": "m/s",
+    "prev_w": "rad/s",
+    "v": "m/s",
+    "w": "rad/s",
+    "duration": "s",
+}
+
+_COLUMNS = {
+    "odometry": ("time", "v", "w"),
+    "groundtruth": ("time", "x", "y", "heading"),
+}
+#: Times are written to the millisecond; a piece of 60 samples at 20 Hz lasts 3 s give or take one.
+_ROUNDING = 1e-3
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How runs of equal commands become rows.
+
+    Attributes:
+        shortest: shortest piece that gives a row, s.
+        longest: longest piece, s.
+        longest_gap: a piece is left out if either file is silent for longer within it, s.
+    """
+
+    shortest: float = 0.5
+    longest: float = 3.0
+    longest_gap: float = 0.5
+
+
+def import_mrclam(
+    paths: Sequence[str | Path] | str | Path, out: str | Path, *, settings: Settings | None = None
+) -> Dataset:
+    """Turn one robot's odometry and ground truth into a dataset.
+
+    Args:
+        paths: the odometry and the ground-truth file, in either order, or one folder with
+            both. They are told apart by name (``...Odometry...``, ``...Groundtruth...``) or
+            by their number of columns.
+        out: the folder to write; inputs prev_v, prev_w, v, w, duration.
+        settings: how runs become rows.
+
+    Raises:
+        FileError: if a file is missing, or wrong in some line.
+        UserError: if the two files cannot be told apart or share no time, no row is left, or
+            ``out`` is taken.
+    """
+    settings = settings or Settings()
+    files.check_new_folder(out)
+    found = _find([paths] if isinstance(paths, str | Path) else paths)
+    odometry = read_numbers(found["odometry"], _COLUMNS["odometry"])
+    truth = read_numbers(found["groundtruth"], _COLUMNS["groundtruth"])
+    if odometry[-1, 0] < truth[0, 0] or truth[-1, 0] < odometry[0, 0]:
+        raise UserError(
+            f"{found['odometry']} and {found['groundtruth']} have no time in common "
+            f"({odometry[0, 0]:.3f} to {odometry[-1, 0]:.3f} s and "
+            f"{truth[0, 0]:.3f} to {truth[-1, 0]:.3f} s)"
+        )
+    rows, left_out = _rows(odometry, truth, found["odometry"].stem, settings)
+    dataset = make(
+        rows,
+        VELOCITY_INPUTS,
+        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in found.values()],
+        left_out=left_out,
+        settings=asdict(settings),
+    )
+    dataset.write(out)
+    return dataset
+
+
+def _rows(
+    odometry: NDArray, truth: NDArray, recording: str, settings: Settings
+) -> tuple[list[dict], dict[str, int]]:
+    time = odometry[:, 0]
+    left_out = Counter({"too short": 0, "first": 0, "gap": 0})
+    kept = []
+    for start, end in pieces(odometry, settings):
+        if time[end] - time[start] < settings.shortest - _ROUNDING:
+            left_out["too short"] += 1
+        elif start == 0:
+            left_out["first"] += 1  # nobody knows what came before it
+        elif _has_gap(time[start : end + 1], truth[:, 0], settings.longest_gap):
+            left_out["gap"] += 1
+        else:
+            kept.append((start, end))
+    if not kept:
+        return [], dict(left_out)
+    starts, ends = np.array(kept).T
+    moved = se2.between(_poses(truth, time[starts]), _poses(truth, time[ends]))
+    rows = [
+        {
+            "recording": recording,
+            "command": number,
+            "prev_v": odometry[start - 1, 1],
+            "prev_w": odometry[start - 1, 2],
+            "v": odometry[start, 1],
+            "w": odometry[start, 2],
+            "duration": round(time[end] - time[start], 6),
+            "dx": displacement[0],
+            "dy": displacement[1],
+            "dtheta": displacement[2],
+            "quality": 1.0,
+        }
+        for number, (start, end, displacement) in enumerate(
+            zip(starts, ends, moved, strict=True), start=1
+        )
+    ]
+    return rows, dict(left_out)
+
+
+def pieces(odometry: NDArray, settings: Settings) -> Iterator[tuple[int, int]]:
+    """Yield first and end sample of every piece of equal commands, the short ones too.
+
+    Args:
+        odometry: (N, 3) time, v, w. The last sample only ends the run before it: nobody
+            knows how long it was held itself.
+        settings: the longest piece.
+    """
+    time = odometry[:, 0]
+    changes = np.flatnonzero((np.diff(odometry[:, 1:], axis=0) != 0).any(axis=1)) + 1
+    ends = [*changes.tolist(), len(odometry) - 1]
+    start = 0
+    for run_end in ends:
+        while start < run_end:
+            reach = time[start] + settings.longest + _ROUNDING
+            end = min(int(np.searchsorted(time, reach, side="right")) - 1, run_end)
+            end = max(end, start + 1)  # a single step longer than a piece: a gap
+            yield start, end
+            start = end
+
+
+def _has_gap(samples: NDArray, truth_times: NDArray, longest: float) -> bool:
+    if (np.diff(samples) > longest).any():
+        return True
+    first = int(np.searchsorted(truth_times, samples[0], side="right")) - 1
+    last = int(np.searchsorted(truth_times, samples[-1], side="left"))
+    if first < 0 or last >= len(truth_times):
+        return True
+    return bool((np.diff(truth_times[first : last + 1]) > longest).any())
+
+
+def _poses(truth: NDArray, times: NDArray) -> NDArray:
+    heading = np.unwrap(truth[:, 3])
+    columns = (truth[:, 1], truth[:, 2], heading)
+    return np.stack([np.interp(times, truth[:, 0], column) for column in columns], axis=-1)
+
+
+def read_numbers(path: Path, columns: Sequence[str]) -> NDArray:
+    """Read a file of numbers between blanks, one row a line, comments after ``#``.
+
+    Returns:
+        (N, len(columns)), the first column, time, never decreasing.
+
+    Raises:
+        FileError: naming the line and the column of what is wrong.
+    """
+    rows: list[list[float]] = []
+    for line, fields in _fields(path):
+        if len(fields) != len(columns):
+            raise FileError(
+                path,
+                f"expected {len(columns)} numbers ({', '.join(columns)}), found {len(fields)}",
+                line=line,
+            )
+        row = []
+        for name, text in zip(columns, fields, strict=True):
+            try:
+                row.append(files.number(text))
+            except ValueError:
+                raise FileError(
+                    path, f"expected a finite number, found {text!r}", line=line, field=name
+                ) from None
+        if rows and row[0] < rows[-1][0]:
+            raise FileError(path, "the clock goes backwards", line=line, field="time")
+        rows.append(row)
+    if len(rows) < 2:
+        raise FileError(path, f"holds too few rows of numbers ({len(rows)}; expected 2 or more)")
+    return np.array(rows)
+
+
+def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except IsADirectoryError:
+        raise FileError(path, "is a folder; expected a file of numbers") from None
+    except UnicodeDecodeError:
+        raise FileError(path, "is not text; expected numbers between blanks") from None
+    for line, content in enumerate(text.splitlines(), start=1):
+        fields = content.split("#", 1)[0].split()
+        if fields:
+            yield line, fields
+
+
+def _find(paths: Sequence[str | Path]) -> dict[str, Path]:
+    """Tell the odometry file and the ground-truth file apart."""
+    paths = [Path(path) for path in paths]
+    wanted = "one odometry and one ground-truth file, or a folder with both"
+    if len(paths) == 1 and paths[0].is_dir():
+        folder = paths[0]
+        # A folder of the dataset also holds its landmarks' ground truth and its measurements.
+        paths = sorted(
+            path
+            for path in folder.iterdir()
+            if path.is_file() and _role_by_name(path) and "landmark" not in path.name.lower()
+        )
+        if len(paths) > 2:
+            raise UserError(f"{folder} holds several robots; name the two files of one of them")
+        wanted = f"one file ...Odometry... and one ...Groundtruth... in {folder}"
+    found: dict[str, Path] = {}
+    for path in paths:
+        role = _role_by_name(path) or _role_by_content(path)
+        if role in found:
+            raise UserError(f"{found[role]} and {path} are both {role}; expected {wanted}")
+        found[role] = path
+    if len(found) != 2:
+        names = ", ".join(path.name for path in paths) or "neither"
+        raise UserError(f"expected {wanted}; found {names}")
+    return {role: found[role] for role in _COLUMNS}
+
+
+def _role_by_name(path: Path) -> str | None:
+    name = path.name.lower().replace("_", "")
+    return next((role for role in _COLUMNS if role in name), None)
+
+
+def _role_by_content(path: Path) -> str:
+    line, fields = next(_fields(path), (1, []))
+    for role, columns in _COLUMNS.items():
+        if len(fields) == len(columns):
+            return role
+    raise FileError(
+        path,
+        "expected 3 numbers (odometry: time, v, w) or 4 (ground truth: time, x, y, heading), "
+        f"found {len(fields)}",
+        line=line,
+    )

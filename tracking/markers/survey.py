@@ -1,0 +1,116 @@
+"""A survey of a whole picture, now and then: is there another pair that would fit as well?"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracking.markers.colours import Colour
+from tracking.markers.first_sight import CLOSE, rate
+from tracking.markers.markers import Blob, Look, Picture, shrink_factor
+from tracking.markers.pair import Geometry
+from tracking.markers.palette import Found, found_colour, together
+
+#: The picture is looked at with so many pixels across.
+ACROSS = 320
+#: After the first sight, the second look comes so many frames on, every other after twice as many.
+SECOND_LOOK = 64
+
+
+class Survey:
+    """Looks at whole pictures in which a pair was found, less and less often.
+
+    Args:
+        colours: of front and rear, as they were named.
+        geometry: what is known of the pair.
+        pointed: whether a person pointed at the pair, so that no other can be meant.
+    """
+
+    def __init__(self, colours: tuple[Colour, Colour], geometry: Geometry, pointed: bool = False):
+        self._colours, self._geometry, self._pointed = colours, geometry, pointed
+        self._frames, self._next = 0, 1
+        self._founds: list[tuple[Found, Found]] = []
+        #: What all looks say together; None before the first.
+        self.found: tuple[Found, Found] | None = None
+
+    def take(
+        self,
+        frame: NDArray,
+        white: tuple[float, float],
+        pixels: NDArray,
+        areas: Sequence[float],
+        looks: Sequence[Look],
+    ) -> None:
+        """Take the next frame in which the pair was found, and look at it if its turn has come.
+
+        Args:
+            frame: BGR [H, W, 3] uint8.
+            white: factors of blue and of red that take the picture's cast out.
+            pixels: [2, 2] of front and rear.
+            areas: of the two markers, pixels.
+            looks: what they look like.
+        """
+        self._frames += 1
+        if self._frames < self._next:
+            return
+        self._next = max(2 * self._next, SECOND_LOOK)
+        radii = [math.sqrt(area / math.pi) for area in areas]
+        rivals: tuple[float, float] | None = (0.0, 0.0)
+        if not self._pointed:
+            # Markers of a few pixels are not seen in the coarse picture.
+            factor = shrink_factor(frame.shape[1])
+            coarse = max(factor, frame.shape[1] // ACROSS)
+            rivals = self._rivals(frame, white, pixels, radii, coarse)
+            rivals = rivals or self._rivals(frame, white, pixels, radii, factor)
+        if rivals is None:
+            if self._founds:
+                return
+            rivals = (0.0, 0.0)
+        close = 1.0
+        if self._geometry.separation is None and not self._pointed:
+            apart = float(np.hypot(*(pixels[0] - pixels[1]))) / sum(radii)
+            close = math.exp(-0.5 * max(0.0, apart - CLOSE) ** 2)
+        front, rear = (
+            found_colour(colour, look, rival, close)
+            for colour, look, rival in zip(self._colours, looks, rivals, strict=True)
+        )
+        self._founds.append((front, rear))
+        front, rear = (together(founds) for founds in zip(*self._founds, strict=True))
+        self.found = front, rear
+
+    def _rivals(
+        self,
+        frame: NDArray,
+        white: tuple[float, float],
+        pixels: NDArray,
+        radii: Sequence[float],
+        factor: int,
+    ) -> tuple[float, float] | None:
+        """Return how the best pair with another front, and with another rear, compares to this.
+
+        None where this one is too small, or too much like its surroundings, to be compared in a
+        picture that is reduced by this factor.
+        """
+        picture = Picture(frame, white, factor)
+        blobs = [picture.blobs(colour) for colour in self._colours]
+
+        def is_own(blob: Blob, which: int) -> bool:
+            reach = radii[which] + picture.factor
+            return math.dist(blob.centre, pixels[which]) < reach
+
+        own, best = 0.0, [0.0, 0.0]
+        for pair in itertools.product(*blobs):
+            rating = rate(pair, self._colours, self._geometry, None)
+            mine = [is_own(blob, which) for which, blob in enumerate(pair)]
+            if all(mine):
+                own = max(own, rating)
+            for which in (0, 1):
+                if not mine[which]:
+                    best[which] = max(best[which], rating)
+        if own <= 0.0:
+            return None
+        return best[0] / own, best[1] / own

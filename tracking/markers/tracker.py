@@ -1,0 +1,351 @@
+"""The tracker: two markers from frame to frame, as one rigid pair.
+
+A whole frame is searched only until the pair is found and after it was lost; from then on each
+marker is measured in a small window around where constant velocity and constant turning put
+it. The pair's separation, the markers' sizes and their last place are what keep other things of
+the same colours out; a frame in which any of them does not fit has no pose.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tracking.markers.colours import NO_CAST, Colour, angle_between
+from tracking.markers.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate
+from tracking.markers.markers import (
+    Blob,
+    Look,
+    Measurement,
+    Picture,
+    compile_loops,
+    learn,
+    measure,
+)
+from tracking.markers.pair import (
+    LOST,
+    Geometry,
+    Learned,
+    Motion,
+    Sighting,
+    angle_of,
+    lamp_luma,
+    middle_of,
+)
+from tracking.markers.palette import Found
+from tracking.markers.survey import Survey
+from tracking.markers.white import Cast, cast_of
+
+#: Marker areas and separations that are still believed, as ratios to what is expected.
+AREA_RATIO = (0.70, 1.45)
+SEPARATION_TOLERANCE = 0.08
+#: The first time, with nothing learned yet.
+FIRST_AREA_RATIO = (0.4, 2.2)
+
+#: How far the pair may be found from where it was lost: separations, and separations a second.
+REACH, REACH_PER_SECOND = 1.0, 12.0
+#: How far it may have turned: radians, and radians a second.
+TURN, TURN_PER_SECOND = 0.7, 8.0
+#: After this many seconds it may be anywhere: a hand may have moved it.
+FORGET_AFTER = 2.0
+
+#: The image's scale is worked out anew after the pair moved by this many pixels.
+SCALE_REACH = 4.0
+#: The cast is looked at every so many frames.
+CAST_CADENCE = 8
+#: A picture has a cast worth trying to take out from this factor on.
+CAST_TRIED = 1.06
+
+#: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
+#: many is forgotten, and the whole is begun anew.
+PASSING, DROP_AFTER = 15, 8
+
+#: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
+SEEN_AREA = 20.0
+
+#: While the pair is lost every frame is searched for a while, then only every few.
+SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
+
+
+class Tracker:
+    """Tracks one pair of markers through the frames of one video part, in order.
+
+    Args:
+        front, rear: the markers' colours.
+        geometry: what is known of the pair.
+        start: pixels [2, 2] where front and rear are in the first frame, roughly.
+    """
+
+    def __init__(
+        self,
+        front: Colour,
+        rear: Colour,
+        geometry: Geometry | None = None,
+        start: NDArray | None = None,
+    ):
+        compile_loops()
+        self._start = start
+        self.colours = (front, rear)
+        self.geometry = geometry or Geometry()
+        self._survey = Survey(self.colours, self.geometry, start is not None)
+        self._forgotten: tuple[Found, Found] | None = None
+        self._learned: Learned | None = None
+        self._motion: Motion | None = None
+        self._cast: Cast | None = None
+        self._scale: tuple[float, float, float] | None = None
+        self._apart: tuple[bytes, float] | None = None
+        self._frames = 0
+        self._lost = 0
+        self._seen = [False, False]
+
+    @property
+    def seen(self) -> tuple[bool, bool]:
+        """Whether anything of the front's and of the rear's colour was ever found."""
+        return self._seen[0], self._seen[1]
+
+    @property
+    def looks(self) -> list[Look] | None:
+        """How front and rear look to this camera, once they were found."""
+        return None if self._learned is None else list(self._learned.looks)
+
+    @property
+    def found(self) -> tuple[Found, Found] | None:
+        """This camera's colours of front and rear and how sure they are, once they were found."""
+        return self._survey.found or self._forgotten
+
+    def update(self, frame: NDArray, time: float) -> Sighting:
+        """Find the pair in the next frame.
+
+        Args:
+            frame: BGR [H, W, 3] uint8.
+            time: in seconds, later than the frame before.
+        """
+        found = None
+        self._frames += 1
+        if self._cast is not None and (self._lost or self._frames % CAST_CADENCE == 0):
+            self._cast.update(frame)
+        if self._motion is not None and self._lost == 0:
+            found = self._follow(frame, time)
+        if found is None and self._search_now():
+            found = self._search(frame, time)
+        if found is None:
+            self._lost += 1
+            if self._learned is not None and self._lost >= DROP_AFTER and self._is_doubtful():
+                self._forget()
+            return LOST
+        measured, quality = found
+        self._lost = 0
+        pixels = np.array([m.centre for m in measured])
+        self._remember(measured, pixels, quality)
+        self._survey.take(
+            frame, self._cast.white, pixels, [m.area for m in measured], self._learned.looks
+        )
+        self._motion = (
+            Motion(time, middle_of(pixels), pixels[0] - pixels[1])
+            if self._motion is None
+            else self._motion.after(time, pixels)
+        )
+        rim = max(self._radii(middle_of(pixels)))
+        lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
+        return Sighting(pixels[0], pixels[1], quality, lamp)
+
+    def _is_doubtful(self) -> bool:
+        """Return whether the pair may have been two things that passed each other."""
+        known = self.geometry.separation is not None or self._start is not None
+        return not known and self._learned.frames < PASSING
+
+    def _forget(self) -> None:
+        self._learned = self._motion = self._cast = None
+        self._forgotten = self.found
+        self._survey = Survey(self.colours, self.geometry)
+
+    # Following
+
+    def _follow(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        expected = self._motion.predict(time)
+        radius = self._radii(middle_of(expected))
+        # How much a robot can depart from constant velocity between two frames.
+        late = max(1.0, 30.0 * (time - self._motion.time))
+        margins = [(2.0 + 0.6 * r) * min(late, 4.0) for r in radius]
+        return self._measure(frame, expected, margins)
+
+    def _measure(
+        self, frame: NDArray, near: NDArray, margins: list[float]
+    ) -> tuple[list[Measurement], float] | None:
+        measured = self._measure_each(frame, near, margins)
+        quality = 0.0 if measured is None else self._quality(measured)
+        return (measured, quality) if quality > 0 else None
+
+    def _measure_each(
+        self, frame: NDArray, near: NDArray, margins: list[float]
+    ) -> list[Measurement] | None:
+        radius = self._radii(middle_of(near))
+        measured = []
+        for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
+            measurement = measure(frame, place, r, look, margin, self._cast.white)
+            if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
+                return None
+            measured.append(measurement)
+        return self._fitting(measured)
+
+    def _fitting(self, measured: list[Measurement]) -> list[Measurement]:
+        """Where a centre is in doubt, take those whose separation is as it should be."""
+        if all(m.other is None for m in measured):
+            return measured
+        options = [[m] if m.other is None else [m, replace(m, centre=m.other)] for m in measured]
+
+        def misfit(pair: tuple[Measurement, ...]) -> float:
+            pixels = np.array([m.centre for m in pair])
+            return abs(self.geometry.separation_of(pixels) - self._learned.separation)
+
+        return list(min(itertools.product(*options), key=misfit))
+
+    def _quality(self, measured: list[Measurement]) -> float:
+        """Rate a pair, 1 as expected; 0 where a size or the separation is not to be believed."""
+        pixels = np.array([m.centre for m in measured])
+        fresh = self._learned.frames < 5
+        low, high = FIRST_AREA_RATIO if fresh else AREA_RATIO
+        tolerance = FIRST_SEPARATION_TOLERANCE if fresh else SEPARATION_TOLERANCE
+        scale = self._pixels_per_unit(middle_of(pixels))
+        misfit = 0.0
+        for measurement, area in zip(measured, self._learned.areas, strict=True):
+            ratio = measurement.area / (area * scale**2)
+            if not low <= ratio <= high:
+                return 0.0
+            misfit += (math.log(ratio) / 0.2) ** 2
+        separation = self._separation(pixels) / self._learned.separation
+        if abs(separation - 1.0) > tolerance:
+            return 0.0
+        misfit += ((separation - 1.0) / 0.04) ** 2
+        return math.exp(-0.5 * misfit)
+
+    def _remember(self, measured: list[Measurement], pixels: NDArray, quality: float) -> None:
+        """Let what was learned follow slowly: light, lens and perspective vary over the board."""
+        learned = self._learned
+        learned.frames += 1
+        # The first frames count fully, so that one odd first sight does not last.
+        share = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
+        scale = self._pixels_per_unit(middle_of(pixels))
+        for i, measurement in enumerate(measured):
+            learned.looks[i] = learned.looks[i].blend(measurement.look, share)
+            learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
+        learned.separation += share * (self._separation(pixels) - learned.separation)
+
+    def _radii(self, middle: NDArray) -> list[float]:
+        scale = self._pixels_per_unit(middle)
+        if self.geometry.diameter is not None:
+            return [self.geometry.diameter / 2 * scale] * 2
+        # The white dot is not of the colour, so a disc is somewhat larger than its coloured area.
+        return [1.05 * scale * math.sqrt(area / math.pi) for area in self._learned.areas]
+
+    def _pixels_per_unit(self, middle: NDArray) -> float:
+        """Return the local scale; it hardly changes over a few pixels."""
+        u, v = middle.tolist()
+        if (
+            self._scale is None
+            or max(abs(self._scale[0] - u), abs(self._scale[1] - v)) > SCALE_REACH
+        ):
+            self._scale = u, v, self.geometry.pixels_per_unit(middle)
+        return self._scale[2]
+
+    def _separation(self, pixels: NDArray) -> float:
+        """Return the pair's separation in the plane; asked for twice of every frame."""
+        pair = pixels.tobytes()
+        if self._apart is None or self._apart[0] != pair:
+            self._apart = pair, self.geometry.separation_of(pixels)
+        return self._apart[1]
+
+    # Searching
+
+    def _search_now(self) -> bool:
+        return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
+
+    def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        if self._learned is None:
+            return self._search_first(frame)
+        picture = Picture(frame, self._cast.white)
+        kinds = [self._learned.looks, self.colours]
+        # The light may have changed while the pair was away: then the named colours must do.
+        for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
+            front, rear = (picture.blobs(colour) for colour in colours)
+            for pair in self._ranked(front, rear, time):
+                near = np.array([blob.centre for blob in pair])
+                margin = 1.5 * picture.factor + 1.0
+                found = self._measure(frame, near, [margin, margin])
+                if found is not None and self._reachable(
+                    np.array([m.centre for m in found[0]]), time
+                ):
+                    return found
+        return None
+
+    def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
+        rated = []
+        start = self._start if self._frames == 1 else None
+        whites = [NO_CAST, cast_of(frame)]
+        # Where the picture has a cast, the names may mean the colours with it or without.
+        for white in whites[
+            : 1 + (max(abs(math.log(f)) for f in whites[1]) > math.log(CAST_TRIED))
+        ]:
+            picture = Picture(frame, white)
+            blobs = [picture.blobs(colour) for colour in self.colours]
+            self._seen = [
+                seen or any(blob.area >= SEEN_AREA for blob in found)
+                for seen, found in zip(self._seen, blobs, strict=True)
+            ]
+            rated += [
+                (rate(pair, self.colours, self.geometry, start), pair, white)
+                for pair in itertools.product(*blobs)
+            ]
+        rated.sort(key=lambda entry: -entry[0])
+        for rating, pair, white in rated[:4]:
+            if rating <= 0:
+                break
+            self._cast = Cast(frame, white)
+            margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
+            pixels = np.array([blob.centre for blob in pair])
+            self._learn(
+                [learn(frame, blob, white) for blob in pair], [b.area for b in pair], pixels
+            )
+            measured = self._measure_each(frame, pixels, margins)
+            if measured is not None:
+                # Once more with what the first look at full resolution taught.
+                pixels = np.array([m.centre for m in measured])
+                self._learn([m.look for m in measured], [m.area for m in measured], pixels)
+                found = self._measure(frame, pixels, margins)
+                if found is not None and plausible(found[0], self.colours):
+                    return found
+            self._learned = self._cast = None
+        return None
+
+    def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
+        scale = self._pixels_per_unit(middle_of(pixels))
+        self._learned = Learned(
+            looks,
+            [area / scale**2 for area in areas],
+            self.geometry.separation or self.geometry.separation_of(pixels),
+        )
+
+    def _ranked(self, front: list[Blob], rear: list[Blob], time: float) -> list[tuple[Blob, Blob]]:
+        """Return pairs that can be the lost one, the likeliest first."""
+        possible = []
+        for pair in itertools.product(front, rear):
+            pixels = np.array([blob.centre for blob in pair])
+            off = abs(self.geometry.separation_of(pixels) / self._learned.separation - 1.0)
+            if off > 2 * SEPARATION_TOLERANCE or not self._reachable(pixels, time):
+                continue
+            moved = float(np.hypot(*(middle_of(pixels) - self._motion.middle)))
+            possible.append((off + 0.1 * moved / np.hypot(*self._motion.axis), pair))
+        return [pair for _, pair in sorted(possible, key=lambda entry: entry[0])[:4]]
+
+    def _reachable(self, pixels: NDArray, time: float) -> bool:
+        motion = self._motion
+        if motion is None or time - motion.time > FORGET_AFTER:
+            return True
+        gap = time - motion.time
+        moved = np.hypot(*(middle_of(pixels) - motion.middle)) / np.hypot(*motion.axis)
+        turned = abs(float(angle_between(angle_of(pixels[0] - pixels[1]), angle_of(motion.axis))))
+        return moved < REACH + REACH_PER_SECOND * gap and turned < TURN + TURN_PER_SECOND * gap

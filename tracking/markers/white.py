@@ -1,0 +1,83 @@
+"""A camera's colour cast: guessed from one picture, and followed from there.
+
+A camera that balances its whites by itself, or a lamp that is switched on, turns all colours
+alike. What most of the picture does between two frames is taken for such a turn, and taken out
+before a marker's hue is looked at: a robot or a hand is a small part of the picture.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from tracking.markers.colours import NO_CAST
+
+#: Pixels looked at along the picture's width.
+_ACROSS = 48
+#: Darker than this a ratio of channels is mostly noise, brighter than this a channel is clipped.
+_DARK, _CLIPPED = 24, 250
+#: Fewer usable pixels say nothing.
+_LEAST = 60
+#: A cast is believed up to this factor.
+_MOST = 2.0
+
+
+def cast_of(frame: NDArray) -> tuple[float, float]:
+    """Guess the cast of one picture: most of what is bright in it is taken to be grey.
+
+    Args:
+        frame: BGR [H, W, 3] uint8.
+
+    Returns:
+        Factors of blue and of red that take it out; 1 and 1 where there is too little light.
+    """
+    grid = _grid(frame)
+    usable = (grid.min(axis=1) > 2 * _DARK) & (grid.max(axis=1) < _CLIPPED)
+    if usable.sum() < _LEAST:
+        return NO_CAST
+    blue, green, red = grid[usable].T
+    return _believed(np.median(green / blue), np.median(green / red))
+
+
+class Cast:
+    """Follows the cast from a first picture on; for a camera that stands still."""
+
+    def __init__(self, frame: NDArray, base: tuple[float, float] = NO_CAST):
+        """Begin with a picture and the factors that take its cast out."""
+        self._reference = _grid(frame)
+        self._base = base
+        self.white = base
+
+    def update(self, frame: NDArray) -> tuple[float, float]:
+        """Return the factors of blue and of red for a later picture of the same view."""
+        usable, blue, red = _turned(_grid(frame), self._reference)
+        if usable >= _LEAST:
+            self.white = _believed(blue * self._base[0], red * self._base[1])
+        return self.white
+
+
+@njit(cache=True, nogil=True)
+def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
+    """Return how many pixels say something, and the medians of what green gained on the others."""
+    gained = np.empty((2, len(grid)), np.float32)
+    count = 0
+    for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
+        low, high = min(now.min(), then.min()), max(now.max(), then.max())
+        if low > _DARK and high < _CLIPPED:
+            green = now[1] / then[1]
+            gained[0, count] = green / (now[0] / then[0])
+            gained[1, count] = green / (now[2] / then[2])
+            count += 1
+    if count == 0:
+        return 0, 1.0, 1.0
+    return count, np.median(gained[0, :count]), np.median(gained[1, :count])
+
+
+def _grid(frame: NDArray) -> NDArray:
+    step = max(1, frame.shape[1] // _ACROSS)
+    return frame[step // 2 :: step, step // 2 :: step].reshape(-1, 3).astype(np.float32)
+
+
+def _believed(blue: float, red: float) -> tuple[float, float]:
+    return tuple(float(min(max(f, 1 / _MOST), _MOST)) for f in (blue, red))
