@@ -9,8 +9,8 @@ from pathlib import Path
 
 from neurosim.base import files
 from neurosim.base.errors import FileError
-from neurosim.controllers.network import NetworkController
-from neurosim.controllers.plan import FORMAT, VERSION, Command, Plan
+from neurosim.controllers.network_files import NetworkController
+from neurosim.controllers.plan_files import FORMAT, VERSION, Command, Plan
 
 __all__ = ["FORMAT", "VERSION", "Command", "NetworkController", "Plan", "read_controller"]
 

@@ -1,109 +1,158 @@
-"""A network from sensors to motors: Figure 2 of Lund and Miglino 1996.
+"""Networks from what a robot observes to its motors: Figure 2 of Lund and Miglino 1996, and more.
 
-Every sensor and a bias have a weight to each of two outputs; tanh of the sums is the wheels'
-speed as a share of full speed. The controller is a folder with ``controller.json`` and
-``weights.safetensors``.
+Without hidden layers every input and a bias have a weight to each output; tanh of the sums is the
+wheels' speed as a share of full speed. See :mod:`neurosim.networks.control` for the formulas.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import torch
+from torch import Tensor
 
-from neurosim.base import files
-from neurosim.base.errors import FileError
-from neurosim.controllers.plan import FORMAT, VERSION
-
-KIND = "network"
-OUTPUTS = ("left", "right")
+from neurosim.base.errors import UserError
+from neurosim.controllers.base import WHEELS, Controller
+from neurosim.networks.control import CTRNN, ELMAN, FEED_FORWARD, NetworkArrays
 
 
-@dataclass(frozen=True, eq=False)
-class NetworkController:
-    """A network with one layer of weights.
+@dataclass(frozen=True)
+class Network(Controller):
+    """Feed-forward networks.
 
     Attributes:
-        weights: (2, S + 1) of the sensors and the bias, to the left and the right motor.
-        task: {"name", "settings"} of the task that it was made for.
-        predicted: what the simulator says of it, such as ``fitness``.
-        simulator: {"path", "sha256"} of what it was evolved in.
-        evolution: settings and history of its evolution.
+        inputs: what they observe.
+        hidden: units of each hidden layer; the paper has none.
+        outputs: columns of the command.
+        scale: the largest command, % (one for all outputs), or one for each.
     """
 
-    weights: NDArray[np.float64]
-    task: Mapping[str, Any]
-    predicted: Mapping[str, Any] = field(default_factory=dict)
-    simulator: Mapping[str, Any] = field(default_factory=dict)
-    evolution: Mapping[str, Any] = field(default_factory=dict)
+    kind: ClassVar[str] = "network"
+
+    inputs: tuple[str, ...]
+    hidden: tuple[int, ...] = ()
+    outputs: tuple[str, ...] = WHEELS
+    scale: float | tuple[float, ...] = 100.0
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "hidden", "outputs"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not self.inputs or not self.outputs or any(units < 1 for units in self.hidden):
+            raise UserError("a network has inputs, outputs and at least 1 unit in a hidden layer")
 
     @property
-    def genes(self) -> NDArray[np.float64]:
-        """The weights in a row, [2 (S + 1)], as evolution has them."""
-        return self.weights.reshape(-1)
+    def shapes(self) -> list[tuple[int, int]]:
+        """Rows and columns of each layer's weights, the bias last."""
+        sizes = (len(self.inputs), *self.hidden, len(self.outputs))
+        return [(after, before + 1) for before, after in pairwise(sizes)]
 
-    def commands(self, readings: ArrayLike) -> NDArray[np.float64]:
-        """Return the speeds [..., 2] in percent that follow from readings [..., S] in 0..1."""
-        readings = np.asarray(readings, float)
-        sums = readings @ self.weights[:, :-1].T + self.weights[:, -1]
-        return 100.0 * np.tanh(sums)
+    @property
+    def genes(self) -> int:
+        """How many weights there are."""
+        return sum(rows * columns for rows, columns in self.shapes)
 
-    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
-        """Write the controller to a new folder, whole or not at all.
+    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return commands [B, C] and the memory, which is none."""
+        values, first = observation, 0
+        for rows, columns in self.shapes:
+            weights = genes[:, first : first + rows * columns].unflatten(1, (rows, columns))
+            sums = (weights[..., :-1] * values.unsqueeze(1)).sum(-1) + weights[..., -1]
+            values, first = sums.tanh(), first + rows * columns
+        return _scale(self.scale, values) * values, memory
 
-        Args:
-            folder: where.
-            overwrite: whether to replace what stands there.
+    def arrays(self) -> NetworkArrays:
+        """Return what compiled rollouts compute with."""
+        return _arrays(self, FEED_FORWARD)
 
-        Raises:
-            UserError: if there is something at ``folder`` that is not to be replaced.
-        """
-        sensors = self.weights.shape[1] - 1
-        content = {
-            "kind": KIND,
-            "inputs": [{"name": f"sensor_{index}", "unit": "1"} for index in range(sensors)],
-            "outputs": [{"name": name, "unit": "%"} for name in OUTPUTS],
-            "activation": "tanh",
-            "task": dict(self.task),
-            "simulator": dict(self.simulator),
-            "predicted": dict(self.predicted),
-            "evolution": dict(self.evolution),
+    def settings(self) -> dict[str, Any]:
+        """Return what makes the same family again."""
+        return {
+            "inputs": list(self.inputs),
+            "hidden": list(self.hidden),
+            "outputs": list(self.outputs),
+            "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
         }
-        with files.new_folder(folder, overwrite=overwrite) as partial:
-            files.write_tensors(partial / "weights.safetensors", {"weights": self.weights})
-            files.write_json(partial / "controller.json", FORMAT, VERSION, content)
 
-    @classmethod
-    def read(cls, folder: str | Path) -> NetworkController:
-        """Read and check a network.
 
-        Raises:
-            FileError: naming file and field: a missing file or key, another version, kind or
-                activation, weights that do not fit the inputs.
-        """
-        path = Path(folder) / "controller.json"
-        if not Path(folder).is_dir():
-            raise FileError(folder, "no such controller; expected a folder with controller.json")
-        fields = {
-            "kind": str,
-            "inputs": list,
-            "activation": str,
-            "task": dict,
-            "simulator": dict,
-            "predicted": dict,
-            "evolution": dict,
+@dataclass(frozen=True)
+class Recurrent(Controller):
+    """Recurrent networks of one hidden layer, Elman's or continuous-time.
+
+    Attributes:
+        inputs, outputs, scale: as of :class:`Network`.
+        units: hidden units.
+        dynamics: ``elman`` or ``ctrnn``.
+    """
+
+    kind: ClassVar[str] = "recurrent"
+
+    inputs: tuple[str, ...]
+    units: int = 5
+    dynamics: str = "elman"
+    outputs: tuple[str, ...] = WHEELS
+    scale: float | tuple[float, ...] = 100.0
+
+    def __post_init__(self) -> None:
+        for name in ("inputs", "outputs"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        if not self.inputs or not self.outputs or self.units < 1:
+            raise UserError("a recurrent network has inputs, outputs and at least 1 hidden unit")
+        if self.dynamics not in ("elman", "ctrnn"):
+            raise UserError(f"dynamics are elman or ctrnn, not {self.dynamics!r}")
+
+    @property
+    def genes(self) -> int:
+        """How many weights, and time constants, there are."""
+        own = self.units if self.dynamics == "ctrnn" else 0
+        hidden = self.units * (len(self.inputs) + self.units + 1)
+        return own + hidden + len(self.outputs) * (self.units + 1)
+
+    @property
+    def memory(self) -> int:
+        """One number for every hidden unit."""
+        return self.units
+
+    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return commands [B, C] and the hidden units' states [B, units]."""
+        units, outputs, alpha = self.units, len(self.outputs), 1.0
+        if self.dynamics == "ctrnn":
+            alpha, genes = 1.0 / (1.0 + genes[:, :units].exp()), genes[:, units:]
+        columns = len(self.inputs) + units + 1
+        hidden = genes[:, : units * columns].unflatten(1, (units, columns))
+        last = genes[:, units * columns :].unflatten(1, (outputs, units + 1))
+        seen = torch.cat([observation, memory.tanh()], dim=1)
+        sums = (hidden[..., :-1] * seen.unsqueeze(1)).sum(-1) + hidden[..., -1]
+        memory = memory + alpha * (sums - memory)
+        out = (last[..., :-1] * memory.tanh().unsqueeze(1)).sum(-1) + last[..., -1]
+        return _scale(self.scale, out) * out.tanh(), memory
+
+    def arrays(self) -> NetworkArrays:
+        """Return what compiled rollouts compute with."""
+        return _arrays(self, ELMAN if self.dynamics == "elman" else CTRNN)
+
+    def settings(self) -> dict[str, Any]:
+        """Return what makes the same family again."""
+        return {
+            "inputs": list(self.inputs),
+            "units": self.units,
+            "dynamics": self.dynamics,
+            "outputs": list(self.outputs),
+            "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
         }
-        content = files.read_json(path, FORMAT, VERSION, fields)
-        for name, expected in (("kind", KIND), ("activation", "tanh")):
-            if content[name] != expected:
-                raise FileError(path, f"expected {expected!r}, found {content[name]!r}", field=name)
-        if not isinstance(content["task"].get("name"), str):
-            raise FileError(path, "expected the name of a task", field="task.name")
-        shape = (len(OUTPUTS), len(content["inputs"]) + 1)
-        found = files.read_tensors(Path(folder) / "weights.safetensors", {"weights": shape})
-        kept = ("task", "predicted", "simulator", "evolution")
-        return cls(found["weights"].astype(float), **{name: content[name] for name in kept})
+
+
+def _scale(scale: float | tuple[float, ...], like: Tensor) -> Tensor:
+    return torch.as_tensor(scale, dtype=like.dtype, device=like.device)
+
+
+def _arrays(family: Network | Recurrent, recurrence: int) -> NetworkArrays:
+    hidden = family.hidden if isinstance(family, Network) else (family.units,)
+    return NetworkArrays(
+        len(family.inputs),
+        np.array(hidden, np.int64),
+        np.broadcast_to(np.asarray(family.scale, np.float64), (len(family.outputs),)).copy(),
+        recurrence,
+    )

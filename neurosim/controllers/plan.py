@@ -1,165 +1,112 @@
-"""A plan: a set of commands that is driven blindly.
-
-It is a folder with ``controller.json``. What was predicted of it stands beside it, so
-that a trial can be held against it: the pose after each given command, at the instant when the
-next one takes over, and the pose at rest, once the motors have run down after the last.
-"""
+"""Plans: command sets that are driven blindly, Pretorius et al. 2009, section 6.2."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-from neurosim.base import files
-from neurosim.base.errors import FileError
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
 
-FORMAT, VERSION = "neurosim-controller", 1
-KIND = "plan"
-INPUTS = ("left", "right", "duration")
+from neurosim.base.errors import UserError
+from neurosim.controllers.base import Controller
+from neurosim.evolution.command_sets import GENES, decode, encode
 
+#: (left %, right %, duration s).
 Command = tuple[float, float, float]
+COMMAND_NAMES = ("left", "right", "duration")
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A set of motor commands, driven one straight after the other.
+class Plan(Controller):
+    """Plans of a fixed number of commands, some of which may be null (not given).
 
     Attributes:
-        commands: (left, right, duration) each, percent, percent, s; None is a null command.
-        task: {"name", "settings"} of the task that it was made for.
-        start: x (m), y (m), heading (rad) where it starts, in the board's frame.
-        predicted: ``poses`` [[x, y, theta], ...], the start and after each given command;
-            ``rest`` [x, y, theta]; ``fitness``; ``completes``. Where the simulator tells outcomes
-            apart also ``probability`` of completing the task and ``expected_fitness``, over so
-            many ``draws``.
-        simulator: {"path", "sha256"} of what it was evolved in.
-        evolution: settings and history of its evolution.
+        slots: commands in a plan, null ones included.
+        max_speed: fastest motor speed, percent.
+        durations: shortest and longest command, s.
     """
 
-    commands: tuple[Command | None, ...]
-    task: Mapping[str, Any]
-    start: tuple[float, float, float]
-    predicted: Mapping[str, Any]
-    simulator: Mapping[str, Any] = field(default_factory=dict)
-    evolution: Mapping[str, Any] = field(default_factory=dict)
+    kind: ClassVar[str] = "plan"
+    blind: ClassVar[bool] = True
+    outputs: ClassVar[tuple[str, ...]] = COMMAND_NAMES
+
+    slots: int = 10
+    max_speed: float = 50.0
+    durations: tuple[float, float] = (0.5, 3.0)
+
+    def __post_init__(self) -> None:
+        if self.slots < 1:
+            raise UserError(f"a plan has at least 1 command, not {self.slots}")
+        if not 0 < self.max_speed <= 100:
+            raise UserError(f"the highest speed must be in 0 to 100 %, not {self.max_speed:g}")
+        low, high = self.durations
+        if not 0 < low <= high:
+            raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
 
     @property
-    def given(self) -> list[Command]:
-        """The commands that are sent, without the null ones."""
-        return [command for command in self.commands if command is not None]
+    def genes(self) -> int:
+        """Four a command: null, left, right, duration, each in 0..1."""
+        return GENES * self.slots
 
-    def write(self, folder: str | Path) -> None:
-        """Write the plan to a new folder, whole or not at all.
+    def first(self, count: int, generator: torch.Generator) -> Tensor:
+        """Return a first population, [count, genes], uniform in 0..1."""
+        return torch.rand(count, self.genes, generator=generator, dtype=torch.float64)
 
-        Raises:
-            UserError: if there is something at ``folder``.
-        """
-        content = {
-            "kind": KIND,
-            "inputs": [
-                {"name": name, "unit": unit}
-                for name, unit in zip(INPUTS, ("%", "%", "s"), strict=True)
-            ],
-            "commands": [None if command is None else list(command) for command in self.commands],
-            "task": dict(self.task),
-            "start": list(self.start),
-            "simulator": dict(self.simulator),
-            "predicted": dict(self.predicted),
-            "evolution": dict(self.evolution),
+    def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
+        """Return commands [P, T, 3] and active [P, T]; see the base class."""
+        low, high = map(float, self.durations)
+        return with_rest(*decode(np.ascontiguousarray(genes), self.max_speed, low, high), rest)
+
+    def encode(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
+        """Return the genes of a command set."""
+        return encode(commands, self.max_speed, self.durations)
+
+    def settings(self) -> dict[str, Any]:
+        """Return what makes the same family again."""
+        return {
+            "slots": self.slots,
+            "max_speed": self.max_speed,
+            "durations": list(self.durations),
         }
-        with files.new_folder(folder) as partial:
-            files.write_json(partial / "controller.json", FORMAT, VERSION, content)
-
-    @classmethod
-    def read(cls, folder: str | Path) -> Plan:
-        """Read and check a plan.
-
-        Raises:
-            FileError: naming file and field: a missing file or key, another version, kind or
-                inputs, a command that is not one, a prediction that does not fit the commands.
-        """
-        path = Path(folder) / "controller.json"
-        if not Path(folder).is_dir():
-            raise FileError(folder, "no such controller; expected a folder with controller.json")
-        kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
-        if kind != KIND:
-            raise FileError(path, f"expected {KIND!r}, found {kind!r}", field="kind")
-        content = files.read_json(
-            path,
-            FORMAT,
-            VERSION,
-            {
-                "inputs": list,
-                "commands": list,
-                "task": dict,
-                "start": list,
-                "simulator": dict,
-                "predicted": dict,
-                "evolution": dict,
-            },
-        )
-        names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
-        if tuple(names) != INPUTS:
-            raise FileError(path, f"expected the names {', '.join(INPUTS)}", field="inputs")
-        plan = cls(
-            commands=tuple(
-                _command(path, f"commands[{index}]", value)
-                for index, value in enumerate(content["commands"])
-            ),
-            task=content["task"],
-            start=_numbers(path, "start", content["start"]),
-            predicted=content["predicted"],
-            simulator=content["simulator"],
-            evolution=content["evolution"],
-        )
-        plan._check(path)
-        return plan
-
-    def _check(self, path: Path) -> None:
-        if not self.given:
-            raise FileError(path, "gives no command at all", field="commands")
-        if not isinstance(self.task.get("name"), str):
-            raise FileError(path, "expected the name of a task", field="task.name")
-        poses = self.predicted.get("poses")
-        if not isinstance(poses, list) or len(poses) != len(self.given) + 1:
-            raise FileError(
-                path,
-                f"expected {len(self.given) + 1} poses, the start and one for each given command",
-                field="predicted.poses",
-            )
-        for index, pose in enumerate(poses):
-            _numbers(path, f"predicted.poses[{index}]", pose)
-        _numbers(path, "predicted.rest", self.predicted.get("rest"))
-        if not _is_number(self.predicted.get("fitness")):
-            raise FileError(path, "expected a number", field="predicted.fitness")
-        if not isinstance(self.predicted.get("completes"), bool):
-            raise FileError(path, "expected true or false", field="predicted.completes")
-        probability = self.predicted.get("probability", 0.0)
-        if not _is_number(probability) or not 0 <= probability <= 1:
-            raise FileError(path, "expected a number in 0 to 1", field="predicted.probability")
 
 
-def _command(path: Path, field: str, value: Any) -> Command | None:
-    if value is None:
-        return None
-    left, right, duration = _numbers(path, field, value)
-    if max(abs(left), abs(right)) > 100 or duration <= 0:
-        raise FileError(
-            path,
-            f"expected speeds in -100 to 100 % and a duration above 0 s, found {value}",
-            field=field,
-        )
-    return left, right, duration
+@dataclass(frozen=True)
+class FixedPlan(Controller):
+    """One plan, as it was evolved or written by hand; it has no genes.
+
+    Attributes:
+        given: its commands, without null ones.
+    """
+
+    kind: ClassVar[str] = "plan"
+    blind: ClassVar[bool] = True
+    outputs: ClassVar[tuple[str, ...]] = COMMAND_NAMES
+    genes: ClassVar[int] = 0
+
+    given: tuple[Command, ...]
+
+    def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
+        """Return the commands [P, T, 3] of as many rows as ``genes`` has, and active [P, T]."""
+        commands = np.tile(np.array(self.given, np.float64), (len(genes), 1, 1))
+        return with_rest(commands, np.ones(commands.shape[:2], np.bool_), rest)
 
 
-def _numbers(path: Path, field: str, value: Any) -> tuple[float, float, float]:
-    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
-        raise FileError(path, f"expected three numbers, found {value!r:.60}", field=field)
-    return tuple(float(number) for number in value)
+def with_rest(commands: NDArray, active: NDArray, rest: float) -> tuple[NDArray, NDArray]:
+    """Return commands [P, K + 1, 3] and active [P, K + 1] with the stop at the end.
 
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    Args:
+        commands: [P, K, 3].
+        active: [P, K].
+        rest: how long the motors are stopped, s; 0: both are returned as they are.
+    """
+    if rest <= 0:
+        return commands, active
+    plans, slots, _ = commands.shape
+    longer, more = np.zeros((plans, slots + 1, 3)), np.zeros((plans, slots + 1), np.bool_)
+    longer[:, :slots], more[:, :slots] = commands, active
+    longer[:, slots, 2] = rest
+    return longer, more

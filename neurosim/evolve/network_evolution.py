@@ -143,7 +143,7 @@ class TableTrials:
 
         Args:
             genes: weights, row by row as in
-                :class:`~neurosim.controllers.network.NetworkController`.
+                :class:`~neurosim.controllers.network_files.NetworkController`.
             starts: poses.
             rng: of the noise; without one there is none.
             steps: of each; the task's by default.

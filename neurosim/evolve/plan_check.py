@@ -15,7 +15,8 @@ from neurosim.base.errors import UserError
 from neurosim.controllers import Plan
 from neurosim.evolve.plans import is_uncertain
 from neurosim.evolve.rollouts import PLACING, rollouts
-from neurosim.simulators.base import Simulator, read_simulator
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.registry import read_simulator
 from neurosim.tasks.base import Evaluation, Task, make_task
 
 #: 95 % of a normal distribution lie within this many standard deviations.

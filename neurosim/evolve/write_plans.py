@@ -10,7 +10,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import check_new_folder
 from neurosim.controllers import Plan
 from neurosim.evolve.plans import PlanResult, PlanSettings, evolve_plan
-from neurosim.simulators.base import read_simulator
+from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import named
 from neurosim.tasks.base import Task, make_task
 

@@ -15,7 +15,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.controllers import NetworkController, Plan
-from neurosim.controllers.network import KIND as NETWORK
+from neurosim.controllers.network_files import KIND as NETWORK
 from neurosim.simulators import TableSimulator, read_simulator
 from tracking.datasets.dataset import Dataset
 

@@ -1,37 +1,103 @@
-"""What every simulator offers, and how one is read from its folder."""
+"""What every simulator offers."""
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping
+from typing import Any, Protocol
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
-from neurosim.base import files
-from neurosim.base.errors import FileError
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Draws, Episode, Trajectory
 
 FORMAT, VERSION = "neurosim-simulator", 2
 
+#: How well a person puts a robot down at a mark: standard deviations in x and y (m), heading (rad).
+PLACING = (0.003, float(np.radians(0.5)))
 
-@runtime_checkable
-class Simulator(Protocol):
-    """Predicts the state that a command leads to, for a whole batch at once.
+
+class Rollouts(Protocol):
+    """Runs one kind of controller in a simulator, whole trials at once."""
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw outcomes, one from each of ``starts`` [R, 3].
+
+        Args:
+            starts: poses where the robot is put down.
+            rng: source of all that is drawn, or a seed.
+            placing: the robot is put down that exactly: standard deviations in x and y (m) and in
+                heading (rad). None: it stands there already.
+        """
+        ...
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R].
+
+        Args:
+            genes: a row for each individual.
+            draws: of :meth:`draw`; one that was made with ``starts`` alone stands for what the
+                simulator expects: no noise, the mean of the members.
+            reuse: whether the arrays may be overwritten by the next run.
+        """
+        ...
+
+
+class Simulator:
+    """Predicts the state that a command leads to, for a whole batch at once; subclass it.
 
     A simulator keeps no hidden state: what a trajectory must remember is in its ``state``. A
-    controller cannot tell which simulator it runs in.
+    controller cannot tell which simulator it runs in. Only ``state_names``, ``command_names``,
+    :meth:`start` and :meth:`step` must be given.
 
     Attributes:
+        kind: its name in files.
         state_names: the columns of a state; the first three are x (m), y (m), theta (rad).
-        command_names: the columns of a command.
+        command_names: the columns of a command; a ``duration`` (s), where there is one, is last.
+        reading_names: of the sensors that :meth:`sense` reads; none by default.
+        members: how many networks an ensemble has; a state may name one.
+        has_noise: whether :meth:`step` or :meth:`sense` draws noise where it is given a generator.
+        noise_width: where above 0, ``step`` and ``sense`` also take the numbers that the noise is
+            made of, ``z`` [B, noise_width], in place of a generator; see :meth:`draw_noise`.
+        domain: lowest and highest value of the command's columns that it was made from, by name;
+            a column that is not named has no limits.
     """
 
+    kind: str = "simulator"
     state_names: tuple[str, ...]
     command_names: tuple[str, ...]
+    reading_names: tuple[str, ...] = ()
+    members: int = 1
+    has_noise: bool = False
+    noise_width: int = 0
+
+    @property
+    def domain(self) -> Mapping[str, tuple[float, float]]:
+        """Return the limits of commands; see the class."""
+        return {}
+
+    @property
+    def uncertain(self) -> bool:
+        """Whether drawn outcomes differ: there is noise, or members that disagree."""
+        return self.has_noise or self.members > 1
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Return the states [B, S] of robots that stand still at ``pose`` [B, 3]."""
-        ...
+        """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
+
+        With a generator each draws the member that it moves as.
+        """
+        raise NotImplementedError
+
+    def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
+        """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
+        return self.start(pose)
 
     def step(
         self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
@@ -40,24 +106,70 @@ class Simulator(Protocol):
 
         Noise is drawn only where a generator is given; without one the answer is the mean.
         """
-        ...
+        raise NotImplementedError
+
+    def sense(self, state: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Return the readings [B, len(reading_names)] in 0..1 of robots in ``state`` [B, S]."""
+        raise NotImplementedError(f"{type(self).__name__} has no sensors")
+
+    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
+        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
+        raise NotImplementedError(f"{type(self).__name__} draws its noise itself")
+
+    def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64] | None:
+        """Return random poses [count, 3] where the robot fits; None: it knows of no place."""
+        return None
+
+    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
+        """Return compiled rollouts of a controller, where there are any; None: it is stepped.
+
+        What they compute is held to :meth:`step` by a test, for the same draws.
+        """
+        return None
 
 
-def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Simulator:
-    """Read a simulator of any kind.
+def as_seed(rng: np.random.Generator | int) -> int:
+    """Return a seed for PyTorch: the number itself, or one drawn."""
+    return rng if isinstance(rng, int) else int(rng.integers(2**62))
+
+
+def put_down(
+    starts: NDArray[np.float64], placing: tuple[float, float] | None, generator: torch.Generator
+) -> NDArray[np.float64]:
+    """Return poses [R, 3] that robots put down by hand at ``starts`` [R, 3] really have."""
+    if placing is None:
+        return np.asarray(starts, np.float64)
+    scatter = torch.randn(len(starts), 3, generator=generator, dtype=torch.float64).numpy()
+    return starts + scatter * np.array([placing[0], placing[0], placing[1]])
+
+
+def check_commands(simulator: Simulator, commands: NDArray, where: str = "commands") -> None:
+    """Refuse commands [..., C] that the simulator cannot have learned.
 
     Raises:
-        FileError: if the folder is not a simulator that this version reads, or a file in it is
-            missing, cut short or wrong.
+        UserError: naming the first one that is not finite, lasts no time, or lies outside the
+            domain, and what would be right.
     """
-    from neurosim.simulators.motion.network import MotionNetwork
-    from neurosim.simulators.tables.simulator import TableSimulator
-
-    path = Path(folder) / "simulator.json"
-    if not Path(folder).is_dir():
-        raise FileError(folder, "no such simulator; expected a folder with simulator.json")
-    kinds = {cls.kind: cls for cls in (MotionNetwork, TableSimulator)}
-    kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
-    if kind not in kinds:
-        raise FileError(path, f"expected one of {', '.join(kinds)}, found {kind!r}", field="kind")
-    return kinds[kind].read(folder, device)
+    names = simulator.command_names
+    if commands.shape[-1] != len(names):
+        raise UserError(
+            f"{where} have {commands.shape[-1]} columns, but this simulator takes "
+            f"{len(names)}: {', '.join(names)}"
+        )
+    flat = commands.reshape(-1, len(names))
+    for place, name in enumerate(names):
+        column = flat[:, place]
+        low, high = simulator.domain.get(name, (-np.inf, np.inf))
+        if name == "duration":
+            low = max(low, 0.0)
+        wrong = ~np.isfinite(column) | (column < low) | (column > high)
+        if name == "duration":
+            wrong |= column <= 0.0
+        if wrong.any():
+            at = np.unravel_index(int(wrong.argmax()), commands.shape[:-1])
+            value, index = column[wrong.argmax()], "".join(f"[{i}]" for i in at)
+            asked = f"{low:g} to {high:g}" if np.isfinite([low, high]).any() else "a number"
+            raise UserError(
+                f"{where}{index}: {name} = {value:g} is not in what this simulator was made "
+                f"from: {asked}"
+            )

@@ -18,6 +18,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.progress import Progress
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.files import write_motion
 from neurosim.training.base import Trainer, TrainingData
 from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
@@ -167,7 +168,7 @@ def train(
         "wall_clock": {"training_seconds": round(run.seconds, 1)},
     }
     with files.new_folder(out) as folder:
-        simulator.write(folder)
+        write_motion(simulator, folder)
     checkpoint.remove()
     return simulator
 

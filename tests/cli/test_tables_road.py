@@ -16,7 +16,8 @@ from neurosim.cli.main import cli
 from neurosim.controllers import Plan, read_controller
 from neurosim.evolve.network_evolution import NetworkSettings
 from neurosim.sampling import FORMAT, VERSION
-from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators import read_simulator
+from neurosim.simulators.motion.files import read_motion
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.samples import Samples
 from neurosim.trials.networks import RobotTrials
@@ -328,4 +329,4 @@ def test_broken_folders_are_named(folder, tmp_path):
     with pytest.raises(FileError, match=r"weights\.safetensors: no such file"):
         read_controller(tmp_path / "net")
     with pytest.raises(FileError, match="expected 'motion-network', found 'tables'"):
-        MotionNetwork.read(tmp_path / "sim")
+        read_motion(tmp_path / "sim")

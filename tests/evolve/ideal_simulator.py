@@ -2,8 +2,10 @@
 
 import torch
 
+from neurosim.simulators.base import Simulator
 
-class IdealWheels:
+
+class IdealWheels(Simulator):
     """Follows its motors at once and without slip; 0.5 m/s at full speed, axle track 0.13 m."""
 
     state_names = ("x", "y", "theta", "prev_left", "prev_right")

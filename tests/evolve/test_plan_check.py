@@ -14,6 +14,7 @@ from neurosim.controllers import Plan
 from neurosim.evolve.plan_check import check_commands, check_plan, wilson
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.files import write_motion
 from neurosim.tasks.nine_rectangles import NineRectangles
 
 TASK = NineRectangles()
@@ -100,7 +101,7 @@ def test_a_simulator_that_knows_one_outcome_is_refused():
 def test_the_verb_reads_folders(tmp_path):
     plan((10.0, 10.0, 1.0), None, (-20.0, 30.0, 2.0)).write(tmp_path / "plan")
     (tmp_path / "simulator").mkdir()
-    motion_network(4).write(tmp_path / "simulator")
+    write_motion(motion_network(4), tmp_path / "simulator")
     words = [str(tmp_path / "plan"), str(tmp_path / "simulator"), "--draws", "200"]
     result = CliRunner().invoke(plan_check, words, catch_exceptions=False)
     assert result.exit_code == 0

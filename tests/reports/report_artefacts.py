@@ -9,6 +9,7 @@ from neurosim.base import files, se2
 from neurosim.controllers import Plan
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.files import write_motion
 from tracking.datasets import dataset
 
 INPUTS = [{"name": name, "unit": unit} for name, unit in dataset.MOTOR_INPUTS.items()]
@@ -122,7 +123,7 @@ def make_simulator(folder, dataset_folder, seed=0):
         meta=meta,
     )
     folder.mkdir(parents=True)
-    simulator.write(folder)
+    write_motion(simulator, folder)
     return folder
 
 

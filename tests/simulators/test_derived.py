@@ -9,6 +9,7 @@ from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
+from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.kernels import displacement, network_inputs
 from neurosim.simulators.motion.noise import CommandFeatures
 
@@ -74,7 +75,7 @@ def test_the_compiled_form_agrees(derived):
 
 def test_written_and_read(tmp_path):
     sim = simulator(Derived(True, 0.03))
-    sim.write(tmp_path)
+    write_motion(sim, tmp_path)
     again = read_simulator(tmp_path)
     assert again.derived == sim.derived
     assert Derived.of(sim.derived.tensor()) == sim.derived
@@ -84,7 +85,7 @@ def test_written_and_read(tmp_path):
 
 @pytest.mark.parametrize("wrong", [{"swing": "left"}, {"moving": 1}, {"swing": 2.0}, {"more": 1}])
 def test_a_wrong_description_is_refused(tmp_path, wrong):
-    simulator(Derived(True, 0.03)).write(tmp_path)
+    write_motion(simulator(Derived(True, 0.03)), tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(content | {"derived": wrong}), encoding="utf-8")

@@ -9,6 +9,7 @@ from neurosim.base import se2
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork, Simulator, read_simulator
+from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.network import compose, exp
 
 MOTORS = [
@@ -120,7 +121,7 @@ def test_twist_coordinates_are_carried_round_the_arc():
 
 @pytest.fixture
 def folder(tmp_path):
-    random_network(coordinates="twist", meta={"training": {"seed": 7}}).write(tmp_path)
+    write_motion(random_network(coordinates="twist", meta={"training": {"seed": 7}}), tmp_path)
     return tmp_path
 
 
@@ -186,6 +187,6 @@ def test_a_file_cut_in_half_is_refused(folder, name):
 def test_weights_that_cannot_be_are_refused(folder, name, value, says):
     simulator = random_network()
     getattr(simulator, name).view(-1)[0] = value
-    simulator.write(folder)
+    write_motion(simulator, folder)
     with pytest.raises(FileError, match=says):
         read_simulator(folder)

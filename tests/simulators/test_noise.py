@@ -13,6 +13,7 @@ from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion import kernels
+from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.noise import (
     DRAWS,
     HEAVIEST,
@@ -226,7 +227,7 @@ def test_the_mean_is_a_network_of_its_own_or_the_members_average():
 
 def test_ensembles_and_noise_are_written_and_read(tmp_path):
     noisy = simulator(noise=noise_model())
-    noisy.write(tmp_path)
+    write_motion(noisy, tmp_path)
     again = read_simulator(tmp_path)
     assert again.central
     assert again.members == 3
@@ -239,7 +240,7 @@ def test_ensembles_and_noise_are_written_and_read(tmp_path):
 
 
 def test_a_noise_model_of_another_kind_is_refused(tmp_path):
-    simulator(noise=noise_model()).write(tmp_path)
+    write_motion(simulator(noise=noise_model()), tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text())
     content["noise"]["kind"] = "lasting-cholesky-lognormal"
@@ -252,7 +253,7 @@ def test_folders_of_version_1_are_read(tmp_path):
     """They had one member, no noise and no dead zone."""
     sim = simulator(members=1, central=False)
     sim.dead_zone = torch.zeros_like(sim.dead_zone)
-    sim.write(tmp_path)
+    write_motion(sim, tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text())
     for name in ("members", "central", "noise"):

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,9 +20,10 @@ import torch
 from torch import Tensor
 
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
+from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernels import Arrays
-from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel, disturb
+from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
@@ -34,7 +34,7 @@ OUTPUTS = ("dx", "dy", "dtheta")
 COORDINATES = {"displacement": 3, "twist": 3, "twist-offset": 5}
 
 
-class MotionNetwork:
+class MotionNetwork(Simulator):
     """A simulator of a robot in the plane, learned from a dataset.
 
     A trajectory keeps one member of the ensemble from its start to its end; the column
@@ -135,6 +135,20 @@ class MotionNetwork:
         """How many networks of each output there are."""
         return len(self.genes) - self.central
 
+    @property
+    def has_noise(self) -> bool:
+        """Whether there is a noise model."""
+        return self.noise is not None
+
+    @property
+    def noise_width(self) -> int:
+        """How many numbers the noise of a command is made of."""
+        return 0 if self.noise is None else DRAWS
+
+    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
+        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
+        return self.noise.draw(rows, steps, generator)
+
     def start(
         self,
         pose: Tensor,
@@ -157,18 +171,27 @@ class MotionNetwork:
             state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
         return state
 
+    def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
+        """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
+        return self.start(pose, member=member)
+
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
         """Return a member for each trajectory, [rows], all alike probable."""
         device = generator.device
         return torch.randint(self.members, (rows,), generator=generator, device=device)
 
     def step(
-        self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
+        self,
+        state: Tensor,
+        command: Tensor,
+        generator: torch.Generator | None = None,
+        z: Tensor | None = None,
     ) -> Tensor:
         """Return the states [B, S] after ``command`` [B, C] was carried out from ``state``.
 
-        With a generator, and where there is a noise model, fresh noise is drawn for every row;
-        without one the answer is the mean of the row's member.
+        With a generator, and where there is a noise model, fresh noise is drawn for every row; or
+        it is made of the numbers ``z`` [B, noise_width]. Without either the answer is the mean of
+        the row's member.
         """
         inputs = torch.cat([state[:, self._remembered], command], dim=1)[:, self._order]
         member = state[:, self._remembered.stop].long() if self.members > 1 else -1
@@ -176,6 +199,7 @@ class MotionNetwork:
         rest = state[:, self._remembered.stop :]
         if generator is not None and self.noise is not None:
             z = self.noise.draw(len(moved), 1, generator)[:, 0]
+        if z is not None:
             moved = self.disturbed(inputs, moved, z)
         pose = compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], rest], dim=1)
@@ -274,19 +298,6 @@ class MotionNetwork:
             moving=self.derived.moving,
             swing=math.nan if self.derived.swing is None else self.derived.swing,
         )
-
-    def write(self, folder: str | Path) -> None:
-        """Write simulator.json and weights.safetensors into an existing folder."""
-        from neurosim.simulators.motion.files import write_motion
-
-        write_motion(self, folder)
-
-    @classmethod
-    def read(cls, folder: str | Path, device: str | torch.device = "cpu") -> MotionNetwork:
-        """Read and check a motion network; see :func:`motion_files.read_motion`."""
-        from neurosim.simulators.motion.files import read_motion
-
-        return read_motion(folder, device)
 
 
 def compose(pose: Tensor, displacement: Tensor) -> Tensor:

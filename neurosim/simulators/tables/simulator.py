@@ -31,7 +31,7 @@ from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
-from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.base import FORMAT, VERSION, Simulator
 from neurosim.simulators.motion.network import compose, exp
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.kernels import PASSES, SLACK, TableArrays
@@ -48,7 +48,7 @@ STEP = 0.1
 
 
 @dataclass(frozen=True, eq=False)
-class TableSimulator:
+class TableSimulator(Simulator):
     """A simulator of a robot in an arena, from tables.
 
     Attributes:
@@ -94,17 +94,54 @@ class TableSimulator:
         """Return this simulator with another arena, noise or other attributes."""
         return replace(self, **changes)
 
+    @property
+    def has_noise(self) -> bool:
+        """Whether there is noise on sensors and motors."""
+        return self.noise != "none"
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:
+        """Names of the sensors."""
+        return tuple(f"sensor_{index}" for index in range(self.sensors.mean.shape[-1]))
+
+    @property
+    def noise_width(self) -> int:
+        """Of every step: one number a sensor, and three for the motion."""
+        return len(self.reading_names) + 3
+
+    @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """The speeds (%) that the motors were sampled at."""
+        levels = float(self.motors.levels[0]), float(self.motors.levels[-1])
+        return {"left": levels, "right": levels}
+
+    def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
+        """Return random poses [count, 3] where the robot touches nothing."""
+        return self.arena.free_poses(count, self.radius, rng)
+
+    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
+        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
+        shape = (rows, steps, self.noise_width)
+        if self.noise == "uniform":
+            return 2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0
+        return torch.randn(shape, generator=generator, dtype=torch.float64)
+
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, 7] of robots that stand at ``pose`` [B, 3] (m, m, rad)."""
         pose = pose.to(self._tensors["twist"])
         return torch.cat([pose, pose.new_zeros(len(pose), 4)], dim=1)
 
     def step(
-        self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
+        self,
+        state: Tensor,
+        command: Tensor,
+        generator: torch.Generator | None = None,
+        z: Tensor | None = None,
     ) -> Tensor:
         """Return the states [B, 7] after ``command`` [B, 3] (%, %, s); see the module.
 
-        Noise is drawn only where a generator is given.
+        Noise is drawn only where a generator is given, or made of the last three of the numbers
+        ``z`` [B, noise_width].
         """
         t, a = self._tensors, self.arrays
         command = command.to(t["twist"])
@@ -114,11 +151,10 @@ class TableSimulator:
             goal = a.resolution * (goal / a.resolution).round()
         pose, speeds, last_goal = state[:, :3], state[:, 3:5], state[:, 5:7]
         noise = torch.zeros_like(pose)
-        if generator is not None and self.noise != "none":
-            draw = torch.rand if self.noise == "uniform" else torch.randn
-            z = draw(pose.shape, generator=generator, dtype=pose.dtype, device=pose.device)
+        if self.noise != "none" and (generator is not None or z is not None):
+            z = self._numbers(pose, generator) if z is None else z[:, -3:].to(pose)
             if self.noise == "uniform":
-                noise = duration.sqrt() * t["twist_noise"] * (2.0 * z - 1.0)
+                noise = duration.sqrt() * t["twist_noise"] * z
             else:
                 noise = duration.sqrt() * self._motion(t["twist_spread"], goal) * z
         parts = torch.as_tensor(self.substeps(command[:, 2].cpu().numpy()), device=pose.device)
@@ -134,10 +170,16 @@ class TableSimulator:
             speeds = torch.where(here, reached, speeds)
         return torch.cat([pose, speeds, goal], dim=1)
 
-    def sense(self, state: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Return the readings [B, 8] in 0..1 of robots in ``state`` [B, 7], or at poses [B, 3].
+    def sense(
+        self,
+        state: Tensor,
+        generator: torch.Generator | None = None,
+        z: Tensor | None = None,
+    ) -> Tensor:
+        """Return the readings [B, S] in 0..1 of robots in ``state`` [B, 7], or at poses [B, 3].
 
-        Noise is drawn only where a generator is given.
+        Noise is drawn only where a generator is given, or made of the first S of the numbers
+        ``z`` [B, noise_width].
         """
         t = self._tensors
         to, distance, kind = self._objects(state)
@@ -153,11 +195,10 @@ class TableSimulator:
             for name in ("excess", "variance")
         }
         reading = t["ambient"] + looked_up["excess"]
-        if generator is not None and self.noise != "none":
-            draw = torch.rand if self.noise == "uniform" else torch.randn
-            z = draw(reading.shape, generator=generator, dtype=reading.dtype, device=reading.device)
+        if self.noise != "none" and (generator is not None or z is not None):
+            z = self._numbers(reading, generator) if z is None else z[:, :-3].to(reading)
             if self.noise == "uniform":
-                reading = reading + self.noise_level * (2.0 * z - 1.0)
+                reading = reading + self.noise_level * z
             else:
                 reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
         return reading.clamp(0.0, 1.0)
@@ -220,6 +261,13 @@ class TableSimulator:
             for name, value in arrays.items()
             if isinstance(value, np.ndarray) and name not in ("hiding", "corners")
         }
+
+    def _numbers(self, like: Tensor, generator: torch.Generator) -> Tensor:
+        """Draw numbers for noise, of the shape of something."""
+        options = {"generator": generator, "dtype": like.dtype, "device": like.device}
+        if self.noise == "uniform":
+            return 2.0 * torch.rand(like.shape, **options) - 1.0
+        return torch.randn(like.shape, **options)
 
     def _objects(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return vectors to nearest points [B, K, 2], distances [B, K] from rim and kinds [K].

@@ -1,0 +1,99 @@
+"""Things by name: ours, those of other packages (entry points), and a script's own (one call)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from importlib import import_module
+from importlib.metadata import EntryPoint, entry_points
+from operator import attrgetter
+from typing import Any
+
+from neurosim.base.errors import UserError
+
+
+class Registry:
+    """The things of one kind that can be named, such as tasks.
+
+    A name is looked for among those that were registered by a call, then among ours, then among
+    the entry points of installed packages in the group ``neurosim.<plural>``.
+
+    Attributes:
+        what: one such thing, for messages.
+        group: of the entry points.
+    """
+
+    def __init__(self, what: str, group: str, own: Mapping[str, str]):
+        """Make a registry.
+
+        Args:
+            what: one such thing, for messages.
+            group: of the entry points.
+            own: name -> ``module:attribute``, imported when it is asked for.
+        """
+        self.what, self.group = what, group
+        self._own = dict(own)
+        self._registered: dict[str, Any] = {}
+
+    def register(self, name: str, item: Any = None) -> Any:
+        """Add a thing under a name; it then works wherever a name is taken. Also a decorator.
+
+        Raises:
+            UserError: if one of ours has the name.
+        """
+        if name in self._own:
+            raise UserError(f"the name {name!r} is taken by neurosim's own {self.what}")
+        if item is None:
+
+            def add(item: Any) -> Any:
+                self._registered[name] = item
+                return item
+
+            return add
+        self._registered[name] = item
+        return item
+
+    def names(self) -> list[str]:
+        """Return all names, ours first."""
+        others = {*self._registered, *self._points()} - set(self._own)
+        return [*self._own, *sorted(others)]
+
+    def get(self, name: str) -> Any:
+        """Return what has this name.
+
+        Raises:
+            UserError: if nothing has, or its package cannot be imported.
+        """
+        if name in self._registered:
+            return self._registered[name]
+        if name in self._own:
+            module, _, attribute = self._own[name].partition(":")
+            return attrgetter(attribute)(import_module(module))
+        point = self._points().get(name)
+        if point is None:
+            raise UserError(
+                f"there is no {self.what} {name!r}; there is {', '.join(self.names()) or 'none'}"
+            )
+        try:
+            return point.load()
+        except Exception as error:
+            raise UserError(
+                f"the {self.what} {name!r} ({point.value}) does not load: {error}"
+            ) from None
+
+    def make(self, name: str, settings: Mapping[str, Any]) -> Any:
+        """Call what has this name with settings as keywords.
+
+        Raises:
+            UserError: if there is none, or it does not take the settings.
+        """
+        maker: Callable[..., Any] = self.get(name)
+        try:
+            return maker(**settings)
+        except TypeError as error:
+            given = ", ".join(map(repr, settings)) or "none"
+            raise UserError(
+                f"the {self.what} {name} does not take these settings ({given}): {error}"
+            ) from None
+
+    def _points(self) -> dict[str, EntryPoint]:
+        return {point.name: point for point in entry_points(group=self.group)}

@@ -1,0 +1,136 @@
+"""What a robot did, simulated or driven, how long a trial is, and outcomes that are drawn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """What robots met, did and where they were; leading axes ``...`` are trials.
+
+    A trajectory has T intervals, in each of which one command holds. In a simulation an interval
+    is a command; of a robot that was filmed it is the time between two frames, so that several
+    intervals may belong to one command.
+
+    Attributes:
+        poses: [..., T + 1, 3] x (m), y (m), heading (rad, unwrapped) in the board's frame, before
+            the first interval and after each; None where nobody saw them.
+        commands: [..., T, C] as the controller gave them; the columns of motor commands are left
+            and right (% of full speed) and, where a controller chooses it, the duration (s).
+        durations: [..., T] of the intervals, s, or one for all.
+        readings: [..., T, S] of the sensors at the beginning of each interval, 0..1, or None.
+        active: [..., T] bool, whether an interval belongs to a command of the controller: not a
+            null command, nor the motors running down at the end. None: all do.
+        segment: [T] the index of the command that each interval belongs to, never decreasing;
+            None: each is a command of its own.
+    """
+
+    poses: NDArray[np.float64] | None
+    commands: NDArray
+    durations: NDArray[np.float64] | float
+    readings: NDArray | None = None
+    active: NDArray[np.bool_] | None = None
+    segment: NDArray[np.int64] | None = None
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """The leading axes."""
+        return self.commands.shape[:-2]
+
+    @property
+    def times(self) -> NDArray[np.float64]:
+        """Return the times of the poses since the start, s, [..., T + 1]."""
+        each = np.broadcast_to(self.durations, self.commands.shape[:-1])
+        return np.concatenate([np.zeros_like(each[..., :1]), np.cumsum(each, axis=-1)], axis=-1)
+
+    @classmethod
+    def of_track(
+        cls,
+        times: ArrayLike,
+        poses: ArrayLike,
+        segment: ArrayLike,
+        commands: ArrayLike,
+        active: ArrayLike | None = None,
+        readings: ArrayLike | None = None,
+    ) -> Trajectory:
+        """Return one driven trajectory, of all poses that were seen.
+
+        A command during which no pose was seen still is a command: it gets an interval on the
+        spot. An interval belongs to the command in which it ends.
+
+        Args:
+            times: [M] of the poses, s, rising.
+            poses: [M, 3], finite.
+            segment: [M] never decreasing: the index of the command during which each was seen.
+            commands: [K, C] what was sent.
+            active: [K] bool; False for what is no command of the controller.
+            readings: [K, S] when each command was sent, or None.
+
+        Raises:
+            ValueError: if there is no pose, or the lengths do not fit.
+        """
+        times, poses = np.asarray(times, np.float64), np.asarray(poses, np.float64)
+        segment, commands = np.asarray(segment), np.asarray(commands)
+        if len(poses) == 0 or not len(poses) == len(segment) == len(times):
+            raise ValueError("expected at least one pose, and a time and a segment for each")
+        silent = np.setdiff1d(np.arange(len(commands)), segment[1:])
+        order = np.argsort(np.concatenate([segment[1:], silent]), kind="stable")
+        steps = np.concatenate([segment[1:], silent])[order]
+        seen = np.concatenate([np.arange(1, len(poses)), np.full(len(silent), -1)])[order]
+        arrivals = np.maximum.accumulate(np.concatenate([[0], seen]))
+        return cls(
+            poses=poses[arrivals],
+            commands=commands[steps],
+            durations=np.diff(times[arrivals]),
+            readings=None if readings is None else np.asarray(readings)[steps],
+            active=None if active is None else np.asarray(active, np.bool_)[steps],
+            segment=steps,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """How a trial runs, as far as simulators need to know.
+
+    Attributes:
+        step: a controller that sees is asked for a command so often, s.
+        steps: how many times.
+        rest: in the end the motors are stopped for so long, s; 0: the trial ends moving.
+        goals: [N, 3] poses that are to be reached in turn; a controller may be told where the
+            next one is. None: there are none.
+        reach: a goal is reached, and the next one comes, within this distance of it, m.
+        readings: whether the fitness needs the sensors' readings.
+    """
+
+    step: float = 0.1
+    steps: int = 300
+    rest: float = 0.0
+    goals: NDArray[np.float64] | None = None
+    reach: float = 0.05
+    readings: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Draws:
+    """Outcomes that were drawn, to be met by every controller alike (common random numbers).
+
+    Attributes:
+        starts: [R, 3] where the robot stands at first (m, m, rad, board frame).
+        member: [R] which of the simulator's members it moves as, -1 for the mean; None where a
+            simulator has no members.
+        noise: [R, T, Z] numbers for the noise of every step, as the simulator's ``step`` and
+            ``sense`` take them; None where there is no noise, or it comes from ``seeds``.
+        seeds: [R] uint64 from which compiled rollouts make the noise as they go, or None.
+    """
+
+    starts: NDArray[np.float64]
+    member: NDArray[np.int64] | None = None
+    noise: NDArray[np.float64] | None = None
+    seeds: NDArray[np.uint64] | None = None
+
+    def __len__(self) -> int:
+        return len(self.starts)

@@ -1,0 +1,173 @@
+"""What every controller offers: genes <-> controller, and what it does at each step.
+
+A controller here is a family: which inputs it has, which commands it gives, and how many genes say
+all the rest. An individual is a row of genes. A batch of B individuals acts at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base.errors import UserError
+from neurosim.networks.control import NetworkArrays
+
+#: What a controller may be told beside the readings of sensors. The pose is in the board's frame;
+#: the next goal is in the robot's: ahead and to the left (m), and how much it must turn there.
+POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
+GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")
+TIME_INPUTS = ("time",)
+NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS)
+
+#: The command columns of a robot with two driven wheels, %.
+WHEELS = ("left", "right")
+
+
+class Controller:
+    """A family of controllers; subclass it, give ``genes`` and :meth:`act`.
+
+    Attributes:
+        kind: its name in files and on the command line.
+        inputs: what it observes, by name: readings of sensors as the simulator and the robot name
+            them, or :data:`POSE_INPUTS`, :data:`GOAL_INPUTS`, :data:`TIME_INPUTS`.
+        outputs: columns of the commands that it gives, without a duration: a controller that sees
+            is asked again after every step of the trial.
+        genes: how many an individual has.
+        memory: how many numbers it carries from step to step.
+        blind: whether all its commands are known beforehand, see :meth:`commands`.
+    """
+
+    kind: ClassVar[str] = "controller"
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = WHEELS
+    genes: int = 0
+    memory: int = 0
+    blind: bool = False
+
+    def first(self, count: int, generator: torch.Generator) -> Tensor:
+        """Return a first population, [count, genes], float64: standard normal genes."""
+        return torch.randn(count, self.genes, generator=generator, dtype=torch.float64)
+
+    def start(self, rows: int) -> Tensor:
+        """Return the memory [rows, memory] at the beginning of a trial: zeros."""
+        return torch.zeros(rows, self.memory, dtype=torch.float64)
+
+    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return commands [B, C] (%) and memory [B, memory] after one step.
+
+        Args:
+            genes: [B, genes] of as many individuals.
+            observation: [B, len(inputs)].
+            memory: [B, memory] as :meth:`start` or the step before returned it.
+        """
+        raise NotImplementedError
+
+    def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
+        """Return all commands of a blind controller.
+
+        Args:
+            genes: [P, genes].
+            rest: the motors are stopped for so long at the end, s; 0: not at all.
+
+        Returns:
+            Commands [P, T, 3] (left %, right %, duration s) and active [P, T] bool; a command
+            that is not active is not given. With ``rest`` the last is the stop, not active.
+        """
+        raise NotImplementedError
+
+    def arrays(self) -> NetworkArrays | None:
+        """Return what compiled rollouts compute with; None: there are none for this kind."""
+        return None
+
+    def settings(self) -> dict[str, Any]:
+        """Return what makes the same family again, for JSON."""
+        return {}
+
+
+def check_inputs(controller: Controller, readings: Sequence[str], goals: bool, where: str) -> None:
+    """Refuse a controller that needs what is not there.
+
+    Args:
+        controller: any.
+        readings: names of the sensors that there are.
+        goals: whether the task gives goals.
+        where: the simulator or robot, for the message.
+
+    Raises:
+        UserError: naming what is missing.
+    """
+    known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(GOAL_INPUTS if goals else ())}
+    missing = [name for name in controller.inputs if name not in known]
+    if missing:
+        there = ", ".join(readings) if readings else "no sensors"
+        why = "the task gives no goals" if set(missing) <= set(GOAL_INPUTS) else f"it has {there}"
+        raise UserError(
+            f"the controller ({controller.kind}) needs {', '.join(missing)}, which {where} does "
+            f"not offer: {why}"
+        )
+
+
+def observe(
+    inputs: Sequence[str],
+    readings: Tensor | None,
+    reading_names: Sequence[str],
+    pose: Tensor,
+    goal: Tensor | None,
+    time: float,
+) -> Tensor:
+    """Return what controllers observe, [B, len(inputs)].
+
+    Args:
+        inputs: names, in order.
+        readings: [B, S], or None where no input is a reading.
+        reading_names: of the S sensors.
+        pose: [B, 3] x (m), y (m), heading (rad).
+        goal: [B, 3] the next goal's pose in the board's frame, or None.
+        time: since the start, s.
+    """
+    columns = []
+    for name in inputs:
+        if name in POSE_INPUTS:
+            place = POSE_INPUTS.index(name)
+            columns.append(pose[:, place] if place < 2 else _circle(pose[:, 2], place - 2))
+        elif name in GOAL_INPUTS:
+            assert goal is not None
+            place = GOAL_INPUTS.index(name)
+            if place < 2:
+                away, cos, sin = goal[:, :2] - pose[:, :2], pose[:, 2].cos(), pose[:, 2].sin()
+                ahead = cos * away[:, 0] + sin * away[:, 1]
+                left = cos * away[:, 1] - sin * away[:, 0]
+                columns.append(left if place else ahead)
+            else:
+                columns.append(_circle(goal[:, 2] - pose[:, 2], place - 2))
+        elif name in TIME_INPUTS:
+            columns.append(torch.full_like(pose[:, 0], time))
+        else:
+            assert readings is not None
+            columns.append(readings[:, list(reading_names).index(name)].to(pose))
+    return torch.stack(columns, dim=1) if columns else pose.new_zeros(len(pose), 0)
+
+
+def _circle(angle: Tensor, place: int) -> Tensor:
+    return angle.sin() if place else angle.cos()
+
+
+def input_sources(inputs: Sequence[str], reading_names: Sequence[str]) -> NDArray[np.int64]:
+    """Return where each input comes from, as compiled rollouts take it, [I].
+
+    The index of a sensor, or -1 - the place in :data:`NOT_READINGS`.
+    """
+    return np.array(
+        [
+            -1 - NOT_READINGS.index(name)
+            if name in NOT_READINGS
+            else list(reading_names).index(name)
+            for name in inputs
+        ],
+        np.int64,
+    )

@@ -1,0 +1,57 @@
+"""Any Python function as a controller."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from neurosim.controllers.base import WHEELS, Controller
+
+#: Takes what is observed, name -> [B], and where the controller has genes these, [B, G]; returns
+#: one array (or number) for each output.
+Rule = Callable[..., Sequence[ArrayLike]]
+
+
+@dataclass(frozen=True)
+class Function(Controller):
+    """A controller that is a Python function, with or without genes.
+
+    The function works on a whole batch: it is given arrays, one number a robot::
+
+        def away(seen):
+            return 60 - 80 * seen["sensor_3"], 60 - 80 * seen["sensor_2"]
+
+        controller = Function(away, inputs=("sensor_2", "sensor_3"))
+
+    Attributes:
+        function: see :data:`Rule`.
+        inputs: what it observes.
+        genes: how many numbers evolution may choose.
+        outputs: columns of the command.
+    """
+
+    kind: ClassVar[str] = "function"
+
+    function: Rule
+    inputs: tuple[str, ...] = ()
+    genes: int = 0
+    outputs: tuple[str, ...] = WHEELS
+
+    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return commands [B, C] and the memory, which is none."""
+        seen: Mapping[str, NDArray] = dict(
+            zip(self.inputs, observation.cpu().numpy().T, strict=True)
+        )
+        found = self.function(seen, genes.cpu().numpy()) if self.genes else self.function(seen)
+        columns = [np.broadcast_to(np.asarray(one, float), len(observation)) for one in found]
+        return torch.from_numpy(np.stack(columns, axis=1)).to(observation), memory
+
+    def settings(self) -> dict[str, Any]:
+        """Return nothing: a function is found again by the name it was registered with."""
+        return {}
