@@ -1,3 +1,3 @@
-from cli_road import road
+from cli_pipeline import pipeline
 
-__all__ = ["road"]
+__all__ = ["pipeline"]

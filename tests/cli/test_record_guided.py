@@ -8,8 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from cli_road import neurosim
-from test_road import wait_for
+from cli_pipeline import neurosim, wait_for
 
 from neurosim.cli._guided import Rounds
 from neurosim.lab import read_truth
@@ -50,8 +49,8 @@ def test_what_cannot_be_guided_is_refused_in_a_sentence(words, says, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
-def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(road, tmp_path):
-    words = [*WORDS, "--calibration", str(road / "calibration.json")]
+def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipeline, tmp_path):
+    words = [*WORDS, "--calibration", str(pipeline / "calibration.json")]
     child = subprocess.Popen(
         [sys.executable, "-m", "neurosim", *words],
         cwd=tmp_path,

@@ -42,15 +42,15 @@ def refused(tmp_path, monkeypatch, capsys):
 
 
 @pytest.fixture
-def copy(road, tmp_path):
-    """Copy parts of the road that was walked into the folder of the test."""
+def copy(pipeline, tmp_path):
+    """Copy parts of the pipeline that was walked into the folder of the test."""
 
     def make(name: str):
         target = tmp_path / name
-        if (road / name).is_dir():
-            shutil.copytree(road / name, target)
+        if (pipeline / name).is_dir():
+            shutil.copytree(pipeline / name, target)
         else:
-            shutil.copyfile(road / name, target)
+            shutil.copyfile(pipeline / name, target)
         return target
 
     return make

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from khepera_data import made_up
-from test_report import Page
+from report_page import Page
 
 from neurosim.base.errors import FileError
 from neurosim.controllers import NetworkController

@@ -1,10 +1,11 @@
-"""The road walked once, in the virtual lab, through the command line."""
+"""The pipeline walked once, in the virtual lab, through the command line."""
 
 from __future__ import annotations
 
 import json
 import subprocess
 import sys
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -26,8 +27,19 @@ def neurosim(*words, cwd, check=True, timeout=240) -> subprocess.CompletedProces
     return done
 
 
+def wait_for(child, log, word, count):
+    """Return when a log that another process writes holds a word so often."""
+    deadline = time.monotonic() + 240
+    while not log.exists() or log.read_text().count(word) < count:
+        assert child.poll() is None, "it ended by itself"
+        if time.monotonic() > deadline:
+            child.kill()
+            pytest.fail(f"{log.name} does not grow")
+        time.sleep(0.02)
+
+
 @dataclass
-class Road:
+class Pipeline:
     """Where everything stands, and what each verb printed with --json."""
 
     folder: Path
@@ -38,9 +50,9 @@ class Road:
 
 
 @pytest.fixture(scope="session")
-def road(tmp_path_factory) -> Road:
+def pipeline(tmp_path_factory) -> Pipeline:
     """Sixty commands are no data to learn from, but every verb has its turn."""
-    folder = tmp_path_factory.mktemp("road")
+    folder = tmp_path_factory.mktemp("pipeline")
     steps = {
         "photographs": "lab photographs photographs --count 8",
         "calibrate": "calibrate photographs --square 40 --points photographs/points.csv",
@@ -56,4 +68,4 @@ def road(tmp_path_factory) -> Road:
     printed = {}
     for name, line in steps.items():
         printed[name] = json.loads(neurosim(*line.split(), "--json", cwd=folder).stdout)
-    return Road(folder, printed)
+    return Pipeline(folder, printed)

@@ -6,30 +6,29 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
-from cli_road import neurosim
+from cli_pipeline import neurosim, wait_for
 
 from neurosim.lab import read_truth
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.recordings import Recording
 
 
-def test_the_camera_is_learned_from_photographs(road):
-    assert road.printed["calibrate"]["rms_px"] < 0.2
+def test_the_camera_is_learned_from_photographs(pipeline):
+    assert pipeline.printed["calibrate"]["rms_px"] < 0.2
 
 
-def test_every_command_is_recorded_to_its_end(road):
-    printed = road.printed["record"]
+def test_every_command_is_recorded_to_its_end(pipeline):
+    printed = pipeline.printed["record"]
     assert printed["commands"] == 60
     assert printed["sent"] - printed["cut"] == 60
 
 
-def test_tracked_poses_are_where_the_robot_was(road):
-    poses = Recording(road / "recording").poses()
-    truth = read_truth(road / "recording")
+def test_tracked_poses_are_where_the_robot_was(pipeline):
+    poses = Recording(pipeline / "recording").poses()
+    truth = read_truth(pipeline / "recording")
     seen = poses.quality > 0
     assert seen.mean() > 0.99
     # Poses are on the clock of what was sent; the radio carries it some 20 ms later.
@@ -39,10 +38,10 @@ def test_tracked_poses_are_where_the_robot_was(road):
     assert np.sqrt(np.mean(error[:, 2] ** 2)) < np.radians(0.3)
 
 
-def test_without_the_flashes_the_motion_gives_the_clock(road, tmp_path):
+def test_without_the_flashes_the_motion_gives_the_clock(pipeline, tmp_path):
     """Commands count as answered at once: the clock is behind by the radio's 20 ms, no more."""
     recording = tmp_path / "recording"
-    shutil.copytree(road / "recording", recording)
+    shutil.copytree(pipeline / "recording", recording)
     said = neurosim("track", recording, "--sync", "motion", "--json", cwd=tmp_path).stdout
     clock = json.loads(said)["sessions"][0]["clock"]
     assert clock["flashes"] == []
@@ -54,15 +53,15 @@ def test_without_the_flashes_the_motion_gives_the_clock(road, tmp_path):
         for each in late
     ]
     assert late[np.argmin(misfit)] == pytest.approx(0.02, abs=0.01)
-    assert road.printed["track"]["sessions"][0]["warning"] is None
+    assert pipeline.printed["track"]["sessions"][0]["warning"] is None
 
 
-def test_a_row_is_the_displacement_that_truly_happened(road):
-    dataset = Dataset.read(road / "dataset")
+def test_a_row_is_the_displacement_that_truly_happened(pipeline):
+    dataset = Dataset.read(pipeline / "dataset")
     assert len(dataset) >= 57
-    assert road.printed["dataset"]["rows"] == len(dataset)
-    truth = read_truth(road / "recording")
-    motor = [line for line in Recording(road / "recording").commands() if line.is_motor]
+    assert pipeline.printed["dataset"]["rows"] == len(dataset)
+    truth = read_truth(pipeline / "recording")
+    motor = [line for line in Recording(pipeline / "recording").commands() if line.is_motor]
     from neurosim.base import se2
 
     checked = 0
@@ -84,59 +83,48 @@ def test_a_row_is_the_displacement_that_truly_happened(road):
     assert checked == len(dataset)
 
 
-def test_training_keeps_the_last_fifth_out_and_evaluate_uses_it(road):
-    rows = road.printed["dataset"]["rows"]
-    printed = road.printed["evaluate"]
+def test_training_keeps_the_last_fifth_out_and_evaluate_uses_it(pipeline):
+    rows = pipeline.printed["dataset"]["rows"]
+    printed = pipeline.printed["evaluate"]
     assert printed["held_out"] is True
     assert printed["rows"] == rows - rows * 4 // 5 or printed["rows"] == round(rows / 5)
-    assert printed["errors"] == road.printed["train"]["test_errors"]
+    assert printed["errors"] == pipeline.printed["train"]["test_errors"]
     assert printed["paper"]["dtheta"]["mean_absolute_error"] == 3.585
 
 
-def test_the_trial_compares_command_by_command(road):
-    trial = json.loads((road / "trial" / "trial.json").read_text())
-    plan = json.loads((road / "controller" / "controller.json").read_text())
+def test_the_trial_compares_command_by_command(pipeline):
+    trial = json.loads((pipeline / "trial" / "trial.json").read_text())
+    plan = json.loads((pipeline / "controller" / "controller.json").read_text())
     given = [command for command in plan["commands"] if command is not None]
     assert trial["commands"] == given
     assert len(trial["predicted"]["poses"]) == len(given) + 1
     assert trial["virtual"] is True
-    truth = read_truth(road / "trial")
-    motor = [line for line in Recording(road / "trial").commands() if line.is_motor]
+    truth = read_truth(pipeline / "trial")
+    motor = [line for line in Recording(pipeline / "trial").commands() if line.is_motor]
     for line, pose in zip(motor, trial["actual"]["poses"], strict=False):
         if pose is not None:
             was = truth.pose_at(np.array(line.time + 0.022))
             assert np.hypot(*(was[:2] - pose[:2])) < 0.01
 
 
-def test_the_report_stands_by_itself(road):
-    page = (road / "report.html").read_text()
+def test_the_report_stands_by_itself(pipeline):
+    page = (pipeline / "report.html").read_text()
     assert "irtual lab" in page
     assert "3.585" in page
 
 
-def test_the_same_seed_makes_the_same_recording(road, tmp_path):
+def test_the_same_seed_makes_the_same_recording(pipeline, tmp_path):
     line = "record again --commands 60 --calibration calibration.json --seed 4"
     target = tmp_path / "again"
-    neurosim(*line.replace("again", str(target)).split(), cwd=road.folder)
+    neurosim(*line.replace("again", str(target)).split(), cwd=pipeline.folder)
     for name in ("commands.csv", "frames.csv", "video-001.avi", "truth/truth-001.csv"):
-        assert (target / name).read_bytes() == (road / "recording" / name).read_bytes(), name
-
-
-def wait_for(child, log, word, count):
-    """Return when a log that another process writes holds a word so often."""
-    deadline = time.monotonic() + 240
-    while not log.exists() or log.read_text().count(word) < count:
-        assert child.poll() is None, "it ended by itself"
-        if time.monotonic() > deadline:
-            child.kill()
-            pytest.fail(f"{log.name} does not grow")
-        time.sleep(0.02)
+        assert (target / name).read_bytes() == (pipeline / "recording" / name).read_bytes(), name
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
-def test_a_killed_recording_is_resumed_tracked_and_trained_on(road, tmp_path):
+def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path):
     words = ["record", "killed", "--commands", "60", "--seed", "7", "--calibration"]
-    words.append(str(road / "calibration.json"))
+    words.append(str(pipeline / "calibration.json"))
     child = subprocess.Popen(
         [sys.executable, "-m", "neurosim", *words],
         cwd=tmp_path,
