@@ -1,11 +1,12 @@
-# make demo: the whole road in the virtual lab.  make test: the tests.
+# make demo: the whole pipeline in the virtual lab.  make test: the tests.
+# make test-fast: those that are not marked slow.
 # make test-extras: the peers that benchmarks measure beside ours.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-extras format clean
+.PHONY: demo test test-fast test-extras format clean
 
 demo: .venv/installed
 	$(BIN)/neurosim demo demo
@@ -13,7 +14,10 @@ demo: .venv/installed
 test: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/pytest -n 2 --dist loadfile $(PYTEST_ARGS)
+	$(BIN)/pytest -n 2 --dist loadfile $(TIER) $(PYTEST_ARGS)
+
+test-fast: TIER = -m "not slow"
+test-fast: test
 
 # The peers of the benchmarks, which are large: 2 GB in all.
 test-extras: .venv/installed-extras

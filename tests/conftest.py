@@ -1,4 +1,4 @@
-"""What tests of every room share."""
+"""What all tests share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,16 @@ import pytest
 # A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
+#: Whoever asks for one of these waits for another process: all verbs in a row, or a browser.
+SLOW_FIXTURES = {"pipeline", "browser", "tab"}
+
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+def pytest_collection_modifyitems(items):
+    for item in items:
+        if SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

@@ -63,6 +63,7 @@ def test_python_runs(page, block):
     exec(compile(block, page, "exec"), {})
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_same_fitness")
 def test_networks_are_evolved_for_the_distance_to_a_path():
     (block,) = (block for page, block in PYTHON if page == "tables.md" and "near_a_line" in block)

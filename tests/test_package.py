@@ -13,6 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists() or importlib.util.find_spec("setuptools") is None,
     reason="needs the source folder and setuptools",

@@ -150,6 +150,7 @@ def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path
     assert (tmp_path / "s" / "simulator.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends other signals")
 def test_ctrl_c_leaves_everything_readable(tmp_path):
     words = ["record", "r", "--commands", "500", "--camera-size", "320x240"]

@@ -188,6 +188,7 @@ def test_markers_that_the_virtual_robot_does_not_carry(refused):
     assert "mauve" in refused("record", "r", "--markers", "mauve,blue")
 
 
+@pytest.mark.slow
 @posix
 @pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
 def test_a_closed_terminal_stops_the_motors(tmp_path, name):

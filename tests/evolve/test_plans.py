@@ -94,6 +94,7 @@ def test_the_same_seed_gives_the_same_plans():
     assert [r.commands for r in first] != [r.commands for r in other]
 
 
+@pytest.mark.slow
 def test_a_course_is_found():
     settings = PlanSettings(runs=4, generations=800, final_draws=64)
     results = evolve_plan(IdealWheels(), TASK, settings, seed=2, progress=False)

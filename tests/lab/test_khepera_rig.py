@@ -173,6 +173,7 @@ def run(*arguments, **options):
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
 
 
+@pytest.mark.slow
 def test_from_the_command_line(tmp_path):
     arena = tmp_path / "arena.json"
     Arena.rectangle(1.0, 1.0).write(arena)

@@ -33,6 +33,7 @@ def test_it_is_committed_without_outputs(path):
         assert cell.execution_count is None
 
 
+@pytest.mark.slow
 @by_name
 def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     nbclient = pytest.importorskip("nbclient", reason="pip install 'neurosim[notebooks]'")

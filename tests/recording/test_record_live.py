@@ -263,6 +263,7 @@ def neurosim(*words, cwd):
     )
 
 
+@pytest.mark.slow
 def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
     shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")
     child = neurosim("record", "r", "--watch", *LONG, cwd=tmp_path)
@@ -284,6 +285,7 @@ def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
         child.communicate()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
 def test_a_kill_leaves_a_recording_that_can_be_tracked(kept, tmp_path):
     shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")

@@ -156,6 +156,7 @@ def test_what_does_not_go_together_is_refused(tmp_path, monkeypatch, words, said
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_sampling_with_a_camera_through_the_command_line(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     calibration().write("calibration.json")

@@ -126,6 +126,7 @@ def test_how_late_the_robot_is(whole):
     assert found.answer == pytest.approx(7 * byte + dialect_named("khepera").scan / 2, abs=0.003)
 
 
+@pytest.mark.slow
 def test_distances_hold_though_wheels_are_unequal(tmp_path):
     """Turning there and back at two speeds must not count as backing off."""
     settings = SampleSettings(angles=36, distances=5, step=0.008, grid=3, held_out=0, duration=0.5)

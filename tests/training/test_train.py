@@ -131,6 +131,7 @@ def test_interrupted_and_resumed_is_uninterrupted(tmp_path, dataset, monkeypatch
     assert outcome(tmp_path / "s") == outcome(tmp_path / "whole")
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name != "posix", reason="kill -9 is for POSIX")
 def test_a_training_that_was_killed_goes_on(tmp_path, dataset):
     options = {"generations": 20_000, "checkpoint_every": 0.05, **QUICK}

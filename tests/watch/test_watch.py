@@ -57,6 +57,7 @@ def state_of(url, after=0):
         return json.loads(reply.headers["Neurosim-State"])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
 def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
     with watching("--camera", video.name, cwd=tmp_path) as (child, url):
@@ -71,6 +72,7 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [video.name]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
 def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
     with watching("--camera", "lab", "--camera-size", "320x240", cwd=tmp_path) as (child, url):
