@@ -1,4 +1,4 @@
-"""Whether something is from the virtual lab: as what was written of it says, never a guess."""
+"""Where something is from, the virtual lab or which robot: as what was written of it says."""
 
 from __future__ import annotations
 
@@ -35,3 +35,11 @@ def is_virtual(meta: Any) -> bool | None:
 def _any(answers: Any) -> bool | None:
     known = [answer for answer in answers if answer is not None]
     return any(known) if known else None
+
+
+def robot_kind(robot: Mapping[str, Any]) -> str | None:
+    """Return the kind in what a robot said of itself; None where it did not say.
+
+    A Khepera used to say it under ``robot``.
+    """
+    return robot.get("kind") or robot.get("robot")

@@ -116,7 +116,7 @@ def _describe(options: dict[str, Any]) -> dict[str, Any] | None:
     if options["robot"] == "khepera":
         return khepera(options).describe()
     baud, lab = virtual_khepera_baud(options), {"robot_seed": options["lab_seed"]}
-    return {"robot": "khepera", "dialect": "khepera", "baud": baud, "virtual_lab": lab}
+    return {"kind": "khepera", "dialect": "khepera", "baud": baud, "virtual_lab": lab}
 
 
 @contextmanager
@@ -130,7 +130,8 @@ def _on_robot(
     if not generations:
         yield {}
         return
-    from neurosim.trials.networks import RobotTrials, odometry
+    from neurosim.robots.odometry import Odometry
+    from neurosim.trials.networks import RobotTrials
 
     arena = simulator.arena
 
@@ -169,7 +170,7 @@ def _on_robot(
         robot = khepera(options)
         _same_line(simulator, robot.describe()["baud"])
         with robot:
-            yield settings(robot, _ask, lambda start: odometry(robot, start))
+            yield settings(robot, _ask, lambda start: Odometry(robot, start).read)
         return
     from neurosim.lab import LabArena, VirtualKheperaRig
 

@@ -125,7 +125,7 @@ def khepera(options: dict[str, Any]) -> Any:
     Raises:
         UserError: without a port.
     """
-    from neurosim.robots import Khepera
+    from neurosim.robots.khepera.driver import Khepera
 
     port, dialect, baud = (options[name] for name in ("serial_port", "dialect", "baud"))
     if port is None:

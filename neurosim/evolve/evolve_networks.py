@@ -15,6 +15,7 @@ from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import RobotError
 from neurosim.base.files import check_new_folder
 from neurosim.base.progress import Progress
+from neurosim.base.provenance import robot_kind
 from neurosim.controllers import NetworkController
 from neurosim.evolve.network_evolution import (
     NetworkEvolution,
@@ -176,7 +177,7 @@ def begun_with(
     if robot is not None:
         lab = robot.get("virtual_lab")
         same_robot = {
-            "robot": robot.get("robot") if lab is None else "virtual",
+            "robot": robot_kind(robot) if lab is None else "virtual",
             "dialect": robot.get("dialect"),
             "baud": robot.get("baud"),
             "lab_seed": None if lab is None else lab["robot_seed"],

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from neurosim.base.errors import UserError
+from neurosim.base.provenance import robot_kind
 from neurosim.recording.commands import CommandSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
 from neurosim.recording.settings import Guard, RecordSettings
@@ -163,7 +164,13 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
     sessions = range(1, recording.sessions + 1)
     try:
         live = {number: seen_live(recording, number, model) for number in sessions}
-        track(recording.path, live={number: seen for number, seen in live.items() if seen})
+        # Without a lamp the motion alone joins the clocks.
+        flashed = any(line.kind == "lamp-on" for line in recording.commands())
+        track(
+            recording.path,
+            live={number: seen for number, seen in live.items() if seen},
+            sync="flash" if flashed else "motion",
+        )
     except UserError as error:
         say(
             f"the recording is whole, but its poses are not: {error}; "
@@ -202,6 +209,8 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
         raise UserError(f"{out} is complete; there is nothing to resume")
     for part, keys in _SAME.items():
         was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        if part == "robot":
+            was, now = ({**side, "kind": robot_kind(side)} for side in (was, now))
         if keys is not None:
             was, now = ({key: side.get(key) for key in keys} for side in (was, now))
         found = _difference(was, now, part)
@@ -218,7 +227,7 @@ _SAME: dict[str, tuple[str, ...] | None] = {
     "settings": None,
     "markers": None,
     "board": None,
-    "robot": ("kind", "ports", "invert", "regulation"),
+    "robot": ("kind", "ports", "invert", "regulation", "dialect", "baud", "full_speed"),
     "camera": ("kind", "source", "size", "fps"),
     "virtual_lab": ("robot_seed",),
 }

@@ -25,7 +25,7 @@ from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import Perimeter
 from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Robot
+from neurosim.robots.base import Battery, Lamp, Robot, Sensors
 from tracking.camera.cameras import Camera
 from tracking.datasets.recordings import Recording
 
@@ -34,6 +34,8 @@ from tracking.datasets.recordings import Recording
 FLASHES = ((0.608, True), (0.408, False), (0.308, True))
 #: Seconds of stillness before and after the flashes.
 STILL = 0.5
+#: Sensors that see the perimeter line.
+LINES = ("line_left", "line_right")
 #: Without light sensors the robot's place is looked at so often, s.
 LOOK_EVERY = 1 / 30
 #: A robot that is lost has so long to be put into view again, s.
@@ -152,13 +154,16 @@ class Session:
         self._sent = now
 
     def _flash(self) -> None:
+        """Stand still, and flash the lamp, where there is one."""
+        lamp = self._robot if isinstance(self._robot, Lamp) else None
         self._wait(2 * STILL)
-        for seconds, on in FLASHES:
+        for seconds, on in FLASHES if lamp is not None else ():
             self._write("lamp-on" if on else "lamp-off")
-            self._robot.lamp(on)
+            lamp.lamp(on)
             self._wait(seconds)
-        self._write("lamp-off")
-        self._robot.lamp(False)
+        if lamp is not None:
+            self._write("lamp-off")
+            lamp.lamp(False)
         self._wait(STILL)
 
     def _wait(self, seconds: float) -> None:
@@ -184,8 +189,11 @@ class Session:
     # The perimeter
 
     def _lines(self) -> dict[str, float]:
-        readings = self._robot.read_sensors()
-        return {name: readings[name] for name in ("line_left", "line_right") if name in readings}
+        if not isinstance(self._robot, Sensors):
+            return {}
+        there = [name for name in LINES if name in self._robot.sensor_names]
+        readings = self._robot.read_sensors() if there else {}
+        return {name: readings[name] for name in there}
 
     def _learn_board(self) -> None:
         if self._guard.at_line == "ignore":
@@ -325,8 +333,9 @@ class Session:
     # The battery
 
     def _check_battery(self) -> None:
+        if not isinstance(self._robot, Battery):
+            return
         volts, limit = self._robot.battery(), self._settings.battery_limit
-        # A robot that cannot tell says NaN.
         if not volts < limit:
             return
         self._write("stop", 0, 0)

@@ -1,14 +1,21 @@
-"""The protocol that every robot driver follows, and the clock it owns.
+"""What robots can do, each as a protocol, and the clock that a robot owns.
 
-A driver is one file. One from outside the package is added by an entry point in the group
-``neurosim.robots``: its name is what ``--robot`` takes, its value a function that takes the
-options as keywords and returns a :class:`Robot`.
+A driver is one file. It follows :class:`Robot` and as many of the capabilities as its robot has;
+whoever needs one asks for it, ``isinstance(robot, Lamp)``, never which driver it is. A driver from
+another package is added by an entry point in the group ``neurosim.robots``: its name is what
+``--robot`` takes, its value a function that takes the options as keywords and returns a robot that
+is not connected yet.
 """
 
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
 
 
 class Clock(Protocol):
@@ -41,7 +48,7 @@ class SystemClock:
 
 @runtime_checkable
 class Robot(Protocol):
-    """A wheeled robot that takes motor commands.
+    """A robot on two driven wheels that takes motor commands; all else is a capability.
 
     Drivers raise :class:`neurosim.base.errors.RobotError` for whatever a user can put right
     (nothing on the port, the wrong thing on it) and
@@ -72,21 +79,11 @@ class Robot(Protocol):
         """Stop both motors, actively braked where the robot can."""
         ...
 
-    def read_sensors(self) -> dict[str, float]:
-        """Read the sensors, by name; ``line_left``, ``line_right``: reflected light in 0..1."""
-        ...
-
-    def lamp(self, on: bool) -> None:
-        """Switch the lamp that the camera sees."""
-        ...
-
-    def battery(self) -> float:
-        """Return the battery's voltage in volts."""
-        ...
-
     def describe(self) -> dict[str, Any]:
         """Return what a recording should say of this robot: its kind, name, ports, versions.
 
+        ``kind`` is what ``--robot`` takes. What a command means (ports, a dialect, what full speed
+        is) stands here, so that recordings of different robots are told apart. Ready for JSON.
         ``virtual``, once connected, says whether the robot is one of the virtual lab, as far as
         the robot itself tells.
         """
@@ -95,3 +92,129 @@ class Robot(Protocol):
     def __enter__(self) -> Robot: ...
 
     def __exit__(self, *error: object) -> None: ...
+
+
+@runtime_checkable
+class Lamp(Protocol):
+    """Has a lamp that a camera sees; its flashes join the camera's clock and the robot's.
+
+    A driver that may or may not have one gives the attribute to those robots that do.
+    """
+
+    @property
+    def lamp(self) -> Callable[[bool], None]:
+        """Switch the lamp: ``robot.lamp(True)``."""
+        ...
+
+
+@runtime_checkable
+class Battery(Protocol):
+    """Knows the voltage of its battery."""
+
+    def battery(self) -> float:
+        """Return the battery's voltage in volts."""
+        ...
+
+
+@runtime_checkable
+class Sensors(Protocol):
+    """Has sensors that a controller may read.
+
+    Attributes:
+        sensor_names: as simulators and controllers name them: ``line_left``, ``line_right`` for
+            light reflected by the ground, ``sensor_0``, ``sensor_1``, ... for a ring of proximity
+            sensors.
+    """
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Return the names; see the class."""
+        ...
+
+    def read_sensors(self) -> dict[str, float]:
+        """Read all sensors, by name in the order of ``sensor_names``, each in 0..1."""
+        ...
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """A body on two wheels: the radius of the circle around it, and between its wheels (m)."""
+
+    radius: float
+    wheel_base: float
+
+
+@runtime_checkable
+class Counters(Protocol):
+    """Counts how far its wheels turned.
+
+    Attributes:
+        pulses_per_metre: of the counters, along the ground.
+        geometry: of the body.
+    """
+
+    @property
+    def pulses_per_metre(self) -> float:
+        """Return the pulses; see the class."""
+        ...
+
+    @property
+    def geometry(self) -> Geometry:
+        """Return the geometry."""
+        ...
+
+    def read_counts(self) -> tuple[int, int]:
+        """Read both counters, left and right, in pulses; forward counts up."""
+        ...
+
+    def set_counts(self, left: int, right: int) -> None:
+        """Set both counters, in pulses."""
+        ...
+
+
+@runtime_checkable
+class Proximity(Sensors, Protocol):
+    """Has a ring of sensors that see what is near, its only ones.
+
+    Attributes:
+        angles: where they look, [S] rad counter-clockwise from straight ahead.
+        scan: in which the robot reads all of them in turn, s; 0 where that is not known.
+    """
+
+    @property
+    def angles(self) -> NDArray[np.float64]:
+        """Return the angles; see the class."""
+        ...
+
+    @property
+    def scan(self) -> float:
+        """Return the time; see the class."""
+        ...
+
+    def activations(self) -> NDArray[np.float64]:
+        """Read all sensors, [S] in 0..1, 1 where something is near."""
+        ...
+
+
+@runtime_checkable
+class WholeSpeeds(Protocol):
+    """Takes whole numbers for its wheels' speeds.
+
+    Attributes:
+        full_speed: the number that 100 % is.
+        speed_unit: the wheel speed that 1 stands for, m/s.
+    """
+
+    @property
+    def full_speed(self) -> int:
+        """Return the number; see the class."""
+        ...
+
+    @property
+    def speed_unit(self) -> float:
+        """Return the unit; see the class."""
+        ...
+
+    def set_speeds(self, left: int, right: int) -> None:
+        """Set both wheels' speeds."""
+        ...

@@ -23,13 +23,12 @@ from typing import Any
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
-from neurosim.robots import Khepera
 from neurosim.robots.khepera.dialects import DIALECTS
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
 from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
-from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import read_turns, reading_times, sample_object
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS
@@ -54,7 +53,7 @@ Place = Callable[[str], None]
 
 def sample(
     out: str | Path,
-    robot: Khepera,
+    robot: Sampler,
     settings: SampleSettings,
     place: Place,
     *,
@@ -125,7 +124,7 @@ def sample(
         sample_reaction(out, robot, in_the_open)
     finally:
         robot.stop()
-    reaction = read_reaction(out, reading_times(out), robot.dialect.scan)
+    reaction = read_reaction(out, reading_times(out), robot.scan)
     result = {
         "samples": [path.name for path in made],
         "wheel_base": wheel_base,

@@ -10,8 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import files, se2
-from neurosim.robots import Khepera
-from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.simulators.tables.motor_table import MotorTable
 
 #: Seconds that motors get to reach their speed before a motor sample, and to stop after it.
@@ -25,7 +24,7 @@ _COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta", "repeat")
 
 def sample_motors(
     out: Path,
-    robot: Khepera,
+    robot: Sampler,
     settings: SampleSettings,
     levels: NDArray[np.int64],
     measure: Measure,
@@ -82,7 +81,7 @@ class Counters:
         sizes: of the left and of the right wheel, over their mean.
     """
 
-    def __init__(self, robot: Khepera, wheel_base: float, sizes: tuple[float, float] = (1.0, 1.0)):
+    def __init__(self, robot: Sampler, wheel_base: float, sizes: tuple[float, float] = (1.0, 1.0)):
         self._robot, self._wheel_base, self._sizes = robot, wheel_base, sizes
 
     def measure(self, duration: float) -> tuple[float, NDArray[np.float64]]:
@@ -99,7 +98,7 @@ class Counters:
 
 
 def _drive(
-    robot: Khepera, left: int, right: int, duration: float, measure: Measure
+    robot: Sampler, left: int, right: int, duration: float, measure: Measure
 ) -> tuple[float, NDArray[np.float64]]:
     """Drive at a setting and back; return the time (s) and the displacement (m, m, rad)."""
     clock = robot.clock

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import UserError
-from neurosim.robots import Khepera
+from neurosim.sampling.settings import Sampler
 from neurosim.simulators.tables.reaction import Reaction
 
 #: How often the robot starts from rest, forwards and backwards in turn.
@@ -25,7 +25,7 @@ _STEP = 0.0005
 _COLUMNS = ("start", "whole", "time", "left", "right")
 
 
-def sample_reaction(out: Path, robot: Khepera, in_the_open: Callable[[], None]) -> None:
+def sample_reaction(out: Path, robot: Sampler, in_the_open: Callable[[], None]) -> None:
     """Start from rest, again and again, and write down what the counters say when.
 
     ``reaction.csv``: seconds from when the command was sent to when the counters were asked for,

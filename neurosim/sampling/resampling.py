@@ -19,8 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.robots import Khepera
-from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import PIVOTS, TURNS, Turns
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import OBJECTS
@@ -102,7 +101,7 @@ def write_samples(
     out: Path,
     settings: SampleSettings,
     turns: Turns,
-    robot: Khepera,
+    robot: Sampler,
     pulses: float,
     sizes: tuple[float, float],
 ) -> list[Path]:
@@ -143,7 +142,7 @@ class _Seen:
         self,
         settings: SampleSettings,
         turns: Turns,
-        robot: Khepera,
+        robot: Sampler,
         pulses: float,
         sizes: tuple[float, float],
         name: str,
@@ -226,7 +225,7 @@ class _Seen:
 
 
 def _places(
-    rows: _Array, sizes: tuple[float, float], wheel_base: float, robot: Khepera
+    rows: _Array, sizes: tuple[float, float], wheel_base: float, robot: Sampler
 ) -> tuple[_Array, _Array]:
     """Return where the robot was in a turn, ahead and to the left of where it was put, [N] m."""
     left, right = (np.diff(rows[:, w]) * sizes[w] / robot.pulses_per_metre for w in range(2))

@@ -1,16 +1,22 @@
-"""What a robot samples of itself."""
+"""What a robot samples of itself, and what it must be able to for that."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.robots.base import Counters, Proximity, Robot, WholeSpeeds
 
 #: A robot with more whole speeds of a motor than this drives a grid of them.
 MOST_SPEEDS = 101
+
+
+class Sampler(Robot, Proximity, Counters, WholeSpeeds, Protocol):
+    """A robot that can sample itself."""
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import files, se2
+from neurosim.base import files
 from neurosim.base.errors import RobotError
 from neurosim.base.progress import Progress
-from neurosim.robots import Khepera
-from neurosim.sampling.settings import SampleSettings
+from neurosim.robots.odometry import Odometry
+from neurosim.sampling.settings import Sampler, SampleSettings
 
 #: How far it turns, in nominal full turns: enough to see the beginning of the turn again.
 TURNS = 7 / 6
@@ -47,7 +47,7 @@ Turns = dict[tuple[str, int, int], NDArray[np.float64]]
 
 def sample_object(
     out: Path,
-    robot: Khepera,
+    robot: Sampler,
     settings: SampleSettings,
     name: str,
     repeat: int,
@@ -114,18 +114,11 @@ def reading_times(folder: str | Path) -> NDArray[np.float64]:
     return np.array(files.read_csv(path, {"seconds": files.number}, drop_torn_line=True)["seconds"])
 
 
-class _Whereabouts:
-    """Where the robot is by its counters, from where it was put down.
+class _Whereabouts(Odometry):
+    """Where the robot is by its counters, from where it was put down."""
 
-    Attributes:
-        pose: [3] (m, m, rad).
-        counts: of both wheels.
-    """
-
-    def __init__(self, robot: Khepera):
-        self._robot = robot
-        robot.set_counts(0, 0)
-        self.pose, self.counts = np.zeros(3), (0, 0)
+    def __init__(self, robot: Sampler):
+        super().__init__(robot, np.zeros(3))
         self._since = robot.clock.now()
 
     @property
@@ -133,27 +126,23 @@ class _Whereabouts:
         """To the left, in counts of a wheel."""
         return (self.counts[1] - self.counts[0]) / 2
 
-    def read(self) -> None:
-        """Read the counters.
+    def read(self) -> NDArray[np.float64]:
+        """Read the counters; return the pose, [3] (m, m, rad).
 
         Raises:
             RobotError: if they stand for too long.
         """
-        robot, now = self._robot, self._robot.clock.now()
-        counts = robot.read_counts()
-        if counts != self.counts:
-            ways = [
-                (b - a) / robot.pulses_per_metre for a, b in zip(self.counts, counts, strict=True)
-            ]
-            turn = (ways[1] - ways[0]) / robot.geometry.wheel_base
-            self.pose = se2.compose(self.pose, se2.exp([sum(ways) / 2, 0.0, turn]))
-            self.counts, self._since = counts, now
+        robot, now, before = self._robot, self._robot.clock.now(), self.counts
+        pose = super().read()
+        if self.counts != before:
+            self._since = now
         elif now - self._since > STUCK:
             robot.stop()
             raise RobotError(
                 "the robot's wheels do not turn: is it held, or its battery empty? Put it right "
                 "and go on with --resume"
             )
+        return pose
 
     def go(self, left: int, right: int, to_go: Callable[[], float]) -> None:
         """Drive slowly until nothing is to go and stop."""
@@ -171,7 +160,7 @@ def _further(whereabouts: _Whereabouts, away: float) -> float:
 
 
 def _turn(
-    robot: Khepera,
+    robot: Sampler,
     whereabouts: _Whereabouts,
     log: files.LineLog,
     what: tuple[Any, ...],
@@ -199,6 +188,6 @@ def _turn(
     robot.stop()
 
 
-def pace_of(robot: Khepera, speed: float) -> int:
+def pace_of(robot: Sampler, speed: float) -> int:
     """Return the whole speed of the robot's that is nearest to ``speed`` (m/s), 1 or more."""
     return max(round(speed / robot.speed_unit), 1)

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.robots import Khepera
+from neurosim.robots.base import Proximity, Robot
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory
 
 #: Between trials the robot wanders for so long, so that each begins elsewhere, s.
 WANDER = 2.0
 #: For so long it then stands still, as it does at the start of a trial in a simulator, s.
 REST = 0.3
+
+
+class SeeingRobot(Robot, Proximity, Protocol):
+    """A robot that sees what is near."""
 
 
 class RobotTrials:
@@ -34,7 +37,7 @@ class RobotTrials:
             :class:`~neurosim.simulators.tables.reaction.Reaction`.
     """
 
-    def __init__(self, robot: Khepera, task: ObstacleAvoidance, hold: float = 0.0):
+    def __init__(self, robot: SeeingRobot, task: ObstacleAvoidance, hold: float = 0.0):
         if task.fitness != "avoidance":
             raise UserError(
                 f"the fitness {task.fitness!r} needs the robot's poses, which it does not know; "
@@ -115,19 +118,3 @@ class RobotTrials:
             self.robot.drive(60.0 * ahead - turn, 60.0 * ahead + turn)
             clock.sleep_until(now + self.task.duration)
         self.rest()
-
-
-def odometry(robot: Khepera, start: NDArray[np.float64]) -> Callable[[], NDArray[np.float64]]:
-    """Return what tells the robot's pose by its counters, from ``start`` [3] (m, m, rad) on."""
-    robot.set_counts(0, 0)
-    at, last = np.array(start, float), (0, 0)
-
-    def pose() -> NDArray[np.float64]:
-        nonlocal at, last
-        counts = robot.read_counts()
-        ways = [(b - a) / robot.pulses_per_metre for a, b in zip(last, counts, strict=True)]
-        turn = (ways[1] - ways[0]) / robot.geometry.wheel_base
-        at, last = se2.compose(at, se2.exp([sum(ways) / 2, 0.0, turn])), counts
-        return at
-
-    return pose

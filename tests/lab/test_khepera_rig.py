@@ -15,7 +15,7 @@ import serial
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab import KheperaParams, LabArena, Pacer, VirtualKheperaRig
 from neurosim.lab.khepera.params import RADIUS
-from neurosim.robots import Khepera
+from neurosim.robots.khepera.driver import Khepera
 from neurosim.simulators.tables.arena import Arena, paper_arena
 
 DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]

@@ -7,10 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from neurosim.base.errors import LinkLost, UserError
+from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
-from neurosim.recording.record import BatteryLow, Guard, RecordSettings, record
+from neurosim.recording.record import BatteryLow, Guard, RecordSettings, _wanted, record
+from neurosim.robots import Robot
+from neurosim.robots.khepera.driver import Khepera
 from tracking.datasets.recordings import Recording
+
+SETTINGS = RecordSettings(3)
 
 
 class FakeClock:
@@ -61,6 +65,8 @@ class FakeRobot:
     def stop(self):
         self._move()
         self.speeds = (0.0, 0.0)
+
+    sensor_names = ("line_left", "line_right")
 
     def read_sensors(self):
         self.clock.time += 0.03
@@ -247,3 +253,65 @@ def test_the_motors_are_stopped_whatever_happens(tmp_path, error):
     assert robot.closed
     assert finished == [1]
     assert Recording(tmp_path / "r").commands()
+
+
+class Bare:
+    """A robot that can drive, and nothing else."""
+
+    def __init__(self):
+        self.clock, self.sent = FakeClock(), []
+
+    def connect(self):
+        pass
+
+    def close(self):
+        pass
+
+    def drive(self, left, right):
+        self.sent.append((left, right))
+
+    def stop(self):
+        pass
+
+    def describe(self):
+        return {"kind": "bare"}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        self.close()
+
+
+def test_a_robot_without_lamp_battery_and_sensors_is_recorded(tmp_path):
+    robot, said = Bare(), []
+    assert isinstance(robot, Robot)
+    recording = run(tmp_path / "r", robot, 4, say=said.append)
+    assert kinds(recording) == [*["command"] * 4, "stop", "end"]
+    assert len(robot.sent) == 4
+    assert recording.meta["complete"] is True
+    assert "no light sensors" in said[0]
+
+
+@pytest.mark.parametrize(
+    ("then", "field"),
+    [
+        ({"dialect": "khepera3"}, "robot.dialect"),
+        ({"baud": 19200}, "robot.baud"),
+        ({"full_speed": 20}, "robot.full_speed"),
+    ],
+)
+def test_a_khepera_resumed_on_another_dialect_or_line_is_refused(tmp_path, then, field):
+    folder = tmp_path / "r"
+    made = Recording.create(folder, _wanted(Khepera("x"), None, RandomCommands(seed=3), SETTINGS))
+    with pytest.raises(UserError, match=f"with another {field}"):
+        run(folder, Khepera("x", **then), 3, resume=True)
+    # Recordings of before named its kind in another place: that alone is no difference.
+    made.meta["robot"]["robot"] = made.meta["robot"].pop("kind")
+    made.save_meta()
+    with pytest.raises(UserError, match=r"with another robot\.kind"):
+        run(folder, Bare(), 3, resume=True)
+    with pytest.raises(UserError, match=f"with another {field}"):
+        run(folder, Khepera("x", **then), 3, resume=True)
+    with pytest.raises(RobotError):
+        run(folder, Khepera("no-such-port"), 3, resume=True)

@@ -14,7 +14,7 @@ from brick_body import Body, LabClock
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
-from neurosim.robots.base import Robot
+from neurosim.robots.base import Battery, Counters, Lamp, Robot, Sensors
 from neurosim.robots.nxt import link as nxt_link
 from neurosim.robots.nxt.driver import NXT
 
@@ -79,6 +79,9 @@ def one_sentence(error):
 def test_drive_sets_both_motors_regulated_and_for_ever(rig):
     with rig.robot() as robot:
         assert isinstance(robot, Robot)
+        assert isinstance(robot, Battery)
+        assert isinstance(robot, Sensors)
+        assert not isinstance(robot, Counters)
         robot.drive(40.4, -100)
         left, right = rig.body.outputs[1], rig.body.outputs[2]
         for output, power in ((left, 40), (right, -100)):
@@ -137,7 +140,7 @@ def test_sensors(rig):
         assert robot.battery() == 7.9
     assert rig.body.types[:2] == [(6, 0), (6, 0)]
     with rig.robot(light_left="none", light_right=4) as robot:
-        assert list(robot.read_sensors()) == ["line_right"]
+        assert tuple(robot.read_sensors()) == robot.sensor_names == ("line_right",)
         assert rig.body.types[3] == (5, 0)
 
 
@@ -180,10 +183,10 @@ def test_lamp_of_the_colour_sensor(rig):
 
 
 def test_no_lamp(one):
+    with one.robot() as robot:
+        assert isinstance(robot, Lamp)
     with one.robot(lamp=None) as robot:
-        sent = one.radio.telegrams
-        robot.lamp(True)
-        assert one.radio.telegrams == sent
+        assert not isinstance(robot, Lamp)
 
 
 def test_description(one):

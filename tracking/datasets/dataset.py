@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
-from neurosim.base.provenance import is_virtual
+from neurosim.base.provenance import is_virtual, robot_kind
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
 
@@ -261,9 +261,7 @@ def build(
 
 
 #: What of a robot's description tells it from another, or its commands from another's.
-_IDENTITY = (
-    "kind", "robot", "dialect", "name", "address", "virtual", "invert", "full_speed", "speed_unit",
-)  # fmt: skip
+_IDENTITY = ("dialect", "name", "address", "virtual", "invert", "full_speed", "speed_unit")
 
 
 def _check_one_robot(recordings: Sequence[Path]) -> None:
@@ -272,7 +270,7 @@ def _check_one_robot(recordings: Sequence[Path]) -> None:
     for path in recordings:
         meta = Recording(path).meta
         robot, lab = meta["robot"], meta.get("virtual_lab")
-        found = {key: robot.get(key) for key in _IDENTITY}
+        found = {"kind": robot_kind(robot), **{key: robot.get(key) for key in _IDENTITY}}
         ports = robot.get("ports")
         for side in ("left", "right"):
             found[f"{side} motor"] = ports.get(side) if isinstance(ports, Mapping) else None

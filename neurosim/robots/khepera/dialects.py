@@ -12,14 +12,7 @@ import math
 from dataclasses import dataclass
 
 from neurosim.base.errors import UserError
-
-
-@dataclass(frozen=True)
-class Geometry:
-    """A round robot on two wheels: its radius and the distance between its wheels (m)."""
-
-    radius: float
-    wheel_base: float
+from neurosim.robots.base import Geometry
 
 
 @dataclass(frozen=True)

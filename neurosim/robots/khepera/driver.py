@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from neurosim.base.errors import RobotError, UserError
-from neurosim.robots.base import Clock, SystemClock
-from neurosim.robots.khepera.dialects import Dialect, Geometry, dialect_named
+from neurosim.robots.base import Clock, Geometry, SystemClock
+from neurosim.robots.khepera.dialects import Dialect, dialect_named
 from neurosim.robots.khepera.serial_line import SerialLine
 
 #: How often a command is sent before the robot counts as lost; all of them may be repeated.
@@ -23,7 +23,8 @@ VIRTUAL = "virtual"
 class Khepera:
     """A small round robot with a ring of infra-red sensors and two wheels.
 
-    Follows :class:`neurosim.robots.base.Robot`. Bytes that make no answer are passed over,
+    Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``Counters``, ``WholeSpeeds`` and,
+    where the dialect has one, ``Lamp``. Bytes that make no answer are passed over,
     commands without a good answer are sent again. A robot that reboots is noticed by what it
     says then: it is set to the speeds that it had, its counters to what was last read, and
     :attr:`reboots` counts it.
@@ -78,6 +79,8 @@ class Khepera:
             self.dialect.speed_unit * self.dialect.pulses_per_metre / self.pulses_per_metre
         )
         self.angles = np.radians(self.dialect.angles)
+        if self.dialect.lamp is not None:
+            self.lamp = self._switch_lamp
         self.reboots = 0
         self._timeout = timeout
         self._line = SerialLine(
@@ -164,28 +167,24 @@ class Khepera:
         self._ask(self._set(self.dialect.set_counts, (int(left), int(right))), 0)
         self._counts = (int(left), int(right))
 
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """``sensor_0`` to ``sensor_7``, in the order of :meth:`read_proximity`."""
+        return tuple(f"sensor_{index}" for index in range(len(self.dialect.sensors)))
+
+    @property
+    def scan(self) -> float:
+        """In which the robot reads all its sensors in turn, s; 0 where that is not known."""
+        return self.dialect.scan
+
     def read_sensors(self) -> dict[str, float]:
-        """Read the sensors: ``proximity_0`` to ``proximity_7``, 0 (nothing) to 1 (near)."""
-        return {f"proximity_{i}": float(value) for i, value in enumerate(self.activations())}
-
-    def lamp(self, on: bool) -> None:
-        """Switch the light-emitting diode on the robot's top.
-
-        Raises:
-            RobotError: where the dialect has none.
-        """
-        if self.dialect.lamp is None:
-            raise RobotError(f"the {self.dialect.robot} has no lamp that this driver can switch")
-        self._ask(f"{self.dialect.lamp},{int(on)}", 0)
-
-    def battery(self) -> float:
-        """Return NaN: the protocol does not tell the battery's voltage."""
-        return math.nan
+        """Read reflected light, 0 (nothing) to 1 (near), by the sensors' names."""
+        return dict(zip(self.sensor_names, map(float, self.activations()), strict=True))
 
     def describe(self) -> dict[str, Any]:
         """Return what a recording should say of this robot."""
         return {
-            "robot": "khepera",
+            "kind": "khepera",
             "dialect": self.dialect.name,
             "port": self._line.port,
             "baud": self._line.baud,
@@ -203,6 +202,10 @@ class Khepera:
 
     def __exit__(self, *error: object) -> None:
         self.close()
+
+    def _switch_lamp(self, on: bool) -> None:
+        """Switch the light-emitting diode on the robot's top."""
+        self._ask(f"{self.dialect.lamp},{int(on)}", 0)
 
     def _set(self, letter: str, values: tuple[int, int]) -> str:
         return letter + "".join(f",{self.dialect.long}{value}" for value in values)

@@ -49,7 +49,7 @@ class NXT:
 
     The brick is reached by one of: Bluetooth (``host``), a device file (``filename``),
     nxt-server (``server_host``, ``server_port``), or USB if none of them is given. Follows
-    :class:`neurosim.robots.base.Robot`.
+    :class:`neurosim.robots.base.Robot`, ``Battery``, ``Sensors`` and, with a lamp, ``Lamp``.
 
     Args:
         host: Bluetooth address, ``00:16:53:..``.
@@ -102,6 +102,8 @@ class NXT:
             "line_right": _sensor_port(light_right, "light_right"),
         }
         _all_different([self._left, self._right, self._lamp, *self._lights.values()])
+        if self._lamp is not None:
+            self.lamp = self._switch_lamp
         self._sign = -1 if invert else 1
         self._brick: nxt.brick.Brick | None = None
         self._about: dict[str, Any] = {}
@@ -145,7 +147,7 @@ class NXT:
         brick, guard = self._brick, self._guard
         if brick is None:
             return
-        for step in (self.stop, lambda: self.lamp(False), self._lights_out):
+        for step in (self.stop, self._lamp_out, self._lights_out):
             if guard.lost is not None:
                 break
             with suppress(Exception):
@@ -173,36 +175,18 @@ class NXT:
         """Stop both motors; the regulation holds them where they are."""
         self.drive(0, 0)
 
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """``line_left`` and ``line_right``, as far as configured."""
+        return tuple(name for name, port in self._lights.items() if port is not None)
+
     def read_sensors(self) -> dict[str, float]:
-        """Return ``line_left`` and ``line_right``, each 0 (dark) to 1, as far as configured."""
+        """Return what the light sensors read, by name, each 0 (dark) to 1."""
         return {
             name: self._read_valid(port, SensorType.LIGHT_ACTIVE) / FULL_SCALE
             for name, port in self._lights.items()
             if port is not None
         }
-
-    def lamp(self, on: bool) -> None:
-        """Switch the lamp that the camera sees; nothing happens where none is configured."""
-        brick = self._connected()
-        if isinstance(self._lamp, MotorPort):
-            power = 100 if on else 0
-            self._ask(
-                brick.set_output_state,
-                self._lamp,
-                power,
-                Mode.ON if on else Mode.IDLE,
-                RegulationMode.IDLE,
-                0,
-                RunState.RUNNING if on else RunState.IDLE,
-                0,
-            )
-            self._acknowledge(self._lamp, power)
-        elif self._lamp is not None:
-            wanted = _LAMP_ON if on else _LAMP_OFF
-            self._ask(brick.set_input_mode, self._lamp, wanted, SensorMode.RAW)
-            taken = self._ask(brick.get_input_values, self._lamp)[3]
-            if taken is not wanted:
-                raise self._refused(f"its sensor port {self._lamp.value + 1} is {taken.name}")
 
     def battery(self) -> float:
         """Return the battery's voltage in volts."""
@@ -308,6 +292,33 @@ class NXT:
                     f"{port.value + 1}"
                 )
             self.clock.sleep_until(self.clock.now() + POLL_EVERY)
+
+    def _switch_lamp(self, on: bool) -> None:
+        """Switch the lamp that the camera sees."""
+        brick = self._connected()
+        if isinstance(self._lamp, MotorPort):
+            power = 100 if on else 0
+            self._ask(
+                brick.set_output_state,
+                self._lamp,
+                power,
+                Mode.ON if on else Mode.IDLE,
+                RegulationMode.IDLE,
+                0,
+                RunState.RUNNING if on else RunState.IDLE,
+                0,
+            )
+            self._acknowledge(self._lamp, power)
+        else:
+            wanted = _LAMP_ON if on else _LAMP_OFF
+            self._ask(brick.set_input_mode, self._lamp, wanted, SensorMode.RAW)
+            taken = self._ask(brick.get_input_values, self._lamp)[3]
+            if taken is not wanted:
+                raise self._refused(f"its sensor port {self._lamp.value + 1} is {taken.name}")
+
+    def _lamp_out(self) -> None:
+        if self._lamp is not None:
+            self._switch_lamp(False)
 
     def _lights_out(self) -> None:
         ports = [port for port in self._lights.values() if port is not None]

@@ -1,0 +1,47 @@
+"""Drivers of robots by name: ours, those of other packages, and a script's own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from inspect import signature
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
+from neurosim.robots.base import Robot
+
+#: By the name that ``--robot`` takes: a function that takes the options as keywords and returns a
+#: robot that is not connected yet.
+ROBOTS = Registry(
+    "driver of a robot",
+    "neurosim.robots",
+    {
+        "nxt": "neurosim.robots.nxt.driver:NXT",
+        "khepera": "neurosim.robots.khepera.driver:Khepera",
+    },
+)
+
+
+def robot_factory(name: str) -> Callable[..., Robot]:
+    """Return the function that makes a robot of this name from options given as keywords.
+
+    Raises:
+        UserError: if no driver has this name, or its package cannot be imported.
+    """
+    return ROBOTS.get(name)
+
+
+def open_robot(name: str, **options: object) -> Robot:
+    """Make a robot by its driver's name and options, and connect it.
+
+    Raises:
+        UserError: for an unknown name or an option that its driver does not have.
+        RobotError: if it cannot be reached.
+    """
+    factory = robot_factory(name)
+    try:
+        signature(factory).bind(**options)
+    except TypeError as error:
+        raise UserError(f"robot {name!r} does not take these options: {error}") from None
+    robot = factory(**options)
+    robot.connect()
+    return robot
