@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.se2 import tensors as se2
 from neurosim.networks.control import NetworkArrays
 
 #: What a controller may be told beside the readings of sensors. The pose is in the board's frame;
@@ -137,14 +138,8 @@ def observe(
             columns.append(pose[:, place] if place < 2 else _circle(pose[:, 2], place - 2))
         elif name in GOAL_INPUTS:
             assert goal is not None
-            place = GOAL_INPUTS.index(name)
-            if place < 2:
-                away, cos, sin = goal[:, :2] - pose[:, :2], pose[:, 2].cos(), pose[:, 2].sin()
-                ahead = cos * away[:, 0] + sin * away[:, 1]
-                left = cos * away[:, 1] - sin * away[:, 0]
-                columns.append(left if place else ahead)
-            else:
-                columns.append(_circle(goal[:, 2] - pose[:, 2], place - 2))
+            place, away = GOAL_INPUTS.index(name), se2.between(pose, goal)
+            columns.append(away[:, place] if place < 2 else _circle(away[:, 2], place - 2))
         elif name in TIME_INPUTS:
             columns.append(torch.full_like(pose[:, 0], time))
         else:

@@ -43,7 +43,7 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = _LONG
     poses = np.asarray(poses, float)
     pieces = [poses[:1]]
     for start, displacement in zip(poses, se2.between(poses[:-1], poses[1:]), strict=False):
-        length = float(np.hypot(*se2.log(displacement)[:2]))
+        length = float(se2.arc_length(displacement))
         straight = not length < longest
         if straight:
             length = float(np.hypot(*displacement[:2]))

@@ -40,6 +40,7 @@ from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.se2 import compiled as se2
 from neurosim.tasks.base import Evaluation
 
 #: Rectangles, m: along x, along y.
@@ -206,24 +207,16 @@ def _segment(start: NDArray, end: NDArray, progress: int, longest: float) -> tup
     # Also true where anything is not a number.
     if not (chord < 10.0 and abs(turn) < 1e6):
         return progress, progress, _OUTSIDE
-    half = turn / 2.0
-    # Chord over arc; the twist's direction is the chord's, turned back by half the turn.
-    ratio = math.sin(half) / half if abs(half) > 1e-6 else 1.0
-    straight = chord >= longest * abs(ratio)
-    length = chord if straight else chord / abs(ratio)
+    length = se2.arc_length(x, y, turn)
+    if not length < longest:
+        turn, length = 0.0, chord
     samples = math.ceil(length / SPACING)
     highest = progress
     # Samples that are nearer than the rectangle's border cannot lie beyond it.
     sample = max(1, int(_room(start[0], start[1]) / length * samples)) if samples > 1 else 1
     while sample < samples:
-        part = sample / samples
-        along, angle = part, 0.0
-        if not straight and abs(half) > 1e-6:
-            along = math.sin(part * half) / math.sin(half)
-            angle = (part - 1.0) * half
-        cos, sin = math.cos(angle), math.sin(angle)
-        at_x = start[0] + along * (cos * x - sin * y)
-        at_y = start[1] + along * (sin * x + cos * y)
+        at_x, at_y = se2.arc(x, y, turn, sample / samples)
+        at_x, at_y = start[0] + at_x, start[1] + at_y
         progress, fault = _advance(progress, _place(at_x, at_y))
         highest = max(highest, progress)
         if fault:

@@ -54,14 +54,11 @@ def unicycle(rows: Dataset) -> Unicycle | None:
     if not {"left", "right", "duration"} <= set(names):
         return None
     speed, turn, duration = _drive(names, rows.input_array())
-    dx, dy, dtheta = rows.output_array().T
-    # Seen from half way round, an arc's displacement is straight ahead, its chord long.
-    ahead = np.cos(dtheta / 2) * dx + np.sin(dtheta / 2) * dy
-    chord = np.sinc(dtheta / (2 * np.pi))
+    ahead, _, turned = se2.mid_turn(rows.output_array()).T
     return Unicycle(
         names,
-        _slope(chord * speed * duration, ahead),
-        _slope(turn * duration, dtheta),
+        _slope(se2.chord(turned) * speed * duration, ahead),
+        _slope(turn * duration, turned),
         "ideal differential drive, two factors fitted",
     )
 

@@ -2,13 +2,17 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+import torch
+from hypothesis import given, settings
 from hypothesis import strategies as st
+from numba import njit
 
 from neurosim.base import se2
+from neurosim.base.se2 import compiled, tensors
 
 metres = st.floats(-3, 3)
-pose = st.tuples(metres, metres, st.floats(-20, 20))
+turn = st.one_of(st.floats(-20, 20), st.floats(-1e-8, 1e-8), st.sampled_from([2 * math.pi, 0.0]))
+pose = st.tuples(metres, metres, turn)
 less_than_a_turn = st.tuples(metres, metres, st.floats(-6.2, 6.2))
 
 
@@ -59,3 +63,75 @@ def test_small_turns_lose_no_precision(angle):
     dx, dy, _ = se2.exp(np.array([1.0, 0.0, angle]))
     assert dx == pytest.approx(1 - angle**2 / 6, abs=1e-13)
     assert dy == pytest.approx(angle / 2 - angle**3 / 24, abs=1e-13)
+
+
+@given(pose)
+def test_in_the_mid_turn_frame_a_twist_is_its_chord(twist):
+    # Turns of a whole turn and more included: no logarithm is taken.
+    factors = [se2.chord(twist[2]), se2.chord(twist[2]), 1.0]
+    found = se2.mid_turn(se2.exp(twist))
+    assert found == pytest.approx(np.multiply(twist, factors), abs=1e-9)
+
+
+def test_the_length_of_a_half_circle_and_of_what_no_arc_leads_to():
+    # Diameter 2: half of the circumference is pi.
+    assert se2.arc_length([0, 2, math.pi]) == pytest.approx(math.pi)
+    assert se2.arc_length([3, 4, 0]) == pytest.approx(5)
+    assert se2.arc_length([0.1, 0, 2 * math.pi]) > 1e12
+
+
+# What compiled code calls, compiled as a part of its caller.
+
+
+@njit
+def _compiled(a, b, fraction):
+    return (
+        compiled.compose(a[0], a[1], a[2], b[0], b[1], b[2]),
+        compiled.exp(a[0], a[1], a[2]),
+        compiled.compose_exp(a[0], a[1], a[2], b[0], b[1], b[2]),
+        compiled.mid_turn(a[0], a[1], a[2]),
+        compiled.chord(a[2]),
+        compiled.arc_length(a[0], a[1], a[2]),
+        compiled.arc(a[0], a[1], a[2], fraction),
+        compiled.rotate(a[2], b[0], b[1]),
+    )
+
+
+@settings(deadline=None)  # the first one compiles
+@given(pose, pose, st.floats(0, 1))
+def test_compiled_code_computes_the_same(a, b, fraction):
+    moved, ended, moved_on, turned, chord, length, part, rotated = _compiled(a, b, fraction)
+    close = {"abs": 1e-9, "rel": 1e-9}
+    assert moved == pytest.approx(se2.compose(a, b), **close)
+    assert ended == pytest.approx(se2.exp(a), **close)
+    assert moved_on == pytest.approx(se2.compose(a, se2.exp(b)), **close)
+    assert turned == pytest.approx(se2.mid_turn(a), **close)
+    assert chord == pytest.approx(se2.chord(a[2]), **close)
+    assert rotated == pytest.approx(se2.compose([0, 0, a[2]], b)[:2], **close)
+    if abs(chord) > 1e-6:  # elsewhere rounding decides how long the arc is
+        assert length == pytest.approx(se2.arc_length(a), **close)
+        assert part == pytest.approx(se2.arc(a, fraction)[:2], **close)
+
+
+@given(pose, pose)
+def test_tensors_compute_the_same(a, b):
+    first, second = torch.tensor([a, b], dtype=torch.float64)
+    for name in ("compose", "between"):
+        found = getattr(tensors, name)(first, second)
+        assert found.tolist() == pytest.approx(getattr(se2, name)(a, b), abs=1e-9)
+    for name in ("exp", "mid_turn"):
+        found = getattr(tensors, name)(first)
+        assert found.tolist() == pytest.approx(getattr(se2, name)(a), abs=1e-9)
+    assert tensors.chord(first[2]).item() == pytest.approx(se2.chord(a[2]), abs=1e-9)
+    rotated = se2.compose([0, 0, a[2]], b)[:2]
+    assert tensors.rotate(first[2], second[:2]).tolist() == pytest.approx(rotated, abs=1e-9)
+
+
+def test_tensors_may_have_any_leading_shape():
+    a, b = torch.randn(2, 4, 5, 3, generator=torch.Generator().manual_seed(0)).double()
+    for name in ("compose", "between"):
+        found = getattr(tensors, name)(a, b)
+        np.testing.assert_allclose(found, getattr(se2, name)(a.numpy(), b.numpy()), atol=1e-12)
+    for name in ("exp", "mid_turn"):
+        found = getattr(tensors, name)(a)
+        np.testing.assert_allclose(found, getattr(se2, name)(a.numpy()), atol=1e-12)

@@ -10,7 +10,6 @@ from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork, Simulator, read_simulator
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.network import compose, exp
 
 MOTORS = [
     {"name": name, "unit": unit}
@@ -102,14 +101,6 @@ def test_inputs_may_stand_in_any_order():
     a = simulator.step(state, torch.tensor([[30.0, 5.0, 1.5]], dtype=torch.float64))
     b = shuffled.step(state, torch.tensor([[1.5, 30.0, 5.0]], dtype=torch.float64))
     torch.testing.assert_close(a, b)
-
-
-def test_planar_functions_agree_with_those_of_the_base():
-    rng = np.random.default_rng(0)
-    a, b = rng.normal(0, 3, (2, 100, 3))
-    b[:3, 2] = 0.0, 1e-9, 4 * np.pi
-    np.testing.assert_allclose(compose(*map(torch.tensor, (a, b))), se2.compose(a, b), atol=1e-12)
-    np.testing.assert_allclose(exp(torch.tensor(b)), se2.exp(b), atol=1e-12)
 
 
 def test_twist_coordinates_are_carried_round_the_arc():

@@ -19,9 +19,9 @@ from neurosim.simulators.motion.noise import (
     HEAVIEST,
     CommandFeatures,
     NoiseModel,
+    components,
     disturb,
     features,
-    half_way_frame,
     heaviness,
     in_motion,
     residual,
@@ -269,6 +269,6 @@ def test_folders_of_version_1_are_read(tmp_path):
     assert again.noise is None
 
 
-def test_the_half_way_frame_of_a_half_circle():
+def test_the_components_of_a_half_circle():
     moved = torch.tensor([[0.0, 2.0, math.pi]], dtype=torch.float64)
-    assert half_way_frame(moved)[0].tolist() == pytest.approx([math.pi, 2.0, 0.0])
+    assert components(moved)[0].tolist() == pytest.approx([math.pi, 2.0, 0.0])

@@ -9,7 +9,6 @@ from neurosim.base.errors import UserError
 from neurosim.training import evaluate, train
 from neurosim.training.base import TrainingData, root_mean_square
 from neurosim.training.evaluate import errors
-from neurosim.training.trainers.exponents import half_way
 from neurosim.training.unicycle import unicycle
 
 QUICK = {
@@ -94,16 +93,6 @@ def test_no_unicycle_for_a_robot_without_wheels(make_dataset):
     names = {"prev_gait": "", "gait": "", "duration": "s"}
     rows = make_dataset(np.ones((5, 3)), np.zeros((5, 3)), names)
     assert unicycle(rows) is None
-
-
-def test_half_way_round_a_twist_is_its_chord():
-    # Turns of a whole turn and more included: no logarithm is taken.
-    rng = np.random.default_rng(2)
-    twist = rng.normal(0, 1, (50, 3))
-    twist[:, 2] = np.linspace(-12, 12, 50)
-    twist[0, 2], twist[1, 2] = 2 * np.pi, 0.0
-    targets, factors = half_way(torch.tensor(se2.exp(twist)))
-    np.testing.assert_allclose(targets, twist * factors.numpy(), atol=1e-12)
 
 
 def test_scales():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import torch
 
+from neurosim.base.se2 import tensors as se2
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.noise import CommandFeatures
@@ -12,7 +13,6 @@ from neurosim.training.base import PursuitSettings, TrainingData
 from neurosim.training.trainers.exponents import (
     ExponentsSettings,
     ExponentsTrainer,
-    half_way,
     translation_factors,
 )
 from neurosim.training.trainers.pursuit import Pursuit, row_weights
@@ -123,13 +123,9 @@ def test_twist_and_offset_give_the_displacement():
     moved = torch.stack(
         [cos * vx - sin * vy + offset[:, 0], sin * vx + cos * vy + offset[:, 1], omega], dim=-1
     )
-    targets, factors = half_way(moved)
-    mixed = torch.einsum(
-        "eon,no->en",
-        translation_factors(omega, factors[:, 0]),
-        torch.cat([twist[:, :2], offset], dim=1),
-    )
-    torch.testing.assert_close(mixed, targets[:, :2].T)
+    factors, outputs = translation_factors(omega), torch.cat([twist[:, :2], offset], dim=1)
+    mixed = torch.einsum("eon,no->en", factors, outputs)
+    torch.testing.assert_close(mixed, se2.mid_turn(moved)[:, :2].T)
 
 
 def test_the_trainer_s_errors_are_those_of_its_simulator(robot_data):

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neurosim.base.se2 import compiled as se2
 from neurosim.networks.product_units import LOG_LIMIT
 from neurosim.simulators.motion.noise import HEAVIEST
 
@@ -126,10 +127,7 @@ def displacement(a, member, inputs, out):
         else:
             offset = (offset[0], total)
     if a.twist:
-        half = 0.5 * out[2]
-        chord = math.sin(half) / half if half != 0.0 else 1.0
-        cos, sin = chord * math.cos(half), chord * math.sin(half)
-        out[0], out[1] = cos * out[0] - sin * out[1], sin * out[0] + cos * out[1]
+        out[0], out[1], out[2] = se2.exp(out[0], out[1], out[2])
     out[0] += offset[0]
     out[1] += offset[1]
 
@@ -172,9 +170,8 @@ def spread(a, inputs, mean, out):
         jump += abs(u - v)
         reversal += max(-u * v, 0.0)
         speed += abs(v) / len(a.driven)
-    cos, sin = math.cos(0.5 * mean[2]), math.sin(0.5 * mean[2])
-    t = mean[2] / a.noise_unit[0]
-    f = (cos * mean[0] + sin * mean[1]) / a.noise_unit[1]
+    ahead, _, turn = se2.mid_turn(mean[0], mean[1], mean[2])
+    t, f = turn / a.noise_unit[0], ahead / a.noise_unit[1]
     log_travel = math.log(travel + 0.01)
     log_turn, log_forward = math.log(abs(t) + 0.02), math.log(abs(f) + 0.02)
     log_jump, log_time = math.log(jump + 0.02), math.log(duration + 0.02)
@@ -220,9 +217,5 @@ def shake(mean, size, z, out):
     e_f = s_f * (z[1] + size[3] * z[0])
     e_s = s_s * (z[2] + size[4] * z[0] + size[5] * z[1])
     theta = mean[2] + e_t
-    cos, sin = math.cos(0.5 * e_t), math.sin(0.5 * e_t)
-    x, y = cos * mean[0] - sin * mean[1], sin * mean[0] + cos * mean[1]
-    cos, sin = math.cos(0.5 * theta), math.sin(0.5 * theta)
-    out[0] = x + cos * e_f - sin * e_s
-    out[1] = y + sin * e_f + cos * e_s
-    out[2] = theta
+    x, y = se2.rotate(0.5 * e_t, mean[0], mean[1])
+    out[0], out[1], out[2] = se2.compose(x, y, 0.5 * theta, e_f, e_s, 0.5 * theta)

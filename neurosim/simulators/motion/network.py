@@ -19,6 +19,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurosim.base.se2 import tensors as se2
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
@@ -201,7 +202,7 @@ class MotionNetwork(Simulator):
             z = self.noise.draw(len(moved), 1, generator)[:, 0]
         if z is not None:
             moved = self.disturbed(inputs, moved, z)
-        pose = compose(state[:, :3], moved)
+        pose = se2.compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], rest], dim=1)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
@@ -240,7 +241,7 @@ class MotionNetwork(Simulator):
         """Return the displacements [B, 3] that networks' outputs [B, O] stand for."""
         if self.coordinates == "displacement":
             return outputs
-        moved = exp(outputs[:, :3])
+        moved = se2.exp(outputs[:, :3])
         if self.coordinates == "twist":
             return moved
         return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
@@ -298,23 +299,6 @@ class MotionNetwork(Simulator):
             moving=self.derived.moving,
             swing=math.nan if self.derived.swing is None else self.derived.swing,
         )
-
-
-def compose(pose: Tensor, displacement: Tensor) -> Tensor:
-    """Return the poses [B, 3] after displacements [B, 3] in their own frames; as base.se2."""
-    x, y, theta = pose.unbind(-1)
-    dx, dy, dtheta = displacement.unbind(-1)
-    cos, sin = theta.cos(), theta.sin()
-    return torch.stack([x + cos * dx - sin * dy, y + sin * dx + cos * dy, theta + dtheta], dim=-1)
-
-
-def exp(twist: Tensor) -> Tensor:
-    """Return the displacements [B, 3] of constant body twists [B, 3] over unit time."""
-    vx, vy, omega = twist.unbind(-1)
-    # torch.sinc(t) is sin(pi t) / (pi t): the chord of the arc, turned by half the angle.
-    chord = torch.sinc(omega / (2.0 * torch.pi))
-    cos, sin = chord * (omega / 2.0).cos(), chord * (omega / 2.0).sin()
-    return torch.stack([cos * vx - sin * vy, sin * vx + cos * vy, omega], dim=-1)
 
 
 def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:

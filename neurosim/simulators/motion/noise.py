@@ -1,6 +1,6 @@
 r"""What a motion network cannot foresee: noise on displacements, correlated and of varying size.
 
-The noise stands in the frame half way round the command's turn. With the mean displacement
+The noise stands in the mid-turn frame (see :mod:`neurosim.base.se2`). With the mean displacement
 :math:`(\bar p, \bar\theta)` and noise of turn, forward and sideways :math:`(e_t, e_f, e_s)`,
 
 .. math:: \theta = \bar\theta + e_t, \qquad
@@ -34,6 +34,8 @@ from typing import ClassVar
 
 import torch
 from torch import Tensor
+
+from neurosim.base.se2 import tensors as se2
 
 #: The three components of the noise, in the order of every array here.
 COMPONENTS = ("turn", "forward", "sideways")
@@ -165,7 +167,7 @@ def features(
         jump = jump + (u - v).abs()
         reversal = reversal + (-u * v).clamp(min=0.0)
         speed = speed + v.abs() / len(columns.driven)
-    turn, forward, _ = (half_way_frame(mean) / unit).unbind(-1)
+    turn, forward, _ = (components(mean) / unit).unbind(-1)
     log_travel = (travel + 0.01).log()
     scale = [
         one,
@@ -211,8 +213,8 @@ def disturb(
     forward = s[:, 1] * (f + c[:, 0] * t)
     sideways = s[:, 2] * (side + c[:, 1] * t + c[:, 2] * f)
     theta = mean[:, 2] + turn
-    a = rotate(turn / 2, mean[:, :2])
-    b = rotate(theta / 2, torch.stack([forward, sideways], dim=-1))
+    a = se2.rotate(turn / 2, mean[:, :2])
+    b = se2.rotate(theta / 2, torch.stack([forward, sideways], dim=-1))
     return torch.cat([a + b, theta.unsqueeze(-1)], dim=-1)
 
 
@@ -223,7 +225,7 @@ def in_motion(noise: NoiseModel, mean: Tensor) -> Tensor:
 
 def motion_features(unit: Tensor, mean: Tensor) -> Tensor:
     """Return the squares [B, len(MOTION_FEATURES)] of mean displacements [B, 3]."""
-    turn, forward, _ = (half_way_frame(mean) / unit).square().unbind(-1)
+    turn, forward, _ = (components(mean) / unit).square().unbind(-1)
     return torch.stack([torch.ones_like(turn), turn, forward], dim=-1)
 
 
@@ -232,10 +234,9 @@ def heaviness(features: Tensor, tail: Tensor) -> Tensor:
     return (features @ tail).exp().clamp(max=HEAVIEST)
 
 
-def half_way_frame(displacement: Tensor) -> Tensor:
-    """Return turn, and what lies ahead and to the side as seen from half way round, [B, 3]."""
-    turn = displacement[:, 2]
-    return torch.cat([turn.unsqueeze(-1), rotate(-turn / 2, displacement[:, :2])], dim=-1)
+def components(displacement: Tensor) -> Tensor:
+    """Return displacements [B, 3] as turn, and x and y in the mid-turn frame."""
+    return se2.mid_turn(displacement).roll(1, -1)
 
 
 def residual(mean: Tensor, actual: Tensor) -> Tensor:
@@ -245,12 +246,5 @@ def residual(mean: Tensor, actual: Tensor) -> Tensor:
         mean, actual: displacements, [B, 3].
     """
     turn = actual[:, 2] - mean[:, 2]
-    moved = actual[:, :2] - rotate(turn / 2, mean[:, :2])
-    return torch.cat([turn.unsqueeze(-1), rotate(-actual[:, 2] / 2, moved)], dim=-1)
-
-
-def rotate(angle: Tensor, vector: Tensor) -> Tensor:
-    """Return vectors [B, 2] turned by angles [B]."""
-    cos, sin = angle.cos(), angle.sin()
-    x, y = vector.unbind(-1)
-    return torch.stack([cos * x - sin * y, sin * x + cos * y], dim=-1)
+    moved = actual[:, :2] - se2.rotate(turn / 2, mean[:, :2])
+    return torch.cat([turn.unsqueeze(-1), se2.rotate(-actual[:, 2] / 2, moved)], dim=-1)

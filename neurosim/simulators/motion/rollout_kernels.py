@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from neurosim.base.se2 import compiled as se2
 from neurosim.networks import LOG_LIMIT
 from neurosim.simulators.motion.kernels import SIZES, Arrays, network_inputs, shake, spread
 
@@ -206,10 +207,7 @@ def displacements(e, inputs, x, log2, units, rows, out):
         first = m * e.outputs
         dx, dy, turn = rows[first], rows[first + 1], rows[first + 2]
         if e.twist:
-            half = 0.5 * turn
-            chord = math.sin(half) / half if half != 0.0 else 1.0
-            cos, sin = chord * math.cos(half), chord * math.sin(half)
-            dx, dy = cos * dx - sin * dy, sin * dx + cos * dy
+            dx, dy, turn = se2.exp(dx, dy, turn)
         if e.outputs == 5:
             dx += rows[first + 3]
             dy += rows[first + 4]
@@ -255,10 +253,9 @@ def mean_poses(e, source, start, commands, given, stop):
             _inputs(source, before, command, inputs)
             before = command
             displacements(e, inputs, x, log2, units, rows, moved)
-            cos, sin = math.cos(theta), math.sin(theta)
-            px += cos * moved[0, 0] - sin * moved[0, 1]
-            py += sin * moved[0, 0] + cos * moved[0, 1]
-            theta += moved[0, 2]
+            # Not se2.compose, which adds in another order: the plans of fixed seeds would change.
+            dx, dy = se2.rotate(theta, moved[0, 0], moved[0, 1])
+            px, py, theta = px + dx, py + dy, theta + moved[0, 2]
         poses[b, count + 1, 0], poses[b, count + 1, 1], poses[b, count + 1, 2] = px, py, theta
     return poses
 
@@ -306,10 +303,9 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
                     shake(means[m], sizes[m], z[r, sent], moved)
                 else:
                     moved[0], moved[1], moved[2] = means[m, 0], means[m, 1], means[m, 2]
-                theta = poses[b, r, k, 2]
-                cos, sin = math.cos(theta), math.sin(theta)
-                poses[b, r, k + 1, 0] = poses[b, r, k, 0] + cos * moved[0] - sin * moved[1]
-                poses[b, r, k + 1, 1] = poses[b, r, k, 1] + sin * moved[0] + cos * moved[1]
-                poses[b, r, k + 1, 2] = theta + moved[2]
+                pose, after = poses[b, r, k], poses[b, r, k + 1]
+                after[0], after[1], after[2] = se2.compose(
+                    pose[0], pose[1], pose[2], moved[0], moved[1], moved[2]
+                )
             sent += 1
     return poses

@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, prange
 
+from neurosim.base.se2 import compiled as se2
+
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
@@ -246,15 +248,11 @@ def _moved(t, x, y, theta, first, second, noise):
     forward = second[0] + first[0] + ahead + noise[0]
     leftward = second[1] + first[1] + side + noise[1]
     turn = second[2] + first[2] + noise[2]
-    half = 0.5 * turn
-    chord = math.sin(half) / half if abs(half) > 1e-9 else 1.0
-    cos, sin = chord * math.cos(theta + half), chord * math.sin(theta + half)
-    to_x, to_y, fits = _push_out(
-        t, x + cos * forward - sin * leftward, y + sin * forward + cos * leftward
-    )
+    to_x, to_y, theta = se2.compose_exp(x, y, theta, forward, leftward, turn)
+    to_x, to_y, fits = _push_out(t, to_x, to_y)
     if fits:
         x, y = to_x, to_y
-    return x, y, theta + turn
+    return x, y, theta
 
 
 @njit(cache=True, inline="always")

@@ -31,8 +31,8 @@ from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.base import FORMAT, VERSION, Simulator
-from neurosim.simulators.motion.network import compose, exp
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.kernels import PASSES, SLACK, TableArrays
 from neurosim.simulators.tables.motor_table import MotorTable
@@ -164,9 +164,9 @@ class TableSimulator(Simulator):
             waiting = torch.minimum((a.delay - part * length).clamp(min=0.0), length)
             before, reached = self._advanced(speeds, last_goal, waiting)
             after, reached = self._advanced(reached, goal, length - waiting)
-            moved = exp(_joined(before, after) + noise / parts)
+            moved = se2.exp(_joined(before, after) + noise / parts)
             here = part < parts
-            pose = torch.where(here, self._collided(pose, compose(pose, moved)), pose)
+            pose = torch.where(here, self._collided(pose, se2.compose(pose, moved)), pose)
             speeds = torch.where(here, reached, speeds)
         return torch.cat([pose, speeds, goal], dim=1)
 

@@ -9,13 +9,13 @@ a command that the linear model is no good for says little about zones.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
-from neurosim.simulators.motion.noise import CommandFeatures, half_way_frame
+from neurosim.base.se2 import tensors as se2
+from neurosim.simulators.motion.noise import CommandFeatures
 
 #: The largest dead zone, as a share of an input's largest magnitude, and how many sizes are tried.
 _LARGEST, _TRIED = 0.5, 64
@@ -57,15 +57,15 @@ def find_dead_zone(names: Sequence[str], x: Tensor, y: Tensor) -> Tensor:
 class _Rows:
     """What a linear model says of rows under the assumption of a dead zone.
 
-    Seen from half way round, forward way and turn are those of a constant twist, the way times
-    the chord factor sinc(dtheta / 2).
+    In the mid-turn frame, forward way and turn are those of a constant twist, the way times the
+    chord of the turn.
     """
 
     def __init__(self, columns: CommandFeatures, x: Tensor, y: Tensor):
         self._columns, self._x = columns, x
-        turn, ahead, _ = half_way_frame(y).unbind(-1)
+        ahead, _, turn = se2.mid_turn(y).unbind(-1)
         self._moved = torch.stack([ahead, turn])
-        self._chord = torch.stack([torch.sinc(turn / (2.0 * math.pi)), torch.ones_like(turn)])
+        self._chord = torch.stack([se2.chord(turn), torch.ones_like(turn)])
 
     def settled(self, zone: Tensor, motors: Sequence[tuple[int, int]]) -> Tensor:
         """Return a zone in which that of these inputs, the same for all, is the likeliest.

@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from neurosim.base.se2 import tensors as se2
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
@@ -51,9 +52,9 @@ class ExponentsSettings(PursuitSettings):
 class ExponentsTrainer:
     """A search or two for the turn, and one for twist and offset of the translation.
 
-    The displacement of a constant body twist (vx, vy, omega) over unit time is, seen from
-    half way round, (vx, vy) times the chord factor sinc(omega / 2). Fitting that factor times the
-    networks' outputs to the displacement rotated back by half its turn minimises the error of the
+    The displacement of a constant body twist (vx, vy, omega) over unit time is, in the mid-turn
+    frame (see :mod:`neurosim.base.se2`), (vx, vy) times the chord of omega. Fitting that chord
+    times the networks' outputs to the displacement in that frame minimises the error of the
     displacement itself, and needs no logarithm, which has none near whole turns. The offset, in
     the frame of the start, is turned by minus half the turn there. Given the turn, both are linear.
     """
@@ -92,9 +93,9 @@ class ExponentsTrainer:
         self._network = replace(
             network, inputs=x.shape[1], phases=True, ceilings=True, floor=settings.floor
         )
-        targets, factors = half_way(y)
+        targets = se2.mid_turn(y)
         self._scale = root_mean_square(targets)[[0, 2]]  # of translations and of turns
-        translation = translation_factors(y[:, 2], factors[:, 0])
+        translation = translation_factors(y[:, 2])
         search = (settings, network.products, self._generator, settings.floor)
         # It is one function, whose exponents can all be moved together after every unit; and its
         # search is short, so that the average of two can be had (Breiman 1996).
@@ -127,7 +128,7 @@ class ExponentsTrainer:
 
         Returns:
             [3], in SI units, of the units there are now. Those of dx and dy are of the
-            displacement seen from half way round, the turn taken as measured; that of the turn is
+            displacement in the mid-turn frame, the turn taken as measured; that of the turn is
             the searches' average.
         """
         with one_thread(self._device):
@@ -194,33 +195,17 @@ def expansions(search: Pursuit) -> list[Expansion]:
     ]
 
 
-def half_way(displacement: Tensor) -> tuple[Tensor, Tensor]:
-    """Return displacements seen from half way round, and each output's factor on its twist.
-
-    Args:
-        displacement: [N, 3].
-
-    Returns:
-        Targets [N, 3] and factors [N, 3], such that twist * factor = target.
-    """
-    dx, dy, dtheta = displacement.unbind(-1)
-    cos, sin = (dtheta / 2.0).cos(), (dtheta / 2.0).sin()
-    targets = torch.stack([cos * dx + sin * dy, cos * dy - sin * dx, dtheta], dim=-1)
-    chord = torch.sinc(dtheta / (2.0 * torch.pi))
-    return targets, torch.stack([chord, chord, torch.ones_like(chord)], dim=-1)
-
-
-def translation_factors(turn: Tensor, chord: Tensor) -> Tensor:
-    """Return what (vx, vy, offset x, offset y) count in a translation seen from half way round.
+def translation_factors(turn: Tensor) -> Tensor:
+    """Return what (vx, vy, offset x, offset y) count in a translation in the mid-turn frame.
 
     Args:
         turn: [N], rad.
-        chord: sinc(turn / 2), [N].
 
     Returns:
         [2, 4, N].
     """
     cos, sin, none = (turn / 2.0).cos(), (turn / 2.0).sin(), torch.zeros_like(turn)
+    chord = se2.chord(turn)
     return torch.stack(
         [torch.stack([chord, none, cos, sin]), torch.stack([none, chord, -sin, cos])]
     )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from neurosim.base.se2 import tensors as se2
 from neurosim.networks import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData, root_mean_square
-from neurosim.training.trainers.exponents import half_way, translation_factors
+from neurosim.training.trainers.exponents import translation_factors
 from neurosim.training.trainers.pursuit import row_weights
 
 #: Networks, targets, and the factors [N] of each network's output in each target.
@@ -130,10 +131,9 @@ def _equations(y: Tensor, coordinates: str) -> tuple[Tensor, list[_System]]:
     one = torch.ones_like(y[:, 0])
     if coordinates == "displacement":
         return y.T, [((o,), (o,), [[one]]) for o in range(3)]
-    targets, factors = half_way(y)
-    chord = factors[:, 0]
+    targets, chord = se2.mid_turn(y), se2.chord(y[:, 2])
     turn = ((2,), (2,), [[one]])
     if coordinates == "twist":
         return targets.T, [((0,), (0,), [[chord]]), ((1,), (1,), [[chord]]), turn]
-    position = translation_factors(y[:, 2], chord).unbind(0)
+    position = translation_factors(y[:, 2]).unbind(0)
     return targets.T, [((0, 1, 3, 4), (0, 1), [list(p) for p in position]), turn]

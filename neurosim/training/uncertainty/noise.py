@@ -19,8 +19,8 @@ from neurosim.simulators.motion.noise import (
     TAIL_FEATURES,
     CommandFeatures,
     NoiseModel,
+    components,
     features,
-    half_way_frame,
     heaviness,
     motion_features,
     residual,
@@ -98,7 +98,7 @@ def _most_likely(
     columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor, said: Tensor
 ) -> NoiseModel:
     """Fit the noise, beside what the members say [N, 3]."""
-    unit = root_mean_square(half_way_frame(mean))
+    unit = root_mean_square(components(mean))
     scale, coupling, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)

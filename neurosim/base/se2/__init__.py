@@ -5,6 +5,12 @@ Frames follow ROS REP 103: x forward, y left, heading counter-clockwise. Heading
 wrapped: a turn of 400 degrees is 400, not 40. Functions take NumPy arrays of any leading
 shape; ``arc`` and ``exp`` follow Lynch and Park, Modern Robotics (2017), section 3.3 in the
 plane.
+
+The same functions of PyTorch tensors are in :mod:`neurosim.base.se2.tensors`, those that compiled
+code calls in :mod:`neurosim.base.se2.compiled`; the three agree but for rounding.
+
+The *mid-turn frame* of a displacement stands at its start and is turned by half of its turn. A
+constant twist (v_x, v_y, omega) displaces in it by (v_x, v_y) times the :func:`chord` of omega.
 """
 
 from __future__ import annotations
@@ -59,6 +65,30 @@ def log(displacement: ArrayLike) -> NDArray:
         return np.stack(
             [scale * (s * dx + c * dy), scale * (s * dy - c * dx), displacement[..., 2]], axis=-1
         )
+
+
+def mid_turn(displacement: ArrayLike) -> NDArray:
+    """Return displacements with x and y in their mid-turn frames."""
+    displacement = np.asarray(displacement, float)
+    dx, dy, turn = (displacement[..., place] for place in range(3))
+    cos, sin = np.cos(turn / 2), np.sin(turn / 2)
+    return np.stack([cos * dx + sin * dy, cos * dy - sin * dx, turn], axis=-1)
+
+
+def chord(turn: ArrayLike) -> NDArray:
+    """Return the length of an arc's chord over that of the arc, below 0 where it is turned round.
+
+    It is sin(turn / 2) / (turn / 2).
+    """
+    return np.sinc(np.asarray(turn, float) / (2 * np.pi))
+
+
+def arc_length(displacement: ArrayLike) -> NDArray:
+    """Return the length of the constant-twist arc, infinite or huge where there is none."""
+    displacement = np.asarray(displacement, float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        way = np.hypot(displacement[..., 0], displacement[..., 1])
+        return way / np.abs(chord(displacement[..., 2]))
 
 
 def arc(displacement: ArrayLike, fraction: ArrayLike) -> NDArray:

@@ -1,0 +1,82 @@
+"""Planar poses and displacements in compiled code, one at a time; see :mod:`neurosim.base.se2`.
+
+Every function takes numbers and returns a tuple of them, and becomes a part of the Numba function
+that calls it, which it costs nothing. After a change here delete the ``__pycache__`` folders of
+those that call it: Numba's cache looks at the caller's own file only.
+"""
+
+from __future__ import annotations
+
+import math
+
+from numba import njit
+
+#: An arc that turns by no more than this (rad) is a straight line: ratios of such sines may be 0/0.
+_STRAIGHT = 1e-100
+
+
+@njit(inline="always", error_model="numpy")
+def compose(x, y, theta, dx, dy, dtheta):
+    """Return the pose reached from a pose by a displacement given in its frame."""
+    cos, sin = math.cos(theta), math.sin(theta)
+    return x + cos * dx - sin * dy, y + sin * dx + cos * dy, theta + dtheta
+
+
+@njit(inline="always", error_model="numpy")
+def exp(vx, vy, omega):
+    """Return the displacement of a constant body twist held for unit time."""
+    along = chord(omega)
+    cos, sin = along * math.cos(0.5 * omega), along * math.sin(0.5 * omega)
+    return cos * vx - sin * vy, sin * vx + cos * vy, omega
+
+
+@njit(inline="always", error_model="numpy")
+def compose_exp(x, y, theta, vx, vy, omega):
+    """Return the pose reached by a constant body twist: ``compose`` of ``exp`` for less work."""
+    along, heading = chord(omega), theta + 0.5 * omega
+    cos, sin = along * math.cos(heading), along * math.sin(heading)
+    return x + cos * vx - sin * vy, y + sin * vx + cos * vy, theta + omega
+
+
+@njit(inline="always", error_model="numpy")
+def mid_turn(dx, dy, turn):
+    """Return a displacement with x and y in its mid-turn frame."""
+    ahead, left = rotate(-0.5 * turn, dx, dy)
+    return ahead, left, turn
+
+
+@njit(inline="always", error_model="numpy")
+def chord(turn):
+    """Return the length of an arc's chord over that of the arc: sin(turn / 2) / (turn / 2)."""
+    half = 0.5 * turn
+    return math.sin(half) / half if half != 0.0 else 1.0
+
+
+@njit(inline="always", error_model="numpy")
+def arc_length(dx, dy, turn):
+    """Return the length of the constant-twist arc, infinite or huge where there is none."""
+    along = abs(chord(turn))
+    return math.sqrt(dx * dx + dy * dy) / along if along > 0.0 else math.inf
+
+
+@njit(inline="always", error_model="numpy")
+def arc(dx, dy, turn, fraction):
+    """Return x and y of a constant-twist arc after a fraction of it.
+
+    As the chord's length and direction say; ``dx`` and ``dy`` may be in any frame, and x and y
+    are in the same.
+    """
+    half = 0.5 * turn
+    part, angle = fraction, 0.0
+    if abs(turn) > _STRAIGHT:
+        part = math.sin(fraction * half) / math.sin(half)
+        angle = (fraction - 1.0) * half
+    x, y = rotate(angle, dx, dy)
+    return part * x, part * y
+
+
+@njit(inline="always", error_model="numpy")
+def rotate(angle, x, y):
+    """Return a vector turned by an angle, rad."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x - sin * y, sin * x + cos * y
