@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,8 +13,9 @@ from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
 from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording
 from tracking.follow import Track
-from tracking.markers.colours import parse_colour
-from tracking.markers.palette import find_colours, unless_still
+from tracking.markers.colours import Colour, parse_colour
+from tracking.markers.pair import Geometry
+from tracking.markers.palette import Found, together, unless_still
 from tracking.markers.tracker import Tracker
 from tracking.poses import marker_geometry
 
@@ -67,6 +69,30 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         size,
         told,
     )
+
+
+def find_colours(
+    frames: Sequence[NDArray],
+    colours: tuple[Colour, Colour],
+    geometry: Geometry | None = None,
+) -> tuple[Found, Found] | None:
+    """Find how a camera sees the colours of a pair of markers.
+
+    Args:
+        frames: BGR [H, W, 3] uint8; a handful from anywhere in a video.
+        colours: of front and rear as they are named.
+        geometry: what is known of the pair, if anything.
+
+    Returns:
+        Front and rear; None where no such pair is in any of the frames.
+    """
+    pairs = []
+    for frame in frames:
+        tracker = Tracker(*colours, geometry)
+        tracker.update(frame, 0.0)
+        pairs.append(tracker.found or (None, None))
+    front, rear = (together([pair[i] for pair in pairs]) for i in (0, 1))
+    return None if front is None or rear is None else (front, rear)
 
 
 def _colours(

@@ -13,7 +13,6 @@ from tracking.markers.palette import (
     RIVAL,
     STILL,
     SURE_ENOUGH,
-    find_colours,
     found_colour,
     in_words,
     least_sure,
@@ -23,6 +22,7 @@ from tracking.markers.palette import (
 )
 from tracking.markers.tracker import Tracker
 from tracking.markers.white import Cast, cast_of
+from tracking.sightings import find_colours
 
 SIZE = (320, 240)
 NAMES = (parse_colour("pink"), parse_colour("blue"))

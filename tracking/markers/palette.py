@@ -107,32 +107,6 @@ def together(founds: Sequence[Found | None]) -> Found | None:
     return replace(middle, colour=replace(middle.colour, hue=hue), sure=sure, doubt=doubt)
 
 
-def find_colours(
-    frames: Sequence[NDArray],
-    colours: tuple[Colour, Colour],
-    geometry: object | None = None,
-) -> tuple[Found, Found] | None:
-    """Find how a camera sees the colours of a pair of markers.
-
-    Args:
-        frames: BGR [H, W, 3] uint8; a handful from anywhere in a video.
-        colours: of front and rear as they are named.
-        geometry: what is known of the pair, a :class:`tracking.markers.pair.Geometry`.
-
-    Returns:
-        Front and rear; None where no such pair is in any of the frames.
-    """
-    from tracking.markers.tracker import Tracker
-
-    pairs = []
-    for frame in frames:
-        tracker = Tracker(*colours, geometry)
-        tracker.update(frame, 0.0)
-        pairs.append(tracker.found or (None, None))
-    front, rear = (together([pair[i] for pair in pairs]) for i in (0, 1))
-    return None if front is None or rear is None else (front, rear)
-
-
 def unless_still(founds: Sequence[Found], front: NDArray, rear: NDArray) -> tuple[Found, ...]:
     """Return what was found, less sure where the pair [N, 2] and [N, 2] (pixels) never moves."""
     apart = np.nanmedian(np.hypot(*(front - rear).T))
