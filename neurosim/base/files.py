@@ -286,6 +286,19 @@ def read_csv(
     return table
 
 
+def read_header(path: str | Path) -> tuple[str, ...]:
+    """Return the column names in the first line of a CSV file.
+
+    Raises:
+        FileError: if there is no such file, or it is not CSV.
+    """
+    try:
+        with open(path, encoding="utf-8", newline="") as file:
+            return tuple(next(csv.reader(file), ()))
+    except (OSError, UnicodeDecodeError) as error:
+        raise FileError(path, f"cannot be read as CSV in UTF-8: {error}") from None
+
+
 class LineLog:
     """A CSV file that grows line by line, each flushed to the disk as it is written.
 

@@ -1,16 +1,17 @@
-"""Where motor commands come from: the paper's random ones, or a given list.
+"""Where motor commands come from: the paper's random ones, a given list, or who looks first.
 
 Anything with ``command(index)`` and ``describe()`` is a source; the recorder takes it as an
-argument.
+argument. One that is shown what the robot sees before each command is a :class:`SeeingSource`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 
@@ -37,6 +38,56 @@ class CommandSource(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Return the settings that a resumed recording must share."""
+        ...
+
+
+@dataclass(frozen=True)
+class Observation:
+    """What a robot sees before a command.
+
+    Attributes:
+        time: since the first command was due, s.
+        pose: where the robot is, [3] (m, m, rad, board frame), or None where nothing says it.
+        readings: of its sensors by name, 0..1.
+    """
+
+    time: float
+    pose: NDArray[np.float64] | None
+    readings: Mapping[str, float]
+
+
+@runtime_checkable
+class SeeingSource(Protocol):
+    """Gives a command for what is seen, at a steady rate: a controller in closed loop.
+
+    Attributes:
+        step: a command is asked for so often, s.
+        steps: how many times.
+        rest: how long the robot is watched after it was stopped, s.
+        start: pose [3] where the robot stands at first (m, m, rad).
+        sensors: names of the sensors that it needs.
+        reads: whether the sensors are read, needed or not.
+        needs_pose: whether it needs the pose.
+    """
+
+    step: float
+    steps: int
+    rest: float
+    start: tuple[float, float, float]
+    sensors: tuple[str, ...]
+    reads: bool
+    needs_pose: bool
+
+    def begin(self) -> None:
+        """Begin a trial: whatever was seen before is forgotten."""
+        ...
+
+    def react(self, seen: Observation) -> Command:
+        """Return the command for the next ``step`` seconds."""
+        ...
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a recording should say of it."""
         ...
 
 

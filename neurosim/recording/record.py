@@ -15,7 +15,8 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.provenance import robot_kind
-from neurosim.recording.commands import CommandSource
+from neurosim.recording.closed_loop import ClosedLoopSession, missing
+from neurosim.recording.commands import CommandSource, SeeingSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
 from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.recording.spotter import Spotter
@@ -35,7 +36,7 @@ def record(
     out: str | Path,
     robot: Robot,
     camera: Camera | None,
-    source: CommandSource,
+    source: CommandSource | SeeingSource,
     settings: RecordSettings,
     *,
     calibration: str | Path | None = None,
@@ -53,7 +54,7 @@ def record(
         out: folder of the recording; new, or with ``resume`` one that was interrupted.
         robot: the robot, not connected yet; its motors are stopped whatever happens.
         camera: what films it, or None (a video from elsewhere is joined when tracking).
-        source: where commands come from.
+        source: where commands come from; one that sees is asked in closed loop.
         settings: the rest.
         calibration: calibration.json of the camera, copied into the recording.
         live: with a camera and its place over the board, track while recording: the robot is
@@ -68,13 +69,15 @@ def record(
 
     Raises:
         UserError: if ``out`` is not what it should be, or a setting differs from those of the
-            recording to be resumed.
+            recording to be resumed; if a robot lacks what a source that sees needs.
         LinkLost: if the robot stopped answering; what was recorded stays.
         BatteryLow: if the battery fell below the limit.
     """
     out = Path(out)
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
+    if isinstance(source, SeeingSource):
+        _check_source(source, robot, camera if live else None, calibration, resume)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
     if options is not None:
         wanted["options"] = dict(options)
@@ -115,16 +118,21 @@ def record(
                         )
                         stack.callback(spotter.close)
                     camera.start(_to_both(sink, spotter))
+                kind = ClosedLoopSession if isinstance(source, SeeingSource) else Session
+                driven = kind(
+                    recording, session, robot, source, settings, log, say, camera, spotter
+                )
                 try:
-                    done = Session(
-                        recording, session, robot, source, settings, log, say, camera, spotter
-                    ).run()
+                    done = driven.run()
                 finally:
                     # Before the camera stops: it should still see the robot stand still, and
                     # nothing that goes wrong with the video may leave the motors on.
                     _stop_quietly(robot)
                     if camera is not None:
                         camera.stop()
+                    if isinstance(driven, ClosedLoopSession):
+                        recording.meta["deadlines"] = asdict(driven.deadlines)
+                        recording.save_meta()
         finally:
             if finish is not None:
                 finish(out, session)
@@ -138,6 +146,26 @@ def record(
     if done and spotter is not None:
         _write_poses(recording, say)
     return recording
+
+
+def _check_source(
+    source: SeeingSource,
+    robot: Robot,
+    camera: Camera | None,
+    calibration: str | Path | None,
+    resume: bool,
+) -> None:
+    """Refuse what a controller cannot be driven with, before anything moves."""
+    if resume:
+        raise UserError(
+            "what a controller that sees drives cannot be gone on with: start a new recording"
+        )
+    sees = (
+        camera is not None and calibration is not None and CameraModel.read(calibration).has_board
+    )
+    lacks = missing(source, robot, sees=sees)
+    if lacks:
+        raise UserError("; ".join(lacks))
 
 
 def _model(out: Path) -> CameraModel | None:
@@ -185,7 +213,10 @@ def _stop_quietly(robot: Robot) -> None:
 
 
 def _wanted(
-    robot: Robot, camera: Camera | None, source: CommandSource, settings: RecordSettings
+    robot: Robot,
+    camera: Camera | None,
+    source: CommandSource | SeeingSource,
+    settings: RecordSettings,
 ) -> dict[str, Any]:
     wanted = {
         "robot": robot.describe(),

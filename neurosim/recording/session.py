@@ -1,5 +1,7 @@
 """One session of a recording: what is sent to the robot, and how it is kept on the board.
 
+Commands are sent here as a list; :mod:`.closed_loop` asks for them one by one.
+
 Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands, motors that
 go straight from one command into the next, a perimeter line that the light sensors guard, and a
 lamp that flashes into the camera so that the video's clock can be found.
@@ -9,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from itertools import zip_longest
 from typing import NoReturn
@@ -59,6 +61,9 @@ class _Todo:
 class Session:
     """One session: from the flash at its start to the flash at its end."""
 
+    #: What a user does next where a session was interrupted.
+    _go_on = "in the middle of the board and go on with --resume"
+
     def __init__(
         self,
         recording: Recording,
@@ -95,11 +100,20 @@ class Session:
         self._rng = np.random.default_rng([session, settings.commands])
 
     def run(self) -> bool:
-        """Send what waits; return whether all of it was sent."""
+        """Drive between a flash and a flash; return whether all that was to be sent was sent."""
         self._flash()
         self._learn_board()
         if self._is_blind():
             self._wait_for_sight()
+        done = self._drive()
+        self._write("stop", 0, 0)
+        self._stopped()
+        self._flash()
+        self._write("end")
+        return done
+
+    def _drive(self) -> bool:
+        """Send what waits; return whether all of it was sent."""
         total = self._settings.commands
         with Progress("recording", total, "commands") as progress:
             progress.advance(total - len(self._waiting))
@@ -112,7 +126,7 @@ class Session:
                 command = self._source.command(todo.index)
                 before = self._speeds
                 self._write("command", command.left, command.right, command.duration, todo.index)
-                if self._hold(command):
+                if self._hold(command, self._sent + command.duration):
                     progress.advance()
                     continue
                 self._write("cut", 0, 0, number=todo.index)
@@ -125,10 +139,10 @@ class Session:
                     self._lead_in(before)
                 else:
                     progress.advance()
-        self._write("stop", 0, 0)
-        self._flash()
-        self._write("end")
         return not self._waiting
+
+    def _stopped(self) -> None:
+        """Do what is to be done between the last command and the flash."""
 
     # What is sent, and written down just before it is sent
 
@@ -169,16 +183,20 @@ class Session:
     def _wait(self, seconds: float) -> None:
         self._clock.sleep_until(self._clock.now() + seconds)
 
-    def _hold(self, command: Command) -> bool:
-        """Let a command run its duration; return False as soon as the robot must stop."""
-        end = self._sent + command.duration
+    def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:
+        """Let a command run until ``end`` (s); return False as soon as the robot must stop.
+
+        Args:
+            command: that was sent.
+            end: the robot's time.
+            took: how long a look takes, s, as far as that is known: the last one must not make
+                the next command late.
+        """
         moving = command.left != 0 or command.right != 0
         watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
         if moving and watched:
-            took = 0.0
-            # The last look must not make the next command late.
             while (now := self._clock.now()) + 1.5 * took < end:
-                if (self._board and self._on_line()) or self._leaves() or self._is_blind():
+                if self._must_stop(self._lines()):
                     return False
                 if not self._board:
                     self._clock.sleep_until(min(now + LOOK_EVERY, end))
@@ -188,29 +206,36 @@ class Session:
 
     # The perimeter
 
+    def _must_stop(self, readings: Mapping[str, float]) -> bool:
+        """Return whether the robot is on a line, leaves the board, or is lost.
+
+        Args:
+            readings: of the sensors, by name; those that see no line are passed over.
+        """
+        return self._on_line(readings) or self._leaves() or self._is_blind()
+
     def _lines(self) -> dict[str, float]:
-        if not isinstance(self._robot, Sensors):
+        if not self._board:
             return {}
-        there = [name for name in LINES if name in self._robot.sensor_names]
-        readings = self._robot.read_sensors() if there else {}
-        return {name: readings[name] for name in there}
+        assert isinstance(self._robot, Sensors)
+        return self._robot.read_sensors()
 
     def _learn_board(self) -> None:
+        """Read what the bare board looks like to the sensors that see lines."""
         if self._guard.at_line == "ignore":
             return
-        looks = [self._lines() for _ in range(5)]
-        self._board = {
-            name: float(np.median([look[name] for look in looks if name in look]))
-            for name in looks[0]
-        }
+        robot = self._robot
+        names = set(LINES) & set(robot.sensor_names if isinstance(robot, Sensors) else ())
+        looks = [robot.read_sensors() for _ in range(5)] if names else []
+        self._board = {name: float(np.median([look[name] for look in looks])) for name in names}
         if not self._board and self._spotter is None:
             self._say("no light sensors: the perimeter is not guarded, stay with the robot")
 
-    def _on_line(self) -> bool:
+    def _on_line(self, readings: Mapping[str, float]) -> bool:
         return any(
-            abs(value - self._board[name]) > self._guard.contrast
-            for name, value in self._lines().items()
-            if name in self._board
+            abs(readings[name] - bare) > self._guard.contrast
+            for name, bare in self._board.items()
+            if name in readings
         )
 
     def _leaves(self) -> bool:
@@ -224,27 +249,24 @@ class Session:
             return False
         return self._spotter.unseen(self._clock.now()) > self._guard.unseen
 
-    def _pose(self) -> NDArray | None:
-        """Return the robot's pose by now, None if it is not in sight."""
+    def _pose(self, at: float | None = None) -> NDArray | None:
+        """Return the robot's pose at a time soon (s), or now; None if it is not in sight."""
         last = None if self._spotter is None else self._spotter.last
         now = self._clock.now()
         if last is None or now - last[0] > self._guard.unseen:
             return None
-        return self._perimeter.predict(last[1], last[0], now)[0]
+        return self._perimeter.predict(last[1], last[0], now if at is None else at)[0]
 
     def _wait_for_sight(self) -> None:
-        """Wait until a robot that has no light sensors is seen."""
-        self._say(
-            "the robot is not seen, and without light sensors it cannot drive unseen: put it on "
-            "the board, in view"
-        )
+        """Wait until a robot that cannot drive unseen is seen."""
+        self._say("the robot is not seen, and cannot drive unseen: put it on the board, in view")
         end = self._clock.now() + PATIENCE
         while self._is_blind():
             if self._clock.now() > end:
                 self._write("stop", 0, 0)
                 raise UserError(
                     f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
-                    "robot in the middle of the board and go on with --resume"
+                    f"robot {self._go_on}"
                 )
             self._wait(LOOK_EVERY)
 
@@ -306,8 +328,7 @@ class Session:
     def _give_up(self) -> NoReturn:
         self._write("stop", 0, 0)
         raise UserError(
-            "the robot does not find its way back inside the lines; "
-            "put it in the middle of the board and go on with --resume"
+            f"the robot does not find its way back inside the lines; put it {self._go_on}"
         )
 
     def _turn(self, angle: float) -> None:
@@ -322,7 +343,7 @@ class Session:
         if not look:
             self._clock.sleep_until(self._sent + seconds)
             return True
-        return self._hold(command)
+        return self._hold(command, self._sent + seconds)
 
     def _lead_in(self, speeds: tuple[float, float]) -> None:
         if any(speeds):
@@ -342,7 +363,7 @@ class Session:
         self._write("pause")
         raise BatteryLow(
             f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "
-            "the robot back inside the lines and go on with --resume"
+            f"the robot {self._go_on}"
         )
 
 

@@ -302,3 +302,64 @@ def test_a_kill_leaves_a_recording_that_can_be_tracked(kept, tmp_path):
     assert summary["frames"] >= 300
     times = recording.poses().time
     assert all(b > a for a, b in itertools.pairwise(times))
+
+
+class ToTheEdge:
+    """Drives to where x is 0.3 m, by its pose alone, and keeps what it was shown."""
+
+    step, steps, rest, start = 0.15, 30, 0.5, (0.0, 0.0, 0.0)
+    sensors, reads, needs_pose = (), False, True
+
+    def __init__(self, goal):
+        self.goal, self.seen = goal, []
+
+    def begin(self):
+        self.seen.clear()
+
+    def react(self, seen):
+        self.seen.append(seen)
+        speed = float(np.clip(200 * (self.goal - seen.pose[0]), -40, 40))
+        return Command(round(speed), round(speed), self.step)
+
+    def describe(self):
+        return {"kind": "test"}
+
+
+def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
+    source = ToTheEdge(0.3)
+    recording, said, truth = make(tmp_path / "r", source, source.steps)
+    assert said == []
+    assert recording.meta["complete"] is True
+    assert recording.meta["deadlines"]["missed"] == 0
+    assert recording.is_tracked
+    seen = recording.observations()
+    # Predicted to when the command is sent, it is where the robot is then.
+    off = seen.pose[:-2] - truth.pose_at(seen.time[:-2])
+    assert np.abs(off[:, :2]).max() < 0.02
+    assert truth.poses[-1, 0] == pytest.approx(0.3, abs=0.03)
+    assert np.diff(seen.time[:-2]) == pytest.approx(0.15, abs=1e-5)
+
+
+def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
+    recording, said, truth = make(tmp_path / "edge", ToTheEdge(5.0), 30)
+    motor = [line.kind for line in recording.commands() if line.is_motor]
+    assert motor[-3:] == ["command", "cut", "stop"]
+    assert np.abs(truth.poses[:, 0]).max() < BOARD["length"] / 2 - Guard().margin + 0.02
+    assert "was stopped before the end" in said[0]
+
+    def covered(rig):
+        render = rig.camera.render
+        begin = rig.lab.time + 4.0
+        rig.camera.render = lambda poses, lamp=0.0: render(
+            None if rig.lab.time > begin else poses, lamp
+        )
+
+    source = ToTheEdge(0.3)
+    recording, said, _ = make(
+        tmp_path / "lost", source, source.steps, prepare=covered, sensors=True,
+        settings={"board": BOARD, "guard": Guard("ignore")},
+    )  # fmt: skip
+    motor = [line for line in recording.commands() if line.is_motor]
+    assert [line.kind for line in motor[-2:]] == ["cut", "stop"]
+    assert motor[-2].time == pytest.approx(4.0 + Guard().unseen, abs=0.3)
+    assert "or unseen" in said[-1]

@@ -3,7 +3,8 @@
 A recording is a folder. ``recording.json`` says with what it was made; ``commands.csv`` has one
 line for everything that was sent to the robot, written as it was sent; ``frames.csv`` has the
 camera time of every frame of the video parts; ``sightings.csv`` has the pixels of the markers, if
-they were tracked while the recording was made; ``poses.csv`` and ``tracking.json`` come with
+they were tracked while the recording was made; ``observations.csv`` what a controller saw that
+was asked for the commands; ``poses.csv`` and ``tracking.json`` come with
 tracking. Whatever interrupts a recording, what stands in its files can be read.
 
 A recording consists of sessions: the first start, and one more for every time it was resumed.
@@ -14,7 +15,7 @@ from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,7 @@ from neurosim.base.files import (
     number,
     optional_number,
     read_csv,
+    read_header,
     read_json,
     write_csv,
     write_json,
@@ -59,6 +61,7 @@ _FRAME_COLUMNS = ("session", "frame", "time")
 SIGHTING_COLUMNS = (
     "session", "frame", "front_u", "front_v", "rear_u", "rear_v", "quality", "lamp",
 )  # fmt: skip
+_OBSERVATION_COLUMNS = ("session", "command", "time", "x", "y", "theta")
 _POSE_COLUMNS = ("session", "frame", "time", "x", "y", "theta", "quality")
 
 #: The paper's markers on this project's robot: pink in front, blue behind, in metres in the
@@ -124,6 +127,39 @@ class Poses:
             self.time[rows],
             self.pose[rows],
             self.quality[rows],
+        )
+
+
+@dataclass(frozen=True)
+class Observations:
+    """What a controller saw, one row a look; seconds on the session's robot clock, metres, radians.
+
+    Attributes:
+        session: [N] int.
+        command: [N] int, the command that followed from it; -1 where none did.
+        time: [N] when the robot was at the pose.
+        pose: [N, 3], NaN where nothing said it.
+        names: of the sensors.
+        readings: [N, S] of the sensors, 0..1.
+    """
+
+    session: NDArray
+    command: NDArray
+    time: NDArray
+    pose: NDArray
+    names: tuple[str, ...]
+    readings: NDArray
+
+    def of_session(self, session: int) -> Observations:
+        """Return the rows of one session."""
+        rows = self.session == session
+        return Observations(
+            self.session[rows],
+            self.command[rows],
+            self.time[rows],
+            self.pose[rows],
+            self.names,
+            self.readings[rows],
         )
 
 
@@ -219,6 +255,10 @@ class Recording:
         """Open sightings.csv for appending; a torn last line is removed."""
         return LineLog(self.path / "sightings.csv", SIGHTING_COLUMNS)
 
+    def observation_log(self, names: Sequence[str]) -> LineLog:
+        """Open observations.csv for appending, with a column for each sensor."""
+        return LineLog(self.path / "observations.csv", (*_OBSERVATION_COLUMNS, *names))
+
     # Reading
 
     def commands(self) -> list[CommandLine]:
@@ -258,6 +298,34 @@ class Recording:
                 _check_order(path, before, entry)
             before = entry
         return lines
+
+    def observations(self) -> Observations | None:
+        """Read observations.csv; None where no controller saw anything.
+
+        Raises:
+            FileError: naming line and field of what is wrong.
+        """
+        path = self.path / "observations.csv"
+        if not path.exists():
+            return None
+        names = read_header(path)
+        if names[: len(_OBSERVATION_COLUMNS)] != _OBSERVATION_COLUMNS:
+            expected = ", ".join(_OBSERVATION_COLUMNS)
+            raise FileError(path, f"expected the columns {expected} and sensors", line=1)
+        sensors = names[len(_OBSERVATION_COLUMNS) :]
+        parsers = {"session": integer, "command": _optional_integer, "time": number}
+        poses, readings = ("x", "y", "theta"), dict.fromkeys(sensors, number)
+        parsers |= dict.fromkeys(poses, optional_number) | readings
+        table = read_csv(path, parsers, drop_torn_line=True)
+        count = len(table["time"])
+        return Observations(
+            np.array(table["session"], int),
+            np.array([-1 if c is None else c for c in table["command"]], int),
+            np.array(table["time"], float),
+            np.array([table[name] for name in poses], float).T.reshape(count, 3),
+            sensors,
+            np.array([table[name] for name in sensors], float).T.reshape(count, len(sensors)),
+        )
 
     def frame_times(self, session: int) -> NDArray | None:
         """Return camera times [N] in seconds of a session's frames; None without frames.csv."""

@@ -1,0 +1,203 @@
+"""A session in closed loop: a controller that sees is asked for every command.
+
+Every step ends with a command that is sent at a steady rate. Shortly before it is due the robot
+is looked at: the last thing that is read are its sensors, so that what the controller knows is as
+old in every step as a reading takes. How long that is, the robot shows standing still.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from neurosim.base.progress import Progress
+from neurosim.recording.commands import Observation, SeeingSource
+from neurosim.recording.session import LINES, Session
+from neurosim.robots.base import Counters, Robot, Sensors
+from neurosim.robots.odometry import Odometry
+from tracking.datasets.recordings import Recording
+
+#: So many looks, while the robot stands still, say how long one takes.
+LOOKS = 5
+#: A command that is later than this share of a step has missed its deadline.
+LATE = 0.1
+#: The battery is asked so often, s.
+BATTERY_EVERY = 30.0
+
+
+@dataclass
+class Deadlines:
+    """How well a controller kept its rate.
+
+    Attributes:
+        steps: commands that were sent.
+        missed: those that were sent later than they were due by more than a tenth of a step.
+        worst_late_s: the latest of all, s.
+    """
+
+    steps: int = 0
+    missed: int = 0
+    worst_late_s: float = 0.0
+
+    def sent(self, late: float, step: float) -> bool:
+        """Count a command that was sent so late (s); return whether it missed its deadline."""
+        missed = late > LATE * step
+        self.steps += 1
+        self.missed += missed
+        self.worst_late_s = round(max(self.worst_late_s, late), 6)
+        return missed
+
+
+def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
+    """Return what a robot lacks for a controller, a sentence for each; none: it can be driven.
+
+    Args:
+        source: the controller.
+        robot: connected or not.
+        sees: whether a camera tells where the robot is while it drives.
+    """
+    kind = robot.describe().get("kind", "robot")
+    names = robot.sensor_names if isinstance(robot, Sensors) else ()
+    lacking = [name for name in source.sensors if name not in names]
+    found = []
+    if lacking:
+        there = f"it reads {', '.join(names)}" if names else "it has no sensors"
+        found.append(
+            f"the controller needs {', '.join(lacking)}, which this robot ({kind}) has not: {there}"
+        )
+    if source.needs_pose and not sees and not isinstance(robot, Counters):
+        found.append(
+            f"the controller needs the robot's pose, and nothing says it: this robot ({kind}) does "
+            "not count how far its wheels turn, and no camera with a calibration that has points "
+            "on the board tracks it while it drives"
+        )
+    return found
+
+
+class ClosedLoopSession(Session):
+    """One session in which a controller is asked for every command; see :class:`Session`.
+
+    At a line, at the edge of the board and where the robot is lost it ends, unless the guard
+    ignores the perimeter; a controller that needs the pose is never driven without one.
+
+    Attributes:
+        deadlines: how well the rate was kept so far.
+    """
+
+    _go_on = "at its start and begin again"
+    _source: SeeingSource
+
+    def __init__(self, recording: Recording, session: int, robot: Robot, *others: Any):
+        super().__init__(recording, session, robot, *others)
+        self.deadlines = Deadlines()
+        self._recording = recording
+        self._odometry: Odometry | None = None
+        names = robot.sensor_names if isinstance(robot, Sensors) else ()
+        # What guards the perimeter is read at every step, too.
+        guards = self._guard.at_line != "ignore" and not set(LINES).isdisjoint(names)
+        self._names = names if self._source.reads or guards else ()
+
+    def run(self) -> bool:
+        """Drive between a flash and a flash; return whether all steps were made."""
+        if self._spotter is None and isinstance(self._robot, Counters):
+            self._odometry = Odometry(self._robot, self._source.start)
+        with self._recording.observation_log(self._names) as log:
+            self._seen_log = log
+            return super().run()
+
+    def _drive(self) -> bool:
+        """Ask for a command at every step; return whether all steps were made."""
+        source, step = self._source, self._source.step
+        self._check_battery()
+        lead = self._rehearse()
+        asked = self._clock.now()
+        begin = due = asked + 1.1 * lead
+        with Progress("driving", source.steps, "steps") as progress:
+            for number in range(source.steps):
+                self._clock.sleep_until(due - lead)
+                seen = self._look(due, due - begin, number)
+                if not self._may_go_on(seen):
+                    return self._cut()
+                command = source.react(seen)
+                self._clock.sleep_until(due)
+                self._write("command", command.left, command.right, step, number)
+                missed = self.deadlines.sent(self._sent - due, step)
+                due = (self._sent if missed else due) + step
+                progress.advance()
+                if self._clock.now() - asked > BATTERY_EVERY:
+                    asked = self._clock.now()
+                    self._check_battery()
+                if not self._hold(command, due - lead, lead):
+                    return self._cut()
+        self._look(due, due - begin)
+        self._clock.sleep_until(due)
+        return True
+
+    def _rehearse(self) -> float:
+        """Look and ask while the robot stands still; return how long that takes at most, s."""
+        longest = 0.0
+        for _ in range(LOOKS):
+            begin = self._clock.now()
+            seen = self._observe(begin, 0.0)[1]
+            if seen.pose is not None or not self._source.needs_pose:
+                self._source.react(seen)
+            longest = max(longest, self._clock.now() - begin)
+        self._source.begin()
+        return longest
+
+    def _observe(self, due: float, since: float) -> tuple[float, Observation]:
+        """Look at the robot.
+
+        Args:
+            due: when the next command is to be sent; a pose that is tracked is predicted to then.
+            since: that, since the first command was due, s.
+
+        Returns:
+            When the robot was at the pose (or looked for the readings, if there is none), by its
+            clock, and what it sees.
+        """
+        time = self._clock.now()
+        if self._odometry is not None:
+            pose = self._odometry.read()
+        elif (pose := self._pose(due)) is not None:
+            time = due
+        readings = self._robot.read_sensors() if self._names else {}
+        return time, Observation(since, pose, readings)
+
+    def _look(self, due: float, since: float, number: int | None = None) -> Observation:
+        """Look at the robot and write it down; see :meth:`_observe`."""
+        time, seen = self._observe(due, since)
+        pose = (None,) * 3 if seen.pose is None else np.round(seen.pose, 6)
+        readings = (seen.readings[name] for name in self._names)
+        self._seen_log.append(self._session, number, round(time, 6), *pose, *readings)
+        return seen
+
+    def _stopped(self) -> None:
+        """See where the robot comes to rest."""
+        self._clock.sleep_until(self._sent + self._source.rest)
+        now = self._clock.now()
+        self._look(now, math.nan)
+
+    def _may_go_on(self, seen: Observation) -> bool:
+        if getattr(self._camera, "failed", False):
+            return False
+        if self._source.needs_pose and seen.pose is None:
+            return False
+        return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
+
+    def _cut(self) -> bool:
+        """Stop at once; where that was is looked at then."""
+        if self.deadlines.steps:
+            self._write("cut", 0, 0, number=self.deadlines.steps - 1)
+        self._say("the robot was stopped before the end: at a line, the board's edge, or unseen")
+        self._look(self._clock.now(), math.nan)
+        return False
+
+    def _is_blind(self) -> bool:
+        """Return whether nothing tells where the robot is, though that must be known."""
+        if self._source.needs_pose and self._spotter is not None:
+            return self._spotter.unseen(self._clock.now()) > self._guard.unseen
+        return super()._is_blind()

@@ -1,0 +1,262 @@
+"""Controllers that see, driven at a steady rate; on robots without physics, and in the lab."""
+
+import math
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import UserError
+from neurosim.recording.commands import Command
+from neurosim.recording.record import BatteryLow, Guard, RecordSettings, record
+from neurosim.robots.base import Geometry
+from tracking.datasets.recordings import Recording
+
+FULL_SPEED = 0.5  # m/s
+
+
+class Clock:
+    def __init__(self):
+        self.time = 0.0
+
+    def now(self):
+        return self.time
+
+    def sleep_until(self, time):
+        self.time = max(self.time, time)
+
+
+class Robot:
+    """Two wheels 10 cm apart that follow at once; a line stands where x > ``line``."""
+
+    sensor_names = ("line_left", "sensor_0")
+    pulses_per_metre, geometry = 10_000.0, Geometry(0.05, 0.1)
+
+    def __init__(self, *, line=math.inf, slow_at=(), volts=8.0):
+        self.clock = Clock()
+        self.line, self.slow_at, self.volts = line, slow_at, volts
+        self.speeds, self.since = (0.0, 0.0), 0.0
+        self.ways, self.zero = [0.0, 0.0], (0, 0)
+        self.sent, self.looks = [], 0
+
+    def connect(self):
+        pass
+
+    def close(self):
+        pass
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    def _move(self):
+        now = self.clock.now()
+        for wheel, speed in enumerate(self.speeds):
+            self.ways[wheel] += speed / 100 * FULL_SPEED * (now - self.since)
+        self.since = now
+
+    def drive(self, left, right):
+        self._move()
+        self.speeds = (left, right)
+        self.sent.append((self.clock.now(), left, right))
+
+    def stop(self):
+        self._move()
+        self.speeds = (0.0, 0.0)
+
+    def _pulses(self):
+        return [round(way * self.pulses_per_metre) for way in self.ways]
+
+    def read_counts(self):
+        self.clock.time += 0.01
+        self._move()
+        return tuple(a - b for a, b in zip(self._pulses(), self.zero, strict=True))
+
+    def set_counts(self, left, right):
+        self._move()
+        pulses = self._pulses()
+        self.zero = (pulses[0] - left, pulses[1] - right)
+
+    def read_sensors(self):
+        self.looks += 1
+        self.clock.time += 0.25 if self.looks in self.slow_at else 0.02
+        self._move()
+        ahead = sum(self.ways) / 2
+        return {"line_left": 0.1 if ahead > self.line else 0.6, "sensor_0": min(ahead, 1.0)}
+
+    def battery(self):
+        return self.volts
+
+    def describe(self):
+        return {"kind": "two-wheels"}
+
+
+class Source:
+    """Drives straight ahead, slower the more it sees, and keeps what it was shown."""
+
+    step, rest, start = 0.1, 0.5, (1.0, 2.0, math.pi / 2)
+    reads, needs_pose = True, False
+
+    def __init__(self, steps, sensors=("sensor_0",), needs_pose=False):
+        self.steps, self.sensors, self.needs_pose = steps, sensors, needs_pose
+        self.seen, self.begun = [], 0
+
+    def begin(self):
+        self.begun += 1
+        self.seen.clear()
+
+    def react(self, seen):
+        self.seen.append(seen)
+        speed = 50.0 - 40.0 * seen.readings["sensor_0"]
+        return Command(speed, speed, self.step)
+
+    def describe(self):
+        return {"kind": "test"}
+
+
+def drive(folder, robot, source, *, at_line="ignore", **options):
+    said, settings = [], RecordSettings(source.steps, Guard(at_line))
+    return record(folder, robot, None, source, settings, say=said.append, **options), said
+
+
+def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
+    robot, source = Robot(), Source(20)
+    recording, _ = drive(tmp_path / "r", robot, source)
+    assert source.begun == 1
+    sent = [line for line in recording.commands() if line.kind == "command"]
+    assert [line.command for line in sent] == list(range(20))
+    assert np.diff([line.time for line in sent]) == pytest.approx(0.1)
+    assert [line.duration for line in sent] == [0.1] * 20
+    seen = recording.observations()
+    assert seen.names == robot.sensor_names
+    assert seen.command.tolist() == [*range(20), -1, -1]
+    assert [line.left for line in sent] == pytest.approx(50 - 40 * seen.readings[:20, 1])
+    assert [s.time for s in source.seen] == pytest.approx(0.1 * np.arange(20))
+    # Odometry, from the start pose: up along y, the way that the wheels turned.
+    assert seen.pose[:, 0] == pytest.approx(1.0)
+    # The first look came before the robot moved.
+    ways = [FULL_SPEED * line.left / 100 * 0.1 for line in sent]
+    assert np.diff(seen.pose[1:20, 1]) == pytest.approx(ways[1:-1], abs=1e-3)
+    assert seen.pose[:, 2] == pytest.approx(math.pi / 2)
+    assert np.array([s.pose for s in source.seen]) == pytest.approx(seen.pose[:20], abs=1e-6)
+    assert recording.meta["deadlines"] == {"steps": 20, "missed": 0, "worst_late_s": 0.0}
+    assert recording.meta["complete"] is True
+
+
+def test_the_last_command_is_held_as_long_as_the_others_and_then_comes_rest(tmp_path):
+    recording, _ = drive(tmp_path / "r", Robot(), Source(5))
+    motor = [line for line in recording.commands() if line.is_motor]
+    assert [line.kind for line in motor] == [*["command"] * 5, "stop"]
+    assert np.diff([line.time for line in motor]) == pytest.approx(0.1)
+    seen = recording.observations()
+    before, after = seen.time[-2] - motor[-1].time, seen.time[-1] - motor[-1].time
+    assert -0.05 < before < 0
+    assert after >= 0.5
+
+
+def test_what_is_late_is_counted_and_does_not_shorten_what_follows(tmp_path):
+    # Five looks before the start; the 3rd and the 8th step's are slow.
+    recording, _ = drive(tmp_path / "r", Robot(slow_at=(8, 13)), Source(12))
+    sent = [line.time for line in recording.commands() if line.kind == "command"]
+    found = recording.meta["deadlines"]
+    assert (found["steps"], found["missed"]) == (12, 2)
+    assert found["worst_late_s"] == pytest.approx(0.23)
+    assert np.diff(sent) == pytest.approx([0.1, 0.33, *[0.1] * 4, 0.33, *[0.1] * 4])
+
+
+@pytest.mark.parametrize("at_line", ["end", "return"])
+def test_a_line_ends_the_drive(tmp_path, at_line):
+    robot = Robot(line=0.2)
+    recording, said = drive(tmp_path / "r", robot, Source(50), at_line=at_line)
+    motor = [line for line in recording.commands() if line.is_motor]
+    assert [line.kind for line in motor[-3:]] == ["command", "cut", "stop"]
+    assert motor[-2].command == motor[-3].command < 30
+    assert sum(robot.ways) / 2 < 0.2 + 0.03
+    assert recording.meta["complete"] is False
+    assert "was stopped before the end" in said[0]
+    drive(tmp_path / "ignored", robot := Robot(line=0.2), Source(50))
+    assert sum(robot.ways) / 2 > 0.3
+
+
+def test_a_line_is_seen_though_the_controller_reads_nothing(tmp_path):
+    class Blindly(Source):
+        reads = False
+
+        def react(self, seen):
+            return Command(50, 50, self.step)
+
+    robot = Robot(line=0.2)
+    recording, _ = drive(tmp_path / "r", robot, Blindly(50, ()), at_line="end")
+    assert sum(robot.ways) / 2 < 0.2 + 0.03
+    recording, _ = drive(tmp_path / "ignored", Robot(line=0.2), Blindly(5, ()))
+    assert recording.observations().names == ()
+
+
+class Dumb:
+    """A robot that drives, and nothing else."""
+
+    def __init__(self):
+        self.clock, self.driven = Clock(), False
+
+    def connect(self):
+        pass
+
+    def close(self):
+        pass
+
+    def drive(self, left, right):
+        self.driven = True
+
+    def stop(self):
+        pass
+
+    def describe(self):
+        return {"kind": "dumb"}
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+
+def test_what_a_robot_lacks_is_said_before_anything_moves(tmp_path):
+    dumb, robot = Dumb(), Robot()
+    with pytest.raises(UserError) as refused:
+        drive(tmp_path / "r", robot, Source(5, ("sensor_0", "sensor_3", "sensor_4")))
+    assert str(refused.value) == (
+        "the controller needs sensor_3, sensor_4, which this robot (two-wheels) has not: it reads "
+        "line_left, sensor_0"
+    )
+    with pytest.raises(UserError, match=r"this robot \(dumb\) has not: it has no sensors"):
+        drive(tmp_path / "r", dumb, Source(5))
+    with pytest.raises(UserError, match="needs the robot's pose, and nothing says it"):
+        drive(tmp_path / "r", dumb, Source(5, (), needs_pose=True))
+    assert not dumb.driven
+    assert not robot.sent
+    assert not (tmp_path / "r").exists()
+    drive(tmp_path / "r", robot, Source(5, needs_pose=True))
+
+
+def test_a_low_battery_ends_it_and_it_is_begun_anew(tmp_path):
+    with pytest.raises(BatteryLow, match="at its start and begin again"):
+        drive(tmp_path / "r", Robot(volts=6.0), Source(5))
+    with pytest.raises(UserError, match="cannot be gone on with"):
+        drive(tmp_path / "r", Robot(), Source(5), resume=True)
+
+
+def test_observations_that_are_damaged_are_named(tmp_path):
+    recording, _ = drive(tmp_path / "r", Robot(), Source(5))
+    path = recording.path / "observations.csv"
+    whole = path.read_text()
+    path.write_text(whole[:-5])
+    assert len(Recording(recording.path).observations().time) == 6
+    path.write_text(whole.replace("0.6", "dark", 1))
+    with pytest.raises(UserError, match="line 2, field 'line_left': expected a finite number"):
+        recording.observations()
+    path.write_text(whole.replace("theta", "angle", 1))
+    with pytest.raises(UserError, match="expected the columns session, command, time, x, y, theta"):
+        recording.observations()
+    path.unlink()
+    assert recording.observations() is None
