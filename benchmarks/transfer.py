@@ -53,7 +53,7 @@ from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance
-from neurosim.trials.networks import RobotTrials
+from neurosim.trials.reality import RobotTrials
 
 TABLES = ("samples", "tenth", "formulas")
 TASK = ObstacleAvoidance()

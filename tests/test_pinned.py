@@ -35,18 +35,24 @@ import torch
 from click.testing import CliRunner
 from safetensors.numpy import load_file
 
+from neurosim.base.trajectory import Draws, Episode
 from neurosim.cli.main import cli
+from neurosim.controllers import FixedPlan, Network, Plan, SavedController
+from neurosim.controllers.plan import with_rest
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
-from neurosim.evolve.plan_check import check_commands
-from neurosim.evolve.plans import (
+from neurosim.evolve.check import check
+from neurosim.evolve.evaluate import Evaluator
+from neurosim.evolve.evolve import evolve_in, improve
+from neurosim.evolve.optimisers import make_optimiser
+from neurosim.evolve.search import Search
+from neurosim.evolve.settings import (
+    NETWORK_GENETIC,
+    PLAN_GENETIC,
     ROBUST_GENETIC,
-    PlanSettings,
+    EvolveSettings,
     RobustSettings,
-    evolve_plan,
-    improve_plans,
 )
-from neurosim.evolve.rollouts import PLACING, SteppedRollouts, rollouts
+from neurosim.evolve.stepped import SteppedRollouts
 from neurosim.lab import (
     KheperaParams,
     LabArena,
@@ -61,6 +67,7 @@ from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import RecordSettings, record
 from neurosim.sampling import SampleSettings, sample
 from neurosim.simulators import TableSimulator, read_simulator
+from neurosim.simulators.base import PLACING
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
@@ -367,8 +374,9 @@ def guided_commands():
 # From a simulator to plans.
 
 TASK = NineRectangles()
-PLANS = PlanSettings(
-    generations=20, runs=2, genetic=GeneticSettings(population=40, tournament=5), final_draws=256
+FAMILY = Plan()
+PLANS = EvolveSettings(
+    generations=20, runs=2, genetic=replace(PLAN_GENETIC, population=40), final_draws=256
 )
 ROBUST = RobustSettings(
     generations=10,
@@ -394,8 +402,8 @@ LONG = replace(PLANS, generations=400, runs=3, genetic=replace(PLANS.genetic, po
 
 
 @cache
-def evolved(settings: PlanSettings) -> list:
-    return evolve_plan(simulator(), TASK, settings, seed=2, progress=False)
+def evolved(settings: EvolveSettings) -> list:
+    return evolve_in(simulator(), TASK, FAMILY, settings, seed=2, progress=False)
 
 
 @result("plans")
@@ -421,7 +429,8 @@ def long_robust_plans():
 @result("plans, improved by expected fitness")
 def improved_plans():
     settings = replace(LONG, robust=replace(ROBUST, objective="fitness"))
-    found = improve_plans(simulator(), TASK, evolved(LONG), settings, seed=3, progress=False)
+    genes = [FAMILY.encode(plan.commands) for plan in evolved(LONG)]
+    found = improve(simulator(), TASK, FAMILY, genes, settings, seed=3, progress=False)
     yield from parts_of_plans(found)
 
 
@@ -443,7 +452,8 @@ def plan_check():
         (37.0, 33.0, 2.712),
         (41.0, 23.0, 1.903),
     ]
-    found = check_commands(commands, simulator(), TASK, draws=512, seed=4)
+    plan = SavedController(FixedPlan(tuple(commands)), np.empty(0), {}, TASK.start)
+    found = check(plan, simulator(), TASK, draws=512, seed=4)
     yield from (found.probability, found.interval, found.members, found.spread, found.turn)
     for failure in found.failures:
         yield from (failure.command, failure.reason, failure.share)
@@ -452,56 +462,68 @@ def plan_check():
 # Trajectories of fixed plans.
 
 
-def trajectories(drives: Any, speed: float) -> Iterator[Any]:
-    commands, given = random_plans(speed)
-    yield drives.expected(commands, given)
-    draws = drives.draw(9, commands.shape[1], 11, PLACING)
+class GivenPlans(FixedPlan):
+    """The fixed plans, one for each row of genes."""
+
+    def commands(self, genes, rest):
+        commands, given = random_plans(self.slots[0])
+        return with_rest(commands[: len(genes)], given[: len(genes)], rest)
+
+
+def trajectories(
+    simulator: Any, speed: float, start: Any = TASK.start, stepped: bool = False
+) -> Iterator[Any]:
+    plans, episode = GivenPlans((speed,)), Episode(rest=0.5)
+    drives = None if stepped else simulator.rollouts(plans, episode)
+    drives = drives or SteppedRollouts(simulator, plans, episode)
+    genes, start = np.empty((12, 0)), np.array([start])
+    yield drives.run(genes, Draws(start)).poses[:, 0]
+    draws = drives.draw(np.tile(start, (9, 1)), 11, PLACING)
     yield draws.starts
     if draws.member is not None:
         yield draws.member
-    yield draws.kept
-    yield drives.drawn(commands, given, draws)
+    yield draws.noise
+    yield drives.run(genes, draws).poses
 
 
 @result("trajectories, motion network compiled")
 def trajectories_compiled():
-    yield from trajectories(rollouts(simulator(), TASK.start), 50)
+    yield from trajectories(simulator(), 50)
 
 
 @result("trajectories, motion network of few rows")
 def trajectories_of_few_rows():
-    few = read_simulator(learned("exponents", 240))
-    yield from trajectories(rollouts(few, TASK.start), 50)
+    yield from trajectories(read_simulator(learned("exponents", 240)), 50)
 
 
 @result("trajectories, motion network stepped")
 def trajectories_stepped():
-    yield from trajectories(SteppedRollouts(simulator(), TASK.start), 50)
+    yield from trajectories(simulator(), 50, stepped=True)
 
 
 @result("trajectories, one network of displacements")
 def trajectories_of_displacements():
-    yield from trajectories(rollouts(read_simulator(learned("ga", 240)), TASK.start), 50)
+    yield from trajectories(read_simulator(learned("ga", 240)), 50)
 
 
 @result("trajectories, perceptrons")
 def trajectories_of_perceptrons():
-    yield from trajectories(rollouts(read_simulator(learned("gradient", 240)), TASK.start), 50)
+    yield from trajectories(read_simulator(learned("gradient", 240)), 50)
 
 
 @result("trajectories, tables, uniform noise")
 def trajectories_in_tables():
-    yield from trajectories(rollouts(made_up_tables(), (0.08, 0.2, 0.3)), 100)
+    yield from trajectories(made_up_tables(), 100, (0.08, 0.2, 0.3))
 
 
 @result("trajectories, tables, noise of the samples")
 def trajectories_in_tables_by_samples():
-    yield from trajectories(rollouts(made_up_tables("samples"), (0.08, 0.2, 0.3)), 100)
+    yield from trajectories(made_up_tables("samples"), 100, (0.08, 0.2, 0.3))
 
 
 @result("trajectories, tables stepped")
 def trajectories_in_tables_stepped():
-    yield from trajectories(SteppedRollouts(made_up_tables(), (0.08, 0.2, 0.3)), 100)
+    yield from trajectories(made_up_tables(), 100, (0.08, 0.2, 0.3), stepped=True)
 
 
 # Tables, and networks that evolve in them.
@@ -527,13 +549,24 @@ def readings_in_tables():
     yield sim.sense(state, torch.Generator().manual_seed(1)).numpy()
 
 
+SENSORS = tuple(f"sensor_{index}" for index in range(8))
+
+
 def networks(tables: TableSimulator) -> Iterator[Any]:
-    trials = TableTrials(tables, ObstacleAvoidance(steps=300, starts=3))
-    evolution = NetworkEvolution(NetworkSettings(generations=5, population=20), 3)
+    family = Network(SENSORS)
+    settings = EvolveSettings(genetic=replace(NETWORK_GENETIC, population=20, parents=4))
+    search = Search(
+        Evaluator(tables, ObstacleAvoidance(steps=300, starts=3), family),
+        make_optimiser("ga", family, settings, 3),
+        objective="steady",
+        outcomes=1,
+        rng=np.random.default_rng(3),
+    )
     for _ in range(5):
-        yield evolution.generation(trials)
-        yield evolution.population
-    yield from (evolution.best, evolution.mean)
+        search.generation()
+        yield search.shown[0]
+        yield np.asarray(search.optimiser.ask())[0]
+    yield from ([float(v[0]) for v in search.best], [float(v[0]) for v in search.mean])
 
 
 @result("networks, uniform noise")
@@ -554,11 +587,13 @@ def networks_published():
 @result("networks driven")
 def networks_driven():
     sim = made_up_tables()
-    trials = TableTrials(sim, ObstacleAvoidance(steps=300, starts=3))
+    family = Network(SENSORS)
     rng = np.random.default_rng(5)
     genes = rng.normal(0, 1.5, (8, 18)) + np.tile([0.0] * 8 + [1.0], 2)
     starts = sim.arena.free_poses(4, sim.radius, rng)
-    for driven in (trials.drive(genes, starts), trials.drive(genes, starts, rng, 60)):
+    for steps, drawn in ((100, False), (60, True)):
+        drives = sim.rollouts(family, Episode(0.1, steps, readings=True))
+        driven = drives.run(genes, drives.draw(starts, rng) if drawn else Draws(starts))
         yield from (driven.poses, driven.readings, driven.commands)
 
 

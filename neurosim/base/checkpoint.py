@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
@@ -104,3 +105,28 @@ class Checkpoint:
     def remove(self) -> None:
         """Remove the folder: all is done."""
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def random_state(rng: np.random.Generator) -> NDArray[np.uint64]:
+    """Return the state of a random generator (PCG64), [6]."""
+    drawn = rng.bit_generator.state
+    large = [drawn["state"][name] for name in ("state", "inc")]
+    words = [word for value in large for word in (value >> 64, value & (2**64 - 1))]
+    return np.array([*words, drawn["has_uint32"], drawn["uinteger"]], np.uint64)
+
+
+def set_random_state(rng: np.random.Generator, state: NDArray[np.uint64]) -> None:
+    """Set what :func:`random_state` returned.
+
+    Raises:
+        ValueError: if it is not such a state.
+    """
+    if state.shape != (6,):
+        raise ValueError("this is not the state of a random generator")
+    a, b, c, d, has, integer = (int(word) for word in state)
+    rng.bit_generator.state = {
+        "bit_generator": "PCG64",
+        "state": {"state": a << 64 | b, "inc": c << 64 | d},
+        "has_uint32": has,
+        "uinteger": integer,
+    }

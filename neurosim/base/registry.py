@@ -81,12 +81,14 @@ class Registry:
             ) from None
 
     def make(self, name: str, settings: Mapping[str, Any]) -> Any:
-        """Call what has this name with settings as keywords.
+        """Call what has this name with settings as keywords; what is no class or function is it.
 
         Raises:
             UserError: if there is none, or it does not take the settings.
         """
         maker: Callable[..., Any] = self.get(name)
+        if not callable(maker) and not settings:
+            return maker
         try:
             return maker(**settings)
         except TypeError as error:

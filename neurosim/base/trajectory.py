@@ -134,3 +134,24 @@ class Draws:
 
     def __len__(self) -> int:
         return len(self.starts)
+
+
+def planned(poses: NDArray, commands: NDArray, active: NDArray, rest: float) -> Trajectory:
+    """Return the trajectories of plans.
+
+    Args:
+        poses: [P, R, T + 1, 3].
+        commands: [P, T, 3]; the last column is the duration, s.
+        active: [P, T].
+        rest: duration of the last command where it is the stop, s; 0: there is none.
+    """
+    durations = np.where(active, commands[..., -1], 0.0)
+    if rest > 0:
+        durations[:, -1] = rest
+    shape = (*poses.shape[:2], commands.shape[1])
+    return Trajectory(
+        poses,
+        np.broadcast_to(commands[:, None], (*shape, commands.shape[2])),
+        np.broadcast_to(durations[:, None], shape),
+        active=np.broadcast_to(active[:, None], shape),
+    )

@@ -11,7 +11,7 @@ import click
 from neurosim.cli._common import PATH, emit, json_option, placing_option, seed_option
 
 if TYPE_CHECKING:
-    from neurosim.evolve.plan_check import PlanCheck
+    from neurosim.evolve.check import Check
 
 
 @click.command("plan-check")
@@ -33,14 +33,14 @@ def plan_check(
 
     SIMULATOR need not be the one that the plan was evolved in.
     """
-    from neurosim.evolve.plan_check import check_plan
+    from neurosim.evolve.check import check
 
     scatter = (placing[0] / 1000.0, math.radians(placing[1]))
-    check = check_plan(controller, simulator, draws=draws, seed=seed, placing=scatter)
-    emit(check.as_dict(), as_json, lambda: _in_words(check))
+    found = check(controller, simulator, draws=draws, seed=seed, placing=scatter)
+    emit(found.as_dict(), as_json, lambda: _in_words(found))
 
 
-def _in_words(check: PlanCheck) -> str:
+def _in_words(check: Check) -> str:
     low, high = check.interval
     lines = [
         f"Completes the course with a probability of {_percent(check.probability)} "
@@ -58,8 +58,9 @@ def _in_words(check: PlanCheck) -> str:
             when = f"command {failure.command}" if failure.command <= last else "running down"
             lines.append(f"  {_percent(failure.share):>7}  {when}: {failure.reason}")
     lines += ["", "after command   95 % within   heading (standard deviation)"]
-    for number, (radius, turn) in enumerate(zip(check.spread, check.turn, strict=True), start=1):
-        name = str(number) if number <= last else "at rest"
+    rows = zip(check.after, check.spread, check.turn, strict=True)
+    for index, (number, radius, turn) in enumerate(rows):
+        name = str(number) if index < last else "at the end"
         lines.append(f"{name:>13}{100 * radius:11.1f} cm{math.degrees(turn):13.1f} deg")
     return "\n".join(lines)
 

@@ -61,14 +61,14 @@ def run(
     Put the robot at the plan's start first: for nine-rectangles the centre of the centre-left
     rectangle, facing rectangle 1, the top-left one.
     """
-    from neurosim.controllers import Plan
+    from neurosim.controllers import read_controller
     from neurosim.recording.record import Guard
     from neurosim.trials.trial import run_trial
     from tracking.track import track
 
     if robot["camera"] == "none":
         raise UserError("a trial is tracked as it ends, so it needs a camera")
-    start = Plan.read(controller).start
+    start = read_controller(controller).start
     marked = marker_settings(markers, robot["robot"])
     with open_rig(robot, seed=seed, start=start) as rig:
         report = run_trial(

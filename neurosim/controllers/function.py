@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,14 +34,19 @@ class Function(Controller):
         inputs: what it observes.
         genes: how many numbers evolution may choose.
         outputs: columns of the command.
+        name: what it is registered as, and is found again by when it is read from a file.
     """
-
-    kind: ClassVar[str] = "function"
 
     function: Rule
     inputs: tuple[str, ...] = ()
     genes: int = 0
     outputs: tuple[str, ...] = WHEELS
+    name: str = "function"
+
+    @property
+    def kind(self) -> str:  # type: ignore[override]
+        """The name that it is registered as."""
+        return self.name
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Return commands [B, C] and the memory, which is none."""

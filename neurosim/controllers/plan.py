@@ -79,7 +79,7 @@ class FixedPlan(Controller):
     """One plan, as it was evolved or written by hand; it has no genes.
 
     Attributes:
-        given: its commands, without null ones.
+        slots: its commands, None for a null one.
     """
 
     kind: ClassVar[str] = "plan"
@@ -87,7 +87,12 @@ class FixedPlan(Controller):
     outputs: ClassVar[tuple[str, ...]] = COMMAND_NAMES
     genes: ClassVar[int] = 0
 
-    given: tuple[Command, ...]
+    slots: tuple[Command | None, ...]
+
+    @property
+    def given(self) -> list[Command]:
+        """The commands that are sent, without the null ones."""
+        return [command for command in self.slots if command is not None]
 
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
         """Return the commands [P, T, 3] of as many rows as ``genes`` has, and active [P, T]."""

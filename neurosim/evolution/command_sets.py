@@ -12,11 +12,13 @@ given in a rectangle, and what mutation does.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from neurosim.base.checkpoint import random_state, set_random_state
 from neurosim.evolution.genetic import GeneticSettings
 
 GENES = 4
@@ -35,7 +37,10 @@ class PlanPopulation:
         genes: [N, P, 4 K] in 0..1, the population of each of N runs; treat as read-only.
         best: [N, 4 K] the best plan told of so far.
         best_fitness: [N] its fitness.
+        hints: what :meth:`tell` wants to know beside the fitness.
     """
+
+    hints = ("keys",)
 
     def __init__(
         self,
@@ -58,6 +63,31 @@ class PlanPopulation:
         self._rng = np.random.default_rng([seed, 0xB4EED])
         self.best = self.genes[:, 0].copy()
         self.best_fitness = np.full(len(genes), -np.inf)
+
+    def ask(self) -> NDArray[np.float64]:
+        """Return the plans [N, P, 4 K] to evaluate; treat them as read-only."""
+        return self.genes
+
+    def state(self) -> dict[str, NDArray]:
+        """Return all that the next generations depend on."""
+        return {
+            "genes": self.genes,
+            "best": self.best.copy(),
+            "best_fitness": self.best_fitness.copy(),
+            "random": random_state(self._rng),
+        }
+
+    def load(self, state: Mapping[str, NDArray]) -> None:
+        """Go on from what :meth:`state` returned.
+
+        Raises:
+            KeyError, ValueError: if it is the state of something else.
+        """
+        if state["genes"].shape != self.genes.shape:
+            raise ValueError("the state is of another population or number of genes")
+        self.genes = np.ascontiguousarray(state["genes"])
+        self.best, self.best_fitness = state["best"].copy(), state["best_fitness"].copy()
+        set_random_state(self._rng, state["random"])
 
     def tell(self, fitness: NDArray[np.float64], keys: NDArray[np.int64]) -> None:
         """Take the fitness [N, P] of the population, the higher the better, and make the next.

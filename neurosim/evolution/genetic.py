@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from neurosim.evolution.operators import gaussian_mutation, sbx, tournament
+from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
 
 #: Makes children of pairs: (population [..., P, G], first parents' indices [..., N], second
 #: parents' indices [..., N], generator) -> two tensors [..., N, G].
@@ -25,7 +25,8 @@ Selection = Callable[[Tensor, int, torch.Generator], Tensor]
 class GeneticSettings:
     """Settings of a genetic algorithm; the defaults are Table 1 of Pretorius et al. 2009.
 
-    The paper does not say what the last four are.
+    The paper does not say what ``eta``, ``mutation_scale`` and ``elites`` are; ``parents`` is for
+    truncation selection (Lund and Miglino 1996), which it does not use.
 
     Attributes:
         population: individuals.
@@ -35,6 +36,8 @@ class GeneticSettings:
         eta: distribution index of simulated binary crossover.
         mutation_scale: standard deviation of a change.
         elites: the best individuals, kept unchanged: with one, the best fitness never falls.
+        parents: where above 0, only so many of the best have children, each as many as the
+            others, and there are no tournaments.
     """
 
     population: int = 250
@@ -44,10 +47,15 @@ class GeneticSettings:
     eta: float = 15.0
     mutation_scale: float = 0.1
     elites: int = 1
+    parents: int = 0
 
     def __post_init__(self) -> None:
         if self.population < 2 or self.tournament < 1:
             raise ValueError("a population has at least 2 individuals, a tournament at least 1")
+        if not 0 <= self.parents <= self.population:
+            raise ValueError(
+                f"a population of {self.population} cannot have {self.parents} parents"
+            )
         if not 0 <= self.elites < self.population:
             raise ValueError("elites must be fewer than the population")
         if not (0 <= self.crossover <= 1 and 0 <= self.mutation <= 1):
@@ -184,6 +192,8 @@ class GeneticAlgorithm:
         return torch.cat([_pick(self._population, elites), children], dim=-2)
 
     def _tournament(self, fitness: Tensor, count: int, generator: torch.Generator) -> Tensor:
+        if self.settings.parents:
+            return truncation(fitness, self.settings.parents, count, generator)
         return tournament(fitness, self.settings.tournament, count, generator)
 
     def _sbx(

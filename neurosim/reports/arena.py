@@ -18,13 +18,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
-from neurosim.controllers import Plan, read_controller
-from neurosim.evolve.network_evolution import TableTrials
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers import read_controller
+from neurosim.evolve.stepped import SteppedRollouts
 from neurosim.reports.svg import INK
 from neurosim.simulators import TableSimulator, read_simulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.simulator import RADIUS
-from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance, Trajectory
+from neurosim.tasks.obstacle_avoidance import FITNESS
 
 #: Where a Khepera's sensors look, degrees to the left.
 SENSOR_BEARINGS = (90.0, 45.0, 10.0, -10.0, -45.0, -90.0, -170.0, 170.0)
@@ -83,10 +84,10 @@ def draw_arena(
         trajectory, named = _drive(found, controller, start, seconds, rng if noise else None)
         path = trajectory.poses
         result["path"] = path
-        if len(trajectory.readings):
+        if trajectory.readings is not None:
             result["steps"] = len(trajectory.readings)
             if named in FITNESS:
-                result["fitness"] = float(FITNESS[named](trajectory))
+                result["fitness"] = float(FITNESS[named](trajectory, trajectory.durations))
     result["pose"] = path[-1]
     if found is not None:
         generator = torch.Generator().manual_seed(seed) if noise else None
@@ -231,21 +232,25 @@ def _drive(
 
     Of a plan the poses alone, ten a second.
     """
-    controller = read_controller(folder)
-    if isinstance(controller, Plan):
-        path = _plan_path(simulator, controller, start)
-        return Trajectory(np.empty((0, 8)), np.empty((0, 2)), path), ""
-    settings = controller.task.get("settings", {})
-    task = ObstacleAvoidance(duration=settings.get("duration", 0.1))
-    steps = max(round(seconds / task.duration), 1)
-    found = TableTrials(simulator, task).drive(controller.genes[None], start[None], rng, steps)
-    driven = Trajectory(found.readings[0, 0], found.commands[0, 0], found.poses[0, 0])
-    return driven, settings.get("fitness", task.fitness)
+    saved = read_controller(folder)
+    if saved.commands:
+        path = _plan_path(simulator, saved.given, start)
+        steps = len(path) - 1
+        return Trajectory(path, np.zeros((steps, 2)), 0.1), ""
+    settings = saved.task.get("settings", {})
+    step = settings.get("duration", settings.get("step", 0.1))
+    episode = Episode(step, max(round(seconds / step), 1), readings=True)
+    drives = simulator.rollouts(saved.controller, episode)
+    drives = drives or SteppedRollouts(simulator, saved.controller, episode)
+    draws = Draws(start[None]) if rng is None else drives.draw(start[None], rng)
+    found = drives.run(saved.genes[None], draws)
+    driven = Trajectory(found.poses[0, 0], found.commands[0, 0], step, found.readings[0, 0])
+    return driven, settings.get("fitness", "avoidance")
 
 
-def _plan_path(simulator: TableSimulator, plan: Plan, start: NDArray) -> NDArray[np.float64]:
+def _plan_path(simulator: TableSimulator, given: list, start: NDArray) -> NDArray[np.float64]:
     state, poses = simulator.start(torch.from_numpy(start[None])), [start]
-    for left, right, duration in plan.given:
+    for left, right, duration in given:
         parts = max(math.ceil(duration / 0.1), 1)
         command = torch.tensor([[left, right, duration / parts]], dtype=torch.float64)
         for _ in range(parts):

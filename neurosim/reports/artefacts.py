@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
-from neurosim.controllers import NetworkController, Plan
+from neurosim.controllers import read_controller
 from neurosim.controllers.network_files import KIND as NETWORK
 from neurosim.simulators import TableSimulator, read_simulator
 from tracking.datasets.dataset import Dataset
@@ -151,7 +151,7 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             found.datasets.append((Artefact(kind, path, meta), Dataset.read(path)))
         else:
             if kind == "controller":
-                Plan.read(path)  # checks it, to the last number
+                read_controller(path)  # checks it, to the last number
             elif kind == "simulator":
                 read_simulator(path)  # and its weights
             getattr(found, f"{kind}s").append(Artefact(kind, path, meta))
@@ -172,7 +172,7 @@ def _kind(path: Path) -> str:
 
 
 def _network(path: Path, meta: dict[str, Any]) -> Artefact:
-    NetworkController.read(path)
+    read_controller(path)
     fitness = meta["predicted"].get("fitness")
     if isinstance(fitness, bool) or not isinstance(fitness, int | float):
         raise FileError(

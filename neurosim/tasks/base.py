@@ -1,97 +1,126 @@
-"""What every task offers, and the tasks by name."""
+"""What every task offers: where a trial starts, how long it is, and what a trajectory is worth."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Protocol, runtime_checkable
+from dataclasses import asdict, dataclass, field, is_dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode, Trajectory
+
+if TYPE_CHECKING:
+    from neurosim.simulators.base import Simulator
 
 
-@dataclass(frozen=True)
-class Evaluation:
-    """What a task thinks of a batch of trajectories.
+@dataclass(frozen=True, eq=False)
+class Judgement:
+    """What a task says of a batch of trajectories; ``...`` are their leading axes.
 
     Attributes:
-        fitness: (B,) float64, finite; the higher the better.
-        completes: (B,) bool, whether the task is done.
-        reason: (B,) why not: a place in the task's ``reasons``, or -1 where it is done.
-        segment: (B,) the segment during which that was settled; the last where it is done.
-        detail: name -> (B,) array: what the fitness was made of; a task's own.
+        fitness: [...] float64, finite; the higher the better.
+        success: [...] bool, whether the task is done.
+        reason: [...] why not: an index into the task's ``reasons``, or -1 where it is done.
+        segment: [...] the command during which that was settled; the last where it is done.
+        detail: name -> [...]: what the fitness was made of; a task's own.
     """
 
     fitness: NDArray[np.float64]
-    completes: NDArray[np.bool_]
+    success: NDArray[np.bool_]
     reason: NDArray[np.int64]
     segment: NDArray[np.int64]
-    detail: dict[str, NDArray]
+    detail: dict[str, NDArray] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls,
+        fitness: NDArray,
+        success: NDArray,
+        reason: NDArray | int = 0,
+        segment: NDArray | int = 0,
+        **detail: NDArray,
+    ) -> Judgement:
+        """Return a judgement of arrays [...], with ``reason`` and ``segment`` filled in."""
+        success = np.asarray(success, np.bool_)
+        why = np.where(success, -1, reason)
+        where = np.broadcast_to(np.asarray(segment, np.int64), success.shape)
+        return cls(np.asarray(fitness, np.float64), success, why, where, detail)
 
 
-@runtime_checkable
-class Task(Protocol):
-    """Something to be achieved by driving, judged by one function of the trajectory.
+class Task:
+    """Something to be achieved, judged by one function of the trajectory; subclass it.
 
-    A trajectory is the poses at the boundaries of commands, in the board's frame (origin at
-    the board's centre, x along its long side); whether it was simulated or tracked makes no
-    difference.
+    A task of your own is a frozen dataclass with a ``name``, what makes it different as fields,
+    and :meth:`judge`. A trajectory may be simulated or driven; that makes no difference here.
 
     Attributes:
         name: what ``--task`` takes.
-        start: x (m), y (m), heading (rad) where every trial starts.
         reasons: the ways in which a trial can fail, in words that follow "the robot".
+        start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
+        trial_starts: a trial is made from so many starts.
     """
 
-    name: str
-    start: tuple[float, float, float]
-    reasons: tuple[str, ...]
+    name: ClassVar[str]
+    reasons: ClassVar[tuple[str, ...]] = ("did not complete the task",)
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    trial_starts: int = 1
 
-    def evaluate(self, poses: ArrayLike, given: ArrayLike) -> Evaluation:
-        """Judge trajectories.
+    @property
+    def episode(self) -> Episode:
+        """How a trial runs; by default 30 s of steps of 0.1 s, then the motors run down."""
+        return Episode(rest=0.5)
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        """Judge trajectories [...]; see :class:`Judgement`.
+
+        Raises:
+            UserError: if the task needs poses or readings and the trajectory has none.
+        """
+        raise NotImplementedError
+
+    def progress(self, trajectory: Trajectory) -> NDArray[np.float64]:
+        """Return how far trajectories [...] came, without steps: a fitness to climb.
+
+        By default the fitness itself.
+        """
+        return self.judge(trajectory).fitness
+
+    def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fitness of whole trials [...] of those from each start [..., trial_starts]."""
+        return fitness.mean(axis=-1)
+
+    def draw_starts(
+        self, simulator: Simulator, count: int, rng: np.random.Generator
+    ) -> NDArray[np.float64] | None:
+        """Return start poses [count, 3] drawn at random; None: every trial starts at ``start``.
 
         Args:
-            poses: (B, K + 1, 3) before the first of K segments and after each.
-            given: (B, K) bool; False where a segment is no command of the plan: a null
-                command, or the motors running down after the last one.
+            simulator: knows what place there is.
+            count: poses.
+            rng: source of the draws.
         """
-        ...
+        return None
 
-    def evaluate_track(self, track: ArrayLike, segment: ArrayLike, given: ArrayLike) -> Evaluation:
-        """Judge one trajectory by all poses that were seen, not only those at the boundaries.
+    def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return which part of the course each pose [..., 3] is in, a number for each part.
 
-        Args:
-            track: (M, 3) poses in order of time.
-            segment: (M,) the index of the segment during which each was seen.
-            given: (K,) bool, as in :meth:`evaluate`.
+        Crossover pairs commands of two plans that were given in the same part; by default in the
+        same square of half a metre.
         """
-        ...
+        squares = np.floor(np.nan_to_num(np.asarray(poses)[..., :2], nan=1e3) / 0.5)
+        x, y = np.clip(squares, -1000, 1000).astype(np.int64).T
+        return (x * 2001 + y).T
 
-    def region(self, poses: ArrayLike) -> NDArray[np.int64]:
-        """Return which part of the course each pose (..., 3) is in, a number per part."""
-        ...
+    def outline(self) -> list[dict[str, Any]]:
+        """Return what a picture of the task shows, in m: a list of shapes.
+
+        Each is ``{"polygon": [[x, y], ...]}``, ``{"circle": [x, y, radius]}`` or ``{"text": str,
+        "at": [x, y]}``; a shape may have ``"forbidden": True``.
+        """
+        return []
 
     def describe(self) -> dict[str, Any]:
         """Return name and settings, enough to make the same task again."""
-        ...
-
-
-def make_task(name: str, **settings: Any) -> Any:
-    """Return the task of that name: a :class:`Task` of plans, or an ObstacleAvoidance.
-
-    Raises:
-        UserError: if there is none, or it has no such setting.
-    """
-    from neurosim.tasks.nine_rectangles import NineRectangles
-    from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
-
-    tasks = {task.name: task for task in (NineRectangles, ObstacleAvoidance)}
-    if name not in tasks:
-        raise UserError(f"there is no task {name!r}; there is {', '.join(tasks)}")
-    try:
-        return tasks[name](**settings)
-    except TypeError:
-        raise UserError(
-            f"the task {name} does not take the settings {', '.join(map(repr, settings))}"
-        ) from None
+        settings = asdict(self) if is_dataclass(self) else {}  # type: ignore[call-overload]
+        return {"name": self.name, "settings": settings}

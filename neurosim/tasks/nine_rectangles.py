@@ -1,4 +1,4 @@
-"""Once around nine rectangles, Pretorius et al. (2009), section 6.2.
+"""Once around nine rectangles, Pretorius et al. (2009), section 6.2, or a course like it.
 
 The board's middle is divided into nine rectangles of 80 x 50 cm::
 
@@ -12,7 +12,8 @@ The board's middle is divided into nine rectangles of 80 x 50 cm::
 
 The robot starts in the centre of the centre-left rectangle, facing rectangle 1, is to pass
 through 1 to 7 in order and to end, stopped, in the rectangle it started in, which counts as 8.
-It must not enter the centre (X), leave the grid, or skip a rectangle.
+It must not enter the centre (X), leave the grid, or skip a rectangle. Another board has other
+rectangles: their size and order are settings.
 
 Fitness is equation 2, F = N_max^2 - C_nogain / 10. N_max is the furthest rectangle reached; 8
 is reached only by a robot that ends there, so one that drives through it has 7. C_nogain counts
@@ -32,174 +33,253 @@ line to the end pose.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numba import njit, prange
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
-from neurosim.tasks.base import Evaluation
+from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.tasks.base import Judgement, Task
 
-#: Rectangles, m: along x, along y.
-LENGTH, WIDTH = 0.80, 0.50
-#: Number of each rectangle, top row first; the centre has none.
-COURSE = np.array([[1, 2, 3], [0, -1, 4], [7, 6, 5]])
-LAST = 8
 #: The centre is checked at least this often, m.
 SPACING = 0.02
+#: The motors run down for this long after the last command before the robot is at rest, s.
+RUN_DOWN = 0.5
 
 #: What a robot can do wrong; 0 is nothing.
-FAULTS = {1: "entered the centre rectangle", 2: "left the grid", 3: "skipped a rectangle"}
-_CENTRE, _OUTSIDE, _SKIPPED = FAULTS
-_NOT_THERE = "did not end in rectangle 8"
+FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}
+_FORBIDDEN, _OUTSIDE, _SKIPPED = FAULTS
+_NOT_THERE = "did not end in the last rectangle"
 
 
 @dataclass(frozen=True)
-class NineRectangles:
-    """The course around nine rectangles.
+class NineRectangles(Task):
+    """The course around nine rectangles; other grids by other settings.
 
     Attributes:
         penalty: what a breach of the rules takes off the fitness.
         longest_arc: no robot drives farther than this in one command, m.
+        length, width: of a rectangle, along x and along y, m.
+        course: the number of each rectangle, rows from the top (largest y) down; -1 is forbidden.
+            The numbers from 0 are passed in turn, and the last goal is 0 again.
+        step: a controller that sees is asked for a command so often, s.
+        seconds: how long it has.
     """
 
     penalty: float = 32.0
     longest_arc: float = 1.5
+    length: float = 0.80
+    width: float = 0.50
+    course: tuple[tuple[int, ...], ...] = ((1, 2, 3), (0, -1, 4), (7, 6, 5))
+    step: float = 0.1
+    seconds: float = 60.0
 
     name: ClassVar[str] = "nine-rectangles"
     reasons: ClassVar[tuple[str, ...]] = (*FAULTS.values(), _NOT_THERE)
-    start: ClassVar[tuple[float, float, float]] = (-LENGTH, 0.0, math.pi / 2)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "course", tuple(map(tuple, self.course)))
         if not (self.penalty >= 0 and self.longest_arc > 0):
             raise UserError("penalty must not be negative, and longest_arc must be above 0")
+        if not (self.length > 0 and self.width > 0 and self.step > 0 and self.seconds >= self.step):
+            raise UserError("length, width and step must be above 0, and seconds at least a step")
+        numbers = sorted(n for row in self.course for n in row if n != -1)
+        if len({len(row) for row in self.course}) != 1 or numbers != list(range(len(numbers))):
+            raise UserError(
+                "course must be rows of equal length with the numbers 0, 1, 2, ... once each, and "
+                f"-1 for forbidden rectangles, not {self.course}"
+            )
+        if len(numbers) < 3:
+            raise UserError("a course has at least 3 rectangles to pass")
 
-    def evaluate(self, poses: ArrayLike, given: ArrayLike) -> Evaluation:
-        """Judge trajectories by their poses at the boundaries of commands.
+    @property
+    def last(self) -> int:
+        """The number of the last goal: the start, reached again."""
+        return int(self._grid[0].max()) + 1
 
-        Args:
-            poses: (B, K + 1, 3) x, y (m), heading (rad, unwrapped) before the first of K
-                segments and after each. A pose that is not finite is outside the grid.
-            given: (B, K) bool; False for null commands and for what follows the last command.
+    @property
+    def _grid(self) -> tuple[NDArray[np.int64], float, float]:
+        return np.array(self.course, np.int64), float(self.length), float(self.width)
+
+    def centre(self, number: int) -> tuple[float, float]:
+        """Return the centre (m) of a rectangle; the last goal is 0."""
+        course, length, width = self._grid
+        row, column = np.argwhere(course == number % self.last)[0]
+        rows, columns = course.shape
+        return (column + 0.5 - columns / 2) * length, (rows / 2 - row - 0.5) * width
+
+    @property
+    def start(self) -> tuple[float, float, float]:  # type: ignore[override]
+        """The centre of rectangle 0, facing rectangle 1."""
+        (x, y), (to_x, to_y) = self.centre(0), self.centre(1)
+        return float(x), float(y), math.atan2(to_y - y, to_x - x)
+
+    @property
+    def episode(self) -> Episode:
+        """Steps for ``seconds``, then the motors run down; goals are the rectangles' centres."""
+        places = [self.centre(number) for number in range(1, self.last + 1)]
+        ahead = np.diff(np.array([*places, self.centre(self.last + 1)]), axis=0)
+        headings = np.arctan2(ahead[:, 1], ahead[:, 0])
+        return Episode(
+            step=self.step,
+            steps=round(self.seconds / self.step),
+            rest=RUN_DOWN,
+            goals=np.column_stack([places, headings]),
+            reach=0.3 * min(self.length, self.width),
+        )
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        """Judge trajectories by their poses: at the boundaries of commands, or all that were seen.
+
+        A pose that is not finite is outside the grid.
 
         Returns:
-            Fitness and ``completes`` (ended in rectangle 8 without a breach); in ``detail``
+            Fitness and success (ended in the last rectangle without a breach); in ``detail``
             ``furthest`` (N_max), ``no_gain`` (C_nogain) and ``fault`` (a key of FAULTS or 0).
 
         Raises:
-            ValueError: if the shapes do not fit.
+            UserError: if there are no poses.
         """
-        poses = np.ascontiguousarray(poses, np.float64)
-        given = np.ascontiguousarray(given, np.bool_)
-        batch, segments = given.shape
-        if poses.shape != (batch, segments + 1, 3):
-            raise ValueError(f"expected poses ({batch}, {segments + 1}, 3), got {poses.shape}")
-        return self._judge(poses, given, np.ones(segments, np.bool_))
-
-    def evaluate_track(self, track: ArrayLike, segment: ArrayLike, given: ArrayLike) -> Evaluation:
-        """Judge one trajectory by every pose that was seen; a batch of one is returned.
-
-        Args:
-            track: (M, 3) finite poses in order of time.
-            segment: (M,) never decreasing: the segment during which each was seen.
-            given: (K,) bool, as in :meth:`evaluate`.
-
-        Raises:
-            ValueError: if there is no pose.
-        """
-        track, segment = np.asarray(track, np.float64), np.asarray(segment)
-        given = np.asarray(given, np.bool_)
-        if len(track) == 0 or len(track) != len(segment):
-            raise ValueError("expected at least one pose, and one segment for each")
-        # A segment without poses still is a command that gained nothing: it gets a step on
-        # the spot. A step belongs to the segment in which it arrives.
-        silent = np.setdiff1d(np.arange(len(given)), segment[1:])
-        order = np.argsort(np.concatenate([segment[1:], silent]), kind="stable")
-        steps = np.concatenate([segment[1:], silent])[order]
-        seen = np.concatenate([np.arange(1, len(track)), np.full(len(silent), -1)])[order]
-        arrivals = np.maximum.accumulate(np.concatenate([[0], seen]))
-        ends = np.append(np.diff(steps) > 0, True)
-        result = self._judge(track[arrivals][None], given[steps][None], ends)
-        return replace(result, segment=steps[result.segment])
-
-    def fitness(self, poses: ArrayLike, given: ArrayLike) -> NDArray[np.float64]:
-        """Return the fitness (B,) of trajectories; see :meth:`evaluate`."""
-        return self.evaluate(poses, given).fitness
-
-    def completes(self, poses: ArrayLike, given: ArrayLike) -> NDArray[np.bool_]:
-        """Return which trajectories (B,) complete the course; see :meth:`evaluate`."""
-        return self.evaluate(poses, given).completes
-
-    def region(self, poses: ArrayLike) -> NDArray[np.int64]:
-        """Return the rectangle of each pose (..., 3): 0 to 7, -1 the centre, -2 outside."""
-        poses = np.asarray(poses, np.float64)
-        return _places(poses[..., 0].ravel(), poses[..., 1].ravel()).reshape(poses.shape[:-1])
-
-    def describe(self) -> dict[str, Any]:
-        """Return name and settings."""
-        return {"name": self.name, "settings": asdict(self)}
-
-    def _judge(self, poses: NDArray, given: NDArray, ends: NDArray) -> Evaluation:
-        furthest, no_gain, fault, segment = _drive(poses, given, ends, self.longest_arc)
+        poses, active = _flat(trajectory)
+        ends = np.ones(active.shape[1], np.bool_)
+        if trajectory.segment is not None:
+            ends = np.append(np.diff(trajectory.segment) > 0, True)
+        furthest, no_gain, fault, where = _drive(poses, active, ends, self.longest_arc, self._grid)
         fitness = furthest**2 - no_gain / 10.0 - self.penalty * (fault != 0)
-        completes = furthest == LAST
-        reason = np.where(completes, -1, np.where(fault > 0, fault, len(self.reasons)) - 1)
+        success = furthest == self.last
+        reason = np.where(success, -1, np.where(fault > 0, fault, len(self.reasons)) - 1)
+        if trajectory.segment is not None:
+            where = trajectory.segment[where]
         detail = {"furthest": furthest, "no_gain": no_gain, "fault": fault}
-        return Evaluation(fitness, completes, reason, segment, detail)
+        shape = trajectory.shape
+        return Judgement(
+            fitness.reshape(shape),
+            success.reshape(shape),
+            reason.reshape(shape),
+            where.reshape(shape),
+            {name: value.reshape(shape) for name, value in detail.items()},
+        )
+
+    def progress(self, trajectory: Trajectory) -> NDArray[np.float64]:
+        """Return the fitness [...] and how near the robot came to the next rectangle.
+
+        Near a rectangle most of what reaching it would add is given already; the last one only
+        for where the robot ends. Nothing counts after a breach.
+        """
+        judged, (poses, _) = self.judge(trajectory), _flat(trajectory)
+        furthest = judged.detail["furthest"].ravel()
+        goals = np.array([self.centre(n + 1) for n in range(self.last + 1)])[furthest]
+        off = np.abs(poses[..., :2] - goals[:, None]) - (self.length / 2, self.width / 2)
+        away = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
+        away = np.where(np.isfinite(away), away, np.inf)
+        steps = np.arange(away.shape[1])
+        segment = judged.segment.ravel()
+        if trajectory.segment is not None:
+            segment = np.searchsorted(trajectory.segment, segment, side="left")
+        fault = judged.detail["fault"].ravel() != 0
+        over = fault[:, None] & (steps > segment[:, None])
+        early = (furthest == self.last - 1)[:, None] & ~fault[:, None] & (steps < steps[-1])
+        nearest = np.where(over | early, np.inf, away).min(axis=1)
+        reach = math.hypot(self.length, self.width)
+        share = np.clip(1.0 - nearest / reach, 0.0, 1.0)
+        gain = np.where(judged.success.ravel(), 0.0, 0.9 * (2 * furthest + 1) * share)
+        return judged.fitness + gain.reshape(judged.fitness.shape)
+
+    def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Return the rectangle of each pose [..., 3]: its number, -1 forbidden, -2 outside."""
+        poses = np.asarray(poses, np.float64)
+        found = _places(poses[..., 0].ravel(), poses[..., 1].ravel(), self._grid)
+        return found.reshape(poses.shape[:-1])
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return the rectangles with their numbers."""
+        course, length, width = self._grid
+        rows, columns = course.shape
+        shapes: list[dict[str, Any]] = []
+        for (row, column), number in np.ndenumerate(course):
+            x, y = (column - columns / 2) * length, (rows / 2 - row - 1) * width
+            corners = [[x, y], [x + length, y], [x + length, y + width], [x, y + width]]
+            label = "" if number < 0 else f"{self.last}" if number == 0 else f"{number}"
+            shapes.append({"polygon": corners, "forbidden": bool(number < 0)})
+            shapes.append({"text": label, "at": [x + length / 2, y + width / 2]})
+        return shapes
+
+
+def _flat(trajectory: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return poses [B, T + 1, 3] and active [B, T] of trajectories."""
+    if trajectory.poses is None:
+        raise UserError("the course can only be judged where the robot's poses are known")
+    poses = np.ascontiguousarray(trajectory.poses, np.float64)
+    poses = poses.reshape(-1, *poses.shape[-2:])
+    active = trajectory.active
+    if active is None:
+        active = np.ones(trajectory.commands.shape[:-1], np.bool_)
+    return poses, np.ascontiguousarray(active, np.bool_).reshape(len(poses), -1)
 
 
 @njit(cache=True, nogil=True)
-def _places(x: NDArray, y: NDArray) -> NDArray:
+def _places(x: NDArray, y: NDArray, grid: tuple) -> NDArray:
     places = np.empty(len(x), np.int64)
     for i in range(len(x)):
-        places[i] = _place(x[i], y[i])
+        places[i] = _place(x[i], y[i], grid)
     return places
 
 
 @njit(cache=True, nogil=True)
-def _room(x: float, y: float) -> float:
+def _room(x: float, y: float, grid: tuple) -> float:
     """Return how far (m) a point in the grid is from the borders of its rectangle."""
-    column, row = x / LENGTH + 1.5, 1.5 - y / WIDTH
+    course, length, width = grid
+    column, row = x / length + 0.5 * course.shape[1], 0.5 * course.shape[0] - y / width
     column, row = column - math.floor(column), row - math.floor(row)
-    return min(LENGTH * min(column, 1.0 - column), WIDTH * min(row, 1.0 - row))
+    return min(length * min(column, 1.0 - column), width * min(row, 1.0 - row))
 
 
 @njit(cache=True, nogil=True)
-def _place(x: float, y: float) -> int:
-    """Return the rectangle at a point: 0 to 7, -1 the centre, -2 outside."""
-    column, row = x / LENGTH + 1.5, 1.5 - y / WIDTH
+def _place(x: float, y: float, grid: tuple) -> int:
+    """Return the rectangle at a point: its number, -1 forbidden, -2 outside."""
+    course, length, width = grid
+    rows, columns = course.shape
+    column, row = x / length + 0.5 * columns, 0.5 * rows - y / width
     # Compared before they are rounded: what is not a number is outside too.
-    if not (0.0 <= column < 3.0 and 0.0 <= row < 3.0):
+    if not (0.0 <= column < columns and 0.0 <= row < rows):
         return -2
-    return COURSE[int(row), int(column)]
+    return course[int(row), int(column)]
 
 
 @njit(cache=True, nogil=True)
-def _advance(progress: int, place: int) -> tuple[int, int]:
+def _advance(progress: int, place: int, last: int) -> tuple[int, int]:
     """Return progress along the course after a step to ``place``, and the fault or 0.
 
-    Progress counts rectangles from the start: it goes on beyond 8 on a second round, and
+    Progress counts rectangles from the start: it goes on beyond the last on a second round, and
     falls when the robot goes back.
     """
     if place == -2:
         return progress, _OUTSIDE
     if place == -1:
-        return progress, _CENTRE
-    step = (place - progress) % 8
+        return progress, _FORBIDDEN
+    step = (place - progress) % last
     if step == 0:
         return progress, 0
     if step == 1:
         return progress + 1, 0
-    if step == 7 and progress > 0:
+    if step == last - 1 and progress > 0:
         return progress - 1, 0
     return progress, _SKIPPED
 
 
 @njit(cache=True, nogil=True)
-def _segment(start: NDArray, end: NDArray, progress: int, longest: float) -> tuple[int, int, int]:
+def _segment(
+    start: NDArray,
+    end: NDArray,
+    progress: int,
+    longest: float,
+    grid: tuple,
+    last: int,
+) -> tuple[int, int, int]:
     """Follow the arc between two poses; return progress, its highest, and the fault or 0."""
     x, y = end[0] - start[0], end[1] - start[1]
     chord = math.sqrt(x * x + y * y)
@@ -213,22 +293,26 @@ def _segment(start: NDArray, end: NDArray, progress: int, longest: float) -> tup
     samples = math.ceil(length / SPACING)
     highest = progress
     # Samples that are nearer than the rectangle's border cannot lie beyond it.
-    sample = max(1, int(_room(start[0], start[1]) / length * samples)) if samples > 1 else 1
+    sample = max(1, int(_room(start[0], start[1], grid) / length * samples)) if samples > 1 else 1
     while sample < samples:
         at_x, at_y = se2.arc(x, y, turn, sample / samples)
         at_x, at_y = start[0] + at_x, start[1] + at_y
-        progress, fault = _advance(progress, _place(at_x, at_y))
+        progress, fault = _advance(progress, _place(at_x, at_y, grid), last)
         highest = max(highest, progress)
         if fault:
             return progress, highest, fault
-        sample += max(1, int(_room(at_x, at_y) / length * samples))
-    progress, fault = _advance(progress, _place(end[0], end[1]))
+        sample += max(1, int(_room(at_x, at_y, grid) / length * samples))
+    progress, fault = _advance(progress, _place(end[0], end[1], grid), last)
     return progress, max(highest, progress), fault
 
 
 @njit(cache=True, nogil=True, parallel=True)
 def _drive(
-    poses: NDArray, given: NDArray, ends: NDArray, longest: float
+    poses: NDArray,
+    given: NDArray,
+    ends: NDArray,
+    longest: float,
+    grid: tuple,
 ) -> tuple[NDArray, NDArray, NDArray, NDArray]:
     """Return N_max, C_nogain, the fault and the segment it happened in (B,) of trajectories.
 
@@ -237,14 +321,16 @@ def _drive(
         given: (B, S) whether each segment is part of a given command.
         ends: (S,) whether each segment is the last of its command.
         longest: arcs longer than this are replaced by their chords, m.
+        grid: course, length and width (m) of a rectangle.
     """
     batch, segments = given.shape
+    last = grid[0].max() + 1
     furthest = np.zeros(batch, np.int64)
     no_gain = np.zeros(batch, np.int64)
     faults = np.zeros(batch, np.int64)
     where = np.full(batch, max(segments - 1, 0))
     for b in prange(batch):
-        progress, fault = _advance(0, _place(poses[b, 0, 0], poses[b, 0, 1]))
+        progress, fault = _advance(0, _place(poses[b, 0, 0], poses[b, 0, 1], grid), last)
         if progress != 0:
             progress, fault = 0, _SKIPPED
         if fault != 0:
@@ -252,15 +338,17 @@ def _drive(
         began = 0
         for s in range(segments):
             if fault == 0:
-                progress, highest, fault = _segment(poses[b, s], poses[b, s + 1], progress, longest)
-                furthest[b] = max(furthest[b], min(highest, LAST - 1))
+                progress, highest, fault = _segment(
+                    poses[b, s], poses[b, s + 1], progress, longest, grid, last
+                )
+                furthest[b] = max(furthest[b], min(highest, last - 1))
                 if fault != 0:
                     where[b] = s
             if ends[s]:
-                if given[b, s] and min(progress, LAST) <= began:
+                if given[b, s] and min(progress, last) <= began:
                     no_gain[b] += 1
-                began = min(progress, LAST)
-        if fault == 0 and progress == LAST:
-            furthest[b] = LAST
+                began = min(progress, last)
+        if fault == 0 and progress == last:
+            furthest[b] = last
         faults[b] = fault
     return furthest, no_gain, faults, where

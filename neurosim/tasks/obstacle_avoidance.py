@@ -1,60 +1,53 @@
-"""Obstacle avoidance: Lund and Miglino 1996, equation (1), and other fitness of a trajectory.
-
-A fitness is a function of a :class:`Trajectory`, simulated or driven; one of your own is a few
-lines, see :func:`cells_visited`.
-"""
+"""Obstacle avoidance: Lund and Miglino 1996, equation (1), and other fitness of a trajectory."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Judgement, Task
+
+#: A trajectory's fitness [...], the higher the better; the second argument is the task's step, s.
+Fitness = Callable[[Trajectory, float], NDArray[np.float64]]
 
 
-@dataclass(frozen=True, eq=False)
-class Trajectory:
-    """What a robot met, did and where it was, step by step; leading axes are trials.
-
-    Attributes:
-        readings: [..., T, S] the sensors before each step, 0..1.
-        commands: [..., T, 2] left and right, % of full speed, as the controller gave them.
-        poses: [..., T + 1, 3] x (m), y (m), heading (rad) before the first step and after each,
-            or None where nobody saw them.
-    """
-
-    readings: NDArray
-    commands: NDArray
-    poses: NDArray | None = None
-
-
-#: A trajectory's fitness [...], the higher the better.
-Fitness = Callable[[Trajectory], NDArray[np.float64]]
-
-
-def avoidance(trajectory: Trajectory) -> NDArray[np.float64]:
+def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
     """Return equation (1): the sum over steps of V (1 - DV^2) (1 - I).
 
     V is the mean of the wheels' absolute speeds over full speed, DV half the difference of the
     signed ones over full speed, I the highest sensor: all in 0..1 (DV in -1..1). To drive fast,
-    straight and far from everything is best; a step is worth at most 1.
+    straight and far from everything is best; a step is worth at most 1. An interval of another
+    duration than ``step`` (s) counts as so many steps.
     """
+    if trajectory.readings is None:
+        raise UserError("obstacle avoidance can only be judged where the sensors were read")
     readings, commands = trajectory.readings, trajectory.commands
-    shape = readings.shape[:-2]
+    shape = trajectory.shape
+    rows = math.prod(shape)
+    weight = np.empty((0, 0))
+    if np.ndim(trajectory.durations):
+        durations = np.asarray(trajectory.durations) / step
+        weight = np.broadcast_to(durations, readings.shape[:-1]).reshape(rows, -1)
     found = _avoidance(
-        np.ascontiguousarray(readings).reshape(math.prod(shape), *readings.shape[-2:]),
-        np.ascontiguousarray(commands).reshape(math.prod(shape), *commands.shape[-2:]),
+        np.ascontiguousarray(readings).reshape(rows, *readings.shape[-2:]),
+        np.ascontiguousarray(commands[..., :2]).reshape(rows, commands.shape[-2], 2),
+        np.ascontiguousarray(weight, np.float64),
     )
     return found.reshape(shape)
 
 
-def cells_visited(trajectory: Trajectory, size: float = 0.05) -> NDArray[np.float64]:
+def cells_visited(
+    trajectory: Trajectory, step: float = 0.1, size: float = 0.05
+) -> NDArray[np.float64]:
     """Return how many different squares of ``size`` (m) the robot's centre was in.
 
     The paper's outlook: a fitness that only a simulator (or a camera) can compute.
@@ -70,22 +63,27 @@ FITNESS: dict[str, Fitness] = {"avoidance": avoidance, "cells": cells_visited}
 
 
 @dataclass(frozen=True)
-class ObstacleAvoidance:
+class ObstacleAvoidance(Task):
     """The task: drive fast and straight and keep away from everything.
+
+    A trial succeeds if nothing ever comes so near that a sensor reads ``too_near``.
 
     Attributes:
         fitness: one of :data:`FITNESS`.
         steps: of a trial, over all its starts together.
         starts: random poses from which a trial starts, each for an equal share of the steps.
         duration: of a step, s.
+        too_near: reading, 0..1, of a sensor that nearly touches something.
     """
 
-    name = "obstacle-avoidance"
+    name: ClassVar[str] = "obstacle-avoidance"
+    reasons: ClassVar[tuple[str, ...]] = ("came too near to something",)
 
     fitness: str = "avoidance"
     steps: int = 500
     starts: int = 5
     duration: float = 0.1
+    too_near: float = 1.0
 
     def __post_init__(self) -> None:
         if self.fitness not in FITNESS:
@@ -98,30 +96,46 @@ class ObstacleAvoidance:
             raise UserError(f"a step lasts 0.001 to 10 s, not {self.duration:g}")
 
     @property
-    def steps_a_start(self) -> int:
-        """Steps from each start."""
-        return self.steps // self.starts
+    def trial_starts(self) -> int:  # type: ignore[override]
+        """A trial is made from so many starts."""
+        return self.starts
 
-    def evaluate(self, trajectory: Trajectory) -> NDArray[np.float64]:
-        """Return a trial's fitness [...]: the sum over its starts, the last leading axis."""
-        return FITNESS[self.fitness](trajectory).sum(axis=-1)
+    @property
+    def episode(self) -> Episode:
+        """From each start an equal share of the steps; the robot is not stopped at the end."""
+        return Episode(self.duration, self.steps // self.starts, readings=True)
 
-    def describe(self) -> dict[str, Any]:
-        """Return name and settings, enough to make the same task again."""
-        return {
-            "name": self.name,
-            "settings": {
-                "fitness": self.fitness,
-                "steps": self.steps,
-                "starts": self.starts,
-                "duration": self.duration,
-            },
-        }
+    def draw_starts(
+        self, simulator: Simulator, count: int, rng: np.random.Generator
+    ) -> NDArray[np.float64] | None:
+        """Return random poses where the robot touches nothing."""
+        return simulator.free_poses(count, rng)
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        """Judge what happened from each start; see :data:`FITNESS`."""
+        if trajectory.readings is None:
+            raise UserError("obstacle avoidance can only be judged where the sensors were read")
+        readings = np.ascontiguousarray(trajectory.readings)
+        steps = readings.shape[-2]
+        first = _first_near(readings.reshape(-1, *readings.shape[-2:]), self.too_near)
+        first = first.reshape(trajectory.shape)
+        during = np.minimum(first, steps - 1)
+        if trajectory.segment is not None:
+            during = trajectory.segment[during]
+        fitness = FITNESS[self.fitness](trajectory, self.duration)
+        return Judgement.of(fitness, first == steps, 0, during)
+
+    def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the sum over the starts [..., starts]: a trial is all of them."""
+        return fitness.sum(axis=-1)
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _avoidance(readings, commands):
-    """Return equation (1) [B] of readings [B, T, S] and commands [B, T, 2]."""
+def _avoidance(readings, commands, weight):
+    """Return equation (1) [B] of readings [B, T, S], commands [B, T, 2].
+
+    Steps count ``weight`` [B, T] times; where that is empty, once.
+    """
     fitness = np.empty(len(readings))
     for b in prange(len(readings)):
         total = 0.0
@@ -132,6 +146,22 @@ def _avoidance(readings, commands):
             left, right = commands[b, k, 0] / 100.0, commands[b, k, 1] / 100.0
             difference = 0.5 * (left - right)
             speed = 0.5 * (abs(left) + abs(right))
-            total += speed * (1.0 - difference * difference) * (1.0 - highest)
+            if len(weight) == 0:
+                total += speed * (1.0 - difference * difference) * (1.0 - highest)
+            else:
+                total += weight[b, k] * speed * (1.0 - difference**2) * (1.0 - highest)
         fitness[b] = total
     return fitness
+
+
+@njit(cache=True, parallel=True)
+def _first_near(readings, too_near):
+    """Return the first step [B] in which a reading [B, T, S] is ``too_near``; T if none is."""
+    found = np.empty(len(readings), np.int64)
+    for b in prange(len(readings)):
+        found[b] = readings.shape[1]
+        for k in range(readings.shape[1]):
+            for s in range(readings.shape[2]):
+                if readings[b, k, s] >= too_near:
+                    found[b] = min(found[b], k)
+    return found

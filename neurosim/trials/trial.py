@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.files import sha256, write_json
 from neurosim.base.provenance import is_virtual
-from neurosim.controllers import Plan
+from neurosim.base.trajectory import Trajectory
+from neurosim.controllers import SavedController, read_controller
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.robots.base import Robot
-from neurosim.tasks.base import make_task
+from neurosim.tasks.registry import make_task
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
 from tracking.datasets.displacements import Track
@@ -69,7 +70,7 @@ def run_trial(
     Raises:
         UserError: if anything on the way is not what it should be.
     """
-    plan = Plan.read(controller)
+    plan = read_controller(controller)
     if calibration is not None and not CameraModel.read(calibration).has_board:
         raise UserError(
             f"{calibration} has no points on the board, so poses cannot be held against the plan; "
@@ -97,7 +98,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     Raises:
         UserError: if the recording is not of this plan, or the robot was not seen at its start.
     """
-    plan, recording = Plan.read(controller), Recording(out)
+    plan, recording = read_controller(controller), Recording(out)
     motor = [line for line in recording.commands() if line.is_motor and line.session == 1]
     sent = [line for line in motor if line.kind == "command"]
     _check_same(plan, sent, recording.path)
@@ -113,9 +114,14 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     if actual[0] is None:
         raise UserError(f"{recording.path}: the robot was not seen at its start")
     dense, segment = _dense(poses, boundaries)
-    task = make_task(plan.task["name"], **plan.task.get("settings", {}))
-    given = np.append(np.ones(len(sent), bool), False)
-    judged = task.evaluate_track(dense[:, 1:], segment, given)
+    driven = Trajectory.of_track(
+        dense[:, 0],
+        dense[:, 1:],
+        segment,
+        np.array([(line.left, line.right, line.duration) for line in sent] + [(0.0, 0.0, 0.0)]),
+        np.append(np.ones(len(sent), bool), False),
+    )
+    judged = make_task(plan.task).judge(driven)
     predicted = plan.predicted["poses"]
     rest = _median_pose(poses, boundaries[-1] + AT_REST, boundaries[-1] + 2 * AT_REST)
     report = {
@@ -137,8 +143,8 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
             "poses": [*actual, *[None] * (len(predicted) - len(actual))],
             "cut": cut,
             "rest": rest,
-            "fitness": float(judged.fitness[0]),
-            "completes": bool(judged.completes[0]) and not ended_early,
+            "fitness": float(judged.fitness),
+            "completes": bool(judged.success) and not ended_early,
             "path": np.round(dense, 5).tolist(),
         },
         "errors": [
@@ -152,7 +158,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     return report
 
 
-def _check_same(plan: Plan, sent: list[CommandLine], path: Path) -> None:
+def _check_same(plan: SavedController, sent: list[CommandLine], path: Path) -> None:
     for number, (command, line) in enumerate(zip(plan.given, sent, strict=False), start=1):
         if (line.left, line.right) != command[:2] or abs(line.duration - command[2]) > 1e-6:
             raise UserError(f"{path}: command {number} is not the plan's; it is another's trial")

@@ -20,7 +20,7 @@ from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.samples import Samples
-from neurosim.trials.networks import RobotTrials
+from neurosim.trials.reality import RobotTrials
 
 
 def call(*words):

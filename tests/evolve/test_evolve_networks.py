@@ -13,7 +13,7 @@ from neurosim.lab import VirtualKheperaRig
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
-from neurosim.trials.networks import RobotTrials
+from neurosim.trials.reality import RobotTrials
 
 SETTINGS = NetworkSettings(generations=3, population=6, parents=2)
 TASK = ObstacleAvoidance(steps=20, starts=2)

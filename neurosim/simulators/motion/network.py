@@ -17,14 +17,17 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
+from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
-from neurosim.simulators.base import Simulator
+from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernels import Arrays
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
+from neurosim.simulators.motion.plans import MotionPlans
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
@@ -257,6 +260,28 @@ class MotionNetwork(Simulator):
         if self.noise is None:
             return mean
         return disturb(self.noise, self._columns, self.scaled(inputs), mean, z)
+
+    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
+        """Return compiled rollouts where the units are linear and the commands are these."""
+        if not self.network.linear:
+            return None
+        if controller.blind and tuple(controller.outputs) == self.command_names:
+            return MotionPlans(self, controller, episode)
+        return None
+
+    def input_sources(self) -> NDArray[np.int64]:
+        """Return where each input comes from, as compiled rollouts take it, [I].
+
+        c for column c of the command, -c - 1 for column c of the command before.
+        """
+        names = self.command_names
+        return np.array(
+            [
+                names.index(name) if name in names else -names.index(name.removeprefix("prev_")) - 1
+                for name in self.input_names
+            ],
+            np.int64,
+        )
 
     def arrays(self) -> Arrays:
         """Return what :mod:`neurosim.simulators.motion.kernels` computes with.

@@ -48,34 +48,31 @@ def _drive(t, pose, speeds, goals, command, parts, z, kept):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def drive_plans(t, starts, z, commands, parts, given, stop, stop_parts):
+def drive_plans(t, starts, z, commands, parts, given, rests):
     """Drive every plan from every start, where the robot stands still at first.
 
     Args:
         t: :class:`~neurosim.simulators.tables.kernels.TableArrays`.
         starts: [R, 3] poses.
-        z: [R, K + 1, 3] the noise of every command, the same for all plans.
-        commands: [B, K, 3] left, right (%), duration (s).
-        parts: [B, K] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
-        given: [B, K] bool; a command that is not given leaves the robot as it is.
-        stop: [3] the command at the end.
-        stop_parts: of it.
+        z: [R, T, 3] the noise of every command, the same for all plans.
+        commands: [B, T, 3] left, right (%), duration (s).
+        parts: [B, T] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
+        given: [B, T] bool; a command that is not given leaves the robot as it is.
+        rests: whether the last command, which stops the robot, is sent though not given.
 
     Returns:
-        Poses [B, R, K + 2, 3]: at the start, after each command, and at rest.
+        Poses [B, R, T + 1, 3]: at the start and after each command.
     """
     plans, length = given.shape
     count = len(starts)
-    poses = np.empty((plans, count, length + 2, 3))
+    poses = np.empty((plans, count, length + 1, 3))
     for job in prange(plans * count):
         b, r = job // count, job % count
         pose, speeds, goals = starts[r].copy(), np.zeros(2), np.zeros(2)
         kept = np.empty((3, 3))
         poses[b, r, 0] = pose
         for k in range(length):
-            if given[b, k]:
+            if given[b, k] or (rests and k == length - 1):
                 _drive(t, pose, speeds, goals, commands[b, k], parts[b, k], z[r, k], kept)
             poses[b, r, k + 1] = pose
-        _drive(t, pose, speeds, goals, stop, stop_parts, z[r, length], kept)
-        poses[b, r, length + 1] = pose
     return poses

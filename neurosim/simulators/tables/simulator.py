@@ -32,10 +32,12 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.base import FORMAT, VERSION, Simulator
+from neurosim.base.trajectory import Episode
+from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.kernels import PASSES, SLACK, TableArrays
 from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
 
@@ -202,6 +204,13 @@ class TableSimulator(Simulator):
             else:
                 reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
         return reading.clamp(0.0, 1.0)
+
+    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
+        """Return compiled rollouts; none of plans where the sensors are to be read."""
+        names = tuple(controller.outputs)
+        if controller.blind and names == self.command_names and not episode.readings:
+            return TablePlans(self, controller, episode)
+        return None
 
     def substeps(self, duration: Any) -> Any:
         """Return into how many motions commands of a duration (s) are cut.

@@ -1,7 +1,8 @@
 """Rollouts of plans in a motion network, compiled and on all cores.
 
-They compute what :func:`neurosim.evolve.rollouts.stepped` does one step at a time. Two things make
-them fast. What a command does to the network's inputs and to the size of the noise is the same
+They compute what :class:`neurosim.evolve.stepped.SteppedRollouts` does one step at a time.
+Two things make them fast. What a command does to the network's inputs and to the size of the noise
+is the same
 for all draws of a plan, so networks are evaluated once a command and member, not once a draw.
 And the product units of a whole ensemble lie in one row, networks with the same exponents only
 once, so that a core works on several at a time.
@@ -222,7 +223,7 @@ def _inputs(source, before, command, inputs):
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def mean_poses(e, source, start, commands, given, stop):
+def mean_poses(e, source, start, commands, given, rests):
     """Drive plans as the mean of the ensemble says.
 
     Args:
@@ -230,54 +231,54 @@ def mean_poses(e, source, start, commands, given, stop):
         source: [I] where each input comes from: c for column c of the command, -c - 1 for column
             c of the command before.
         start: [3] pose.
-        commands: [B, K, C].
-        given: [B, K] bool.
-        stop: [C], the command that stops the robot after the last.
+        commands: [B, T, C].
+        given: [B, T] bool; a command that is not given leaves the robot as it is.
+        rests: whether the last command, which stops the robot, is sent though not given.
 
     Returns:
-        [B, K + 2, 3].
+        [B, T + 1, 3].
     """
     batch, count, width = commands.shape
-    poses = np.empty((batch, count + 2, 3))
+    poses = np.empty((batch, count + 1, 3))
     for b in prange(batch):
         inputs = np.empty(len(source))
         x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
         units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
         moved, before = np.empty((1, 3)), np.zeros(width)
         px, py, theta = start[0], start[1], start[2]
-        for k in range(count + 1):
+        for k in range(count):
             poses[b, k, 0], poses[b, k, 1], poses[b, k, 2] = px, py, theta
-            if k < count and not given[b, k]:
+            if not (given[b, k] or (rests and k == count - 1)):
                 continue
-            command = stop if k == count else commands[b, k]
+            command = commands[b, k]
             _inputs(source, before, command, inputs)
             before = command
             displacements(e, inputs, x, log2, units, rows, moved)
             # Not se2.compose, which adds in another order: the plans of fixed seeds would change.
             dx, dy = se2.rotate(theta, moved[0, 0], moved[0, 1])
             px, py, theta = px + dx, py + dy, theta + moved[0, 2]
-        poses[b, count + 1, 0], poses[b, count + 1, 1], poses[b, count + 1, 2] = px, py, theta
+        poses[b, count, 0], poses[b, count, 1], poses[b, count, 2] = px, py, theta
     return poses
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
+def drawn_poses(e, a, source, starts, member, z, commands, given, rests):
     """Drive every plan through the same drawn outcomes.
 
     Args:
         e: :class:`Ensemble` of all members.
         a: :class:`neurosim.simulators.motion.kernels.Arrays`, for the noise.
-        source, commands, given, stop: as :func:`mean_poses` takes them.
+        source, commands, given, rests: as :func:`mean_poses` takes them.
         starts: [R, 3] poses.
         member: [R] of the ensemble; below 0 in none.
-        z: [R, K + 1, DRAWS] draws for the n-th command that is given, and the stop.
+        z: [R, T, DRAWS] draws for the n-th command that is sent.
 
     Returns:
-        [B, R, K + 2, 3].
+        [B, R, T + 1, 3].
     """
     batch, count, width = commands.shape
     draws = len(starts)
-    poses = np.empty((batch, draws, count + 2, 3))
+    poses = np.empty((batch, draws, count + 1, 3))
     for b in prange(batch):
         inputs = np.empty(len(source))
         x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
@@ -286,11 +287,11 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, stop):
         moved, before = np.empty(3), np.zeros(width)
         poses[b, :, 0] = starts
         sent = 0
-        for k in range(count + 1):
-            if k < count and not given[b, k]:
+        for k in range(count):
+            if not (given[b, k] or (rests and k == count - 1)):
                 poses[b, :, k + 1] = poses[b, :, k]
                 continue
-            command = stop if k == count else commands[b, k]
+            command = commands[b, k]
             _inputs(source, before, command, inputs)
             before = command
             displacements(e, inputs, x, log2, units, rows, means)

@@ -1,0 +1,222 @@
+"""Controllers on disk: a folder with ``controller.json``, and weights where there are any.
+
+What was predicted of a controller stands beside it, so that a trial can be held against it. For a
+plan these are the pose after each given command, at the instant when the next one takes over, and
+the pose at rest, once the motors have run down after the last.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.controllers.base import Controller
+from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan
+from neurosim.controllers.registry import CONTROLLERS
+
+FORMAT, VERSION = "neurosim-controller", 1
+
+_PARTS = ("task", "simulator", "predicted", "evolution")
+
+
+@dataclass(frozen=True, eq=False)
+class SavedController:
+    """One controller: a family, an individual's genes, and where it comes from.
+
+    Attributes:
+        controller: the family.
+        genes: [G] of the individual; empty for a plan, whose commands are in the family.
+        task: {"name", "settings"} of the task that it was made for.
+        start: x (m), y (m), heading (rad) where it starts, in the board's frame.
+        predicted: what the simulator says of it: ``fitness``; ``completes``, whether the expected
+            path does the task, and its ``poses`` [[x, y, theta], ...] and ``rest`` [x, y, theta];
+            over so many drawn outcomes (``draws``) the ``probability`` of success.
+        simulator: {"path", "sha256"} of what it was evolved in.
+        evolution: settings and history of its evolution.
+    """
+
+    controller: Controller
+    genes: NDArray[np.float64]
+    task: Mapping[str, Any]
+    start: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    predicted: Mapping[str, Any] = field(default_factory=dict)
+    simulator: Mapping[str, Any] = field(default_factory=dict)
+    evolution: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def kind(self) -> str:
+        """The family's name."""
+        return self.controller.kind
+
+    @property
+    def commands(self) -> tuple[Command | None, ...]:
+        """The commands of a plan, None for a null one; of other kinds none."""
+        return self.controller.slots if isinstance(self.controller, FixedPlan) else ()
+
+    @property
+    def given(self) -> list[Command]:
+        """The commands of a plan that are sent, without the null ones."""
+        return [command for command in self.commands if command is not None]
+
+    def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
+        """Write the controller to a new folder, whole or not at all.
+
+        Args:
+            folder: where.
+            overwrite: whether to replace what stands there.
+
+        Raises:
+            UserError: if there is something at ``folder`` that is not to be replaced, or a
+                function was not registered by a name.
+        """
+        family = self.controller
+        if family.kind not in CONTROLLERS.names():
+            raise UserError(
+                f"a controller of the kind {family.kind!r} cannot be read again: register its "
+                'family first, as in neurosim.register("controller", NAME, FAMILY)'
+            )
+        about: dict[str, Any]
+        if self.commands:
+            columns = zip(COMMAND_NAMES, ("%", "%", "s"), strict=True)
+            about = {
+                "inputs": [{"name": name, "unit": unit} for name, unit in columns],
+                "commands": [None if one is None else list(one) for one in self.commands],
+            }
+        else:
+            about = {
+                "inputs": [{"name": name, "unit": "1"} for name in family.inputs],
+                "outputs": [{"name": name, "unit": "%"} for name in family.outputs],
+                "settings": family.settings(),
+            }
+        content = {
+            "kind": family.kind,
+            **about,
+            "start": list(self.start),
+            **{name: dict(getattr(self, name)) for name in _PARTS},
+        }
+        with files.new_folder(folder, overwrite=overwrite) as partial:
+            if not self.commands:
+                files.write_tensors(partial / "weights.safetensors", {"genes": self.genes})
+            files.write_json(partial / "controller.json", FORMAT, VERSION, content)
+
+
+def read_controller(folder: str | Path) -> SavedController:
+    """Read a controller of any kind.
+
+    Raises:
+        FileError: naming file and field: a missing file or key, another version or kind, a
+            command that is not one, a prediction that does not fit the commands, weights that do
+            not fit the inputs.
+    """
+    path = Path(folder) / "controller.json"
+    if not Path(folder).is_dir():
+        raise FileError(folder, "no such controller; expected a folder with controller.json")
+    fields = {"kind": str, "inputs": list, **dict.fromkeys(_PARTS, dict)}
+    content = files.read_json(path, FORMAT, VERSION, fields)
+    kind = content["kind"]
+    if kind not in CONTROLLERS.names():
+        known = ", ".join(CONTROLLERS.names())
+        raise FileError(path, f"expected one of {known}, found {kind!r}", field="kind")
+    if not isinstance(content["task"].get("name"), str):
+        raise FileError(path, "expected the name of a task", field="task.name")
+    start = _numbers(path, "start", content.get("start", [0.0, 0.0, 0.0]))
+    family, genes = _plan(path, content) if kind == "plan" else _network(path, content)
+    found = SavedController(family, genes, start=start, **{name: content[name] for name in _PARTS})
+    _check_prediction(path, found)
+    return found
+
+
+def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
+    names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
+    if tuple(names) != COMMAND_NAMES:
+        raise FileError(path, f"expected the names {', '.join(COMMAND_NAMES)}", field="inputs")
+    if not isinstance(content.get("commands"), list):
+        raise FileError(path, "expected a list", field="commands")
+    commands = tuple(
+        _command(path, f"commands[{index}]", value)
+        for index, value in enumerate(content["commands"])
+    )
+    if all(command is None for command in commands):
+        raise FileError(path, "gives no command at all", field="commands")
+    return FixedPlan(commands), np.empty(0)
+
+
+def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
+    names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
+    if not all(isinstance(name, str) for name in names) or len(names) != len(content["inputs"]):
+        raise FileError(path, "expected a list of {name, unit}", field="inputs")
+    weights = path.with_name("weights.safetensors")
+    settings, shape, name = content.get("settings"), None, "genes"
+    if settings is None:
+        # As version 0.1.0 wrote it before there were hidden layers.
+        if content.get("activation") != "tanh":
+            raise FileError(
+                path, f"expected 'tanh', found {content.get('activation')!r}", field="activation"
+            )
+        settings, name, shape = {"inputs": names}, "weights", (2, len(names) + 1)
+    if not isinstance(settings, dict):
+        raise FileError(path, "expected settings by name", field="settings")
+    try:
+        family = CONTROLLERS.make(content["kind"], settings)
+    except (UserError, TypeError, ValueError) as error:
+        raise FileError(
+            path, f"is no controller of this kind ({error})", field="settings"
+        ) from None
+    found = files.read_tensors(weights, {name: shape or (family.genes,)})
+    return family, found[name].astype(float).reshape(-1)
+
+
+def _check_prediction(path: Path, found: SavedController) -> None:
+    predicted = found.predicted
+    poses = predicted.get("poses")
+    if found.commands or poses is not None:
+        expected = len(found.given) + 1
+        if not isinstance(poses, list) or (found.commands and len(poses) != expected):
+            raise FileError(
+                path,
+                f"expected {expected} poses, the start and one for each given command",
+                field="predicted.poses",
+            )
+        for index, pose in enumerate(poses):
+            _numbers(path, f"predicted.poses[{index}]", pose)
+        _numbers(path, "predicted.rest", predicted.get("rest"))
+    if found.commands:
+        if not _is_number(predicted.get("fitness")):
+            raise FileError(path, "expected a number", field="predicted.fitness")
+        if not isinstance(predicted.get("completes"), bool):
+            raise FileError(path, "expected true or false", field="predicted.completes")
+    probability = predicted.get("probability", 0.0)
+    if not _is_number(probability) or not 0 <= probability <= 1:
+        raise FileError(path, "expected a number in 0 to 1", field="predicted.probability")
+
+
+def _command(path: Path, field: str, value: Any) -> Command | None:
+    if value is None:
+        return None
+    left, right, duration = _numbers(path, field, value)
+    if max(abs(left), abs(right)) > 100 or duration <= 0:
+        raise FileError(
+            path,
+            f"expected speeds in -100 to 100 % and a duration above 0 s, found {value}",
+            field=field,
+        )
+    return left, right, duration
+
+
+def _numbers(path: Path, field: str, value: Any) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
+        raise FileError(path, f"expected three numbers, found {value!r:.60}", field=field)
+    x, y, z = map(float, value)
+    return x, y, z
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

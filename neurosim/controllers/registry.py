@@ -1,0 +1,62 @@
+"""The kinds of controllers by name."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
+from neurosim.base.trajectory import Episode
+from neurosim.controllers.base import GOAL_INPUTS, Controller
+
+#: By name: what takes settings as keywords and returns a :class:`Controller`.
+CONTROLLERS = Registry(
+    "kind of controller",
+    "neurosim.controllers",
+    {
+        "plan": "neurosim.controllers.plan:Plan",
+        "network": "neurosim.controllers.network:Network",
+        "recurrent": "neurosim.controllers.network:Recurrent",
+    },
+)
+
+
+def make_controller(
+    kind: str,
+    simulator: Any = None,
+    episode: Episode | None = None,
+    **settings: Any,
+) -> Controller:
+    """Return a family of controllers.
+
+    Args:
+        kind: its name.
+        simulator: where it is to run: a network observes the sensors that there are, and its
+            outputs are the commands that there are, if the settings say nothing else.
+        episode: of the task: a network observes where the next goal is, if there are goals.
+        settings: of the kind.
+
+    Raises:
+        UserError: if there is none of this kind, or it has no such setting.
+    """
+    maker = CONTROLLERS.get(kind)
+    fields = [one.name for one in dataclasses.fields(maker)] if _is_settings(maker) else []
+    if simulator is not None and "inputs" in fields and "inputs" not in settings:
+        goals = GOAL_INPUTS if episode is not None and episode.goals is not None else ()
+        settings["inputs"] = (*simulator.reading_names, *goals)
+        if not settings["inputs"]:
+            raise UserError(
+                f"a {kind} needs something to observe: the simulator has no sensors and the task "
+                "no goals; give inputs, such as x, y, cos_heading, sin_heading"
+            )
+    if simulator is not None and "outputs" in fields and "outputs" not in settings:
+        names = tuple(name for name in simulator.command_names if name != "duration")
+        settings["outputs"] = names
+        limits = [simulator.domain.get(name, (-100.0, 100.0)) for name in names]
+        settings.setdefault("scale", tuple(max(map(abs, pair)) for pair in limits))
+    return CONTROLLERS.make(kind, settings)
+
+
+def _is_settings(maker: Any) -> bool:
+    return isinstance(maker, type) and dataclasses.is_dataclass(maker)

@@ -1,0 +1,157 @@
+"""What to expect of a controller before the robot moves."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.statistics import wilson
+from neurosim.base.trajectory import Trajectory
+from neurosim.controllers import SavedController, read_controller
+from neurosim.evolve.evaluate import Evaluator
+from neurosim.evolve.evolve import check_uncertain
+from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.registry import read_simulator
+from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.registry import make_task
+
+#: Of a controller that sees, the spread is given at so many times.
+_TIMES = 10
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A way in which drawn outcomes failed.
+
+    Attributes:
+        command: during which given command, from 1; one more than there are: while the motors
+            ran down after the last.
+        reason: what the robot did, in the task's words.
+        share: of all outcomes.
+    """
+
+    command: int
+    reason: str
+    share: float
+
+
+@dataclass(frozen=True)
+class Check:
+    """What a simulator predicts for a controller, over drawn outcomes.
+
+    Attributes:
+        probability: share of outcomes that complete the task.
+        interval: 95 % confidence interval of that share, as far as the number of draws goes.
+        members: lowest and highest share among the members of the simulator's ensemble: how
+            uncertain the simulator itself is; None where there is one member.
+        draws: outcomes drawn.
+        fitness: mean fitness of a start's outcomes.
+        failures: the ways to fail, the most frequent first.
+        after: the command (from 1) after which each of ``spread`` and ``turn`` is; the last is at
+            the end of the trial.
+        spread: radius (m) about the mean position that holds 95 % of the outcomes.
+        turn: standard deviation of the heading, likewise, rad.
+    """
+
+    probability: float
+    interval: tuple[float, float]
+    members: tuple[float, float] | None
+    draws: int
+    fitness: float
+    failures: tuple[Failure, ...]
+    after: tuple[int, ...]
+    spread: tuple[float, ...]
+    turn: tuple[float, ...]
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it for JSON, in SI units."""
+        return asdict(self)
+
+
+def check(
+    controller: str | Path | SavedController,
+    simulator: str | Path | Simulator,
+    task: Task | None = None,
+    *,
+    draws: int = 4096,
+    seed: int = 0,
+    placing: tuple[float, float] = PLACING,
+) -> Check:
+    """Try a controller in drawn outcomes of a simulator.
+
+    Args:
+        controller: a saved controller, or its folder.
+        simulator: a simulator with noise or an ensemble, or its folder.
+        task: by default the one that the controller was made for.
+        draws: how many outcomes.
+        seed: random seed.
+        placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
+            (rad).
+
+    Raises:
+        UserError: if controller or simulator cannot be read or do not fit each other, or nothing
+            is uncertain in the simulator.
+    """
+    if isinstance(controller, str | Path):
+        controller = read_controller(controller)
+    if isinstance(simulator, str | Path):
+        simulator = read_simulator(simulator)
+    task = task or make_task(controller.task)
+    check_uncertain(simulator)
+    evaluator = Evaluator(simulator, task, controller.controller, placing=placing)
+    starts, drawn = evaluator.starts(draws, np.random.default_rng(seed))
+    if not drawn:
+        starts = np.tile(np.asarray(controller.start, np.float64), (draws, 1))
+    outcomes = evaluator.rollouts.draw(starts, seed, None if drawn else placing)
+    judged, trajectory = evaluator.judge(controller.genes[None], outcomes)
+    success = judged.success[0]
+    after, spread, turn = _spread(trajectory, controller.controller.blind)
+    return Check(
+        probability=float(success.mean()),
+        interval=wilson(int(success.sum()), draws),
+        members=_of_members(success, outcomes.member),
+        draws=draws,
+        fitness=float(judged.fitness.mean()),
+        failures=_failures(judged, task),
+        after=after,
+        spread=spread,
+        turn=turn,
+    )
+
+
+def _of_members(success: NDArray, member: NDArray | None) -> tuple[float, float] | None:
+    if member is None or len(np.unique(member)) < 2:
+        return None
+    shares = [float(success[member == m].mean()) for m in np.unique(member)]
+    return min(shares), max(shares)
+
+
+def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
+    failed = ~judged.success[0]
+    ways, counts = np.unique(
+        np.stack([judged.segment[0], judged.reason[0]])[:, failed], axis=1, return_counts=True
+    )
+    found = [
+        Failure(int(segment) + 1, task.reasons[reason], float(count / failed.size))
+        for (segment, reason), count in zip(ways.T, counts, strict=True)
+    ]
+    return tuple(sorted(found, key=lambda failure: -failure.share))
+
+
+def _spread(
+    trajectory: Trajectory, blind: bool
+) -> tuple[tuple[int, ...], tuple[float, ...], tuple[float, ...]]:
+    """Return after which commands, and 95 % radius and standard deviation of the heading then."""
+    assert trajectory.poses is not None
+    poses = trajectory.poses[0, :, 1:]
+    after = np.arange(poses.shape[1])
+    if not blind:
+        after = np.unique(np.linspace(0, poses.shape[1] - 1, _TIMES + 1).round().astype(int)[1:])
+    poses = poses[:, after]
+    away = np.linalg.norm(poses[..., :2] - poses[..., :2].mean(axis=0), axis=-1)
+    radius, turn = np.quantile(away, 0.95, axis=0), poses[..., 2].std(axis=0)
+    return tuple((after + 1).tolist()), tuple(radius.tolist()), tuple(turn.tolist())

@@ -1,0 +1,255 @@
+"""The one loop: a simulator, a task and a controller; genes in, fitness out.
+
+Every evolution, robust evolution, check and trial goes through :class:`Evaluator`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+import numba
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Draws, Trajectory
+from neurosim.controllers.base import Controller, check_inputs
+from neurosim.evolution.command_sets import pairing_keys
+from neurosim.evolve.objectives import Merit, objective_named, repeats_of
+from neurosim.evolve.stepped import SteppedRollouts
+from neurosim.simulators.base import PLACING, Rollouts, Simulator
+from neurosim.tasks.base import Judgement, Task
+
+#: Trajectories that are driven at once hold at most so many poses: so few that what closed loops
+#: of a usual size do stays near the processor.
+POSES_AT_ONCE = 500_000
+SEEING_AT_ONCE = 110_000
+#: Fewer steps than this take a core about a millisecond: less than sharing them out may cost.
+_WORTH_SHARING = 10_000
+
+
+class Evaluator:
+    """Judges individuals of a controller, in a simulator, at a task.
+
+    Attributes:
+        simulator, task, controller: the three.
+        placing: how exactly the robot is put down where a trial starts at a mark: standard
+            deviations in x and y (m) and in heading (rad); for drawn outcomes alone.
+        rollouts: what drives them: the simulator's own compiled ones, or step by step.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        controller: Controller,
+        *,
+        placing: tuple[float, float] = PLACING,
+        stepped: bool = False,
+    ):
+        """Join the three.
+
+        Args:
+            simulator, task, controller, placing: see the class.
+            stepped: whether to go step by step though there are compiled rollouts.
+
+        Raises:
+            UserError: if one needs what another does not offer: commands, sensors, goals.
+        """
+        self.simulator, self.task, self.controller = simulator, task, controller
+        self.placing, self.episode = placing, task.episode
+        _check_columns(simulator, controller)
+        has_goals = self.episode.goals is not None
+        check_inputs(controller, simulator.reading_names, has_goals, "the simulator")
+        if self.episode.readings and not simulator.reading_names:
+            raise UserError(
+                f"the task {task.name} needs the readings of sensors, and this simulator "
+                f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
+            )
+        compiled = None if stepped else simulator.rollouts(controller, self.episode)
+        self.rollouts: Rollouts = compiled or SteppedRollouts(simulator, controller, self.episode)
+
+    def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
+        """Return start poses [count, 3], and whether they were drawn by the task."""
+        drawn = self.task.draw_starts(self.simulator, count, rng)
+        if drawn is None:
+            return np.tile(np.asarray(self.task.start, np.float64), (count, 1)), False
+        return drawn, True
+
+    def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
+        """Draw the outcomes of so many trials, each from as many starts as the task says.
+
+        Args:
+            trials: the task's ``trial_starts`` times as many outcomes are drawn.
+            rng: source of all that is drawn, or a seed.
+            repeats: every start is met so often, each time with other noise.
+        """
+        own = np.random.default_rng(rng) if isinstance(rng, int) else rng
+        starts, drawn = self.starts(trials * self.task.trial_starts, own)
+        starts = np.tile(starts, (repeats, 1))
+        return self.rollouts.draw(starts, own if drawn else rng, None if drawn else self.placing)
+
+    def expectation(self, seed: int = 0) -> Draws:
+        """Return what stands for no noise at all: the mean, from the task's start or starts."""
+        starts, _ = self.starts(self.task.trial_starts, np.random.default_rng(seed))
+        member = np.full(len(starts), -1) if self.simulator.members > 1 else None
+        return Draws(starts, member)
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        return self.rollouts.run(genes, draws, reuse=reuse)
+
+    def judge(self, genes: NDArray[np.float64], draws: Draws) -> tuple[Judgement, Trajectory]:
+        """Return judgements [P, R] of individuals [P, G], and their trajectories."""
+        trajectory = self.run(genes, draws)
+        return self.task.judge(trajectory), trajectory
+
+    def merit(
+        self,
+        genes: NDArray[np.float64],
+        draws: Draws,
+        objective: str = "fitness",
+        hints: Sequence[str] = (),
+    ) -> tuple[Merit, dict[str, NDArray]]:
+        """Return what individuals [P, G] are worth over outcomes; in parts, to bound memory.
+
+        Args:
+            genes: a row for each individual.
+            draws: the outcomes.
+            objective: one of :data:`neurosim.evolve.objectives.OBJECTIVES`.
+            hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
+                which crossover of plans pairs commands.
+        """
+        measure, parts, told = objective_named(objective), [], []
+        for part in self._parts(len(genes), len(draws)):
+            trajectory = self.run(genes[part], draws, reuse=True)
+            parts.append(measure(self.task, trajectory, self.task.judge(trajectory)))
+            told.append([getattr(self, f"_{name}")(trajectory) for name in hints])
+        merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+        columns = [np.concatenate(part) for part in zip(*told, strict=True)]
+        return merit, dict(zip(hints, columns, strict=True))
+
+    def _parts(self, individuals: int, outcomes: int) -> Iterator[slice]:
+        """Cut individuals into parts whose trajectories are driven at once."""
+        at_once, steps = SEEING_AT_ONCE, self.episode.steps
+        if self.controller.blind:
+            at_once, steps = POSES_AT_ONCE, self.steps
+        batch = max(at_once // (outcomes * (steps + 1)), 1)
+        return (slice(first, first + batch) for first in range(0, individuals, batch))
+
+    @property
+    def steps(self) -> int:
+        """How many steps a trial has, the stop at its end included."""
+        if self.controller.blind:
+            genes = np.zeros((1, self.controller.genes))
+            return self.controller.commands(genes, self.episode.rest)[0].shape[1]
+        return self.episode.steps + (self.episode.rest > 0)
+
+    @contextmanager
+    def threads_for(self, individuals: int) -> Iterator[None]:
+        """Keep little work on one core.
+
+        On a machine that is busy with something else too, sharing out may cost a time slice of
+        the scheduler, more than the whole work. Where a simulator is stepped in PyTorch there is
+        too little in a step to be shared out.
+        """
+        compiled, tensors = numba.get_num_threads(), torch.get_num_threads()
+        if individuals * (self.steps - (self.episode.rest > 0)) < _WORTH_SHARING:
+            numba.set_num_threads(1)
+        torch.set_num_threads(1)
+        try:
+            yield
+        finally:
+            numba.set_num_threads(compiled)
+            torch.set_num_threads(tensors)
+
+    def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
+        """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""
+        slots = trajectory.commands.shape[-2] - (self.episode.rest > 0)
+        poses, active = trajectory.poses, trajectory.active
+        assert poses is not None
+        assert active is not None
+        return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
+
+
+def _check_columns(simulator: Simulator, controller: Controller) -> None:
+    """Refuse a controller whose outputs are not the simulator's commands."""
+    wanted, given = tuple(simulator.command_names), tuple(controller.outputs)
+    if not controller.blind:
+        wanted = tuple(name for name in wanted if name != "duration")
+    if wanted != given:
+        raise UserError(
+            f"the controller ({controller.kind}) gives {', '.join(given)}, but this simulator "
+            f"takes {', '.join(wanted)}; use one that was made from such commands"
+        )
+
+
+class Evaluate:
+    """Fitness of genes, as :func:`evaluate` returns it: call it like a function."""
+
+    def __init__(self, evaluator: Evaluator, draws: Draws, objective: str):
+        self.evaluator, self.draws, self._objective = evaluator, draws, objective
+
+    @property
+    def genes(self) -> int:
+        """How many genes an individual has."""
+        return self.evaluator.controller.genes
+
+    def __call__(self, genes: Any) -> Any:
+        """Return the fitness [P] of individuals [P, G], or of one [G]; the higher the better.
+
+        NumPy arrays (or lists) give NumPy, tensors give tensors.
+
+        Raises:
+            UserError: if there are not as many genes as the controller has, or one is not finite.
+        """
+        rows = np.asarray(genes.detach().cpu() if isinstance(genes, Tensor) else genes, np.float64)
+        single, rows = rows.ndim == 1, np.atleast_2d(rows)
+        if rows.ndim != 2 or rows.shape[1] != self.genes:
+            raise UserError(f"expected genes [P, {self.genes}] or [{self.genes}], got {rows.shape}")
+        if not np.isfinite(rows).all():
+            row = int(np.argwhere(~np.isfinite(rows))[0, 0])
+            raise UserError(f"genes[{row}]: expected finite numbers, found {rows[row]!s:.60}")
+        with self.evaluator.threads_for(len(rows) * len(self.draws)):
+            merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
+        found = merit.merit[0] if single else merit.merit
+        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+
+
+def evaluate(
+    simulator: Simulator,
+    task: Task,
+    controller: Controller,
+    *,
+    outcomes: int = 0,
+    objective: str = "fitness",
+    placing: tuple[float, float] = PLACING,
+    seed: int = 0,
+) -> Evaluate:
+    """Return the function that gives the fitness of genes: what any optimiser needs.
+
+    Args:
+        simulator: where controllers are tried.
+        task: what counts as good.
+        controller: the family whose genes are judged.
+        outcomes: trials that each individual is tried in, drawn once and met by all alike; 0:
+            what the simulator expects, without noise.
+        objective: ``fitness``, ``probability`` of success, or ``progress``, a fitness without
+            steps.
+        placing: how exactly the robot is put down: standard deviations, m and rad.
+        seed: of the draws.
+
+    Raises:
+        UserError: if one of the three needs what another does not offer, or outcomes are asked
+            of a simulator in which nothing is uncertain.
+    """
+    evaluator = Evaluator(simulator, task, controller, placing=placing)
+    if outcomes < 0:
+        raise UserError(f"outcomes must not be negative, not {outcomes}")
+    repeats = repeats_of(objective)
+    draws = evaluator.draw(outcomes, seed, repeats) if outcomes else evaluator.expectation(seed)
+    return Evaluate(evaluator, draws, objective)

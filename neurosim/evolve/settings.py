@@ -1,0 +1,124 @@
+"""How controllers are evolved."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.controllers.base import Controller
+from neurosim.evolution.genetic import GeneticSettings
+from neurosim.evolve.objectives import objective_named
+from neurosim.simulators.base import PLACING
+from neurosim.tasks.base import Task
+
+#: Plans: Table 1 of Pretorius et al. 2009 but for its tournament of 50, which leaves a run with
+#: one plan and its likes before the course is found.
+PLAN_GENETIC = GeneticSettings(tournament=5)
+#: Robust evolution: the way is known, it is to be smoothed without losing variety.
+ROBUST_GENETIC = GeneticSettings(tournament=5, mutation=0.1, eta=2.0, mutation_scale=0.03)
+#: Networks: Lund and Miglino 1996 give population and parents (and so 5 children of each); the
+#: rest is ours.
+NETWORK_GENETIC = GeneticSettings(
+    population=100, crossover=0.5, mutation=0.15, eta=2.0, mutation_scale=1.0, elites=0, parents=20
+)
+
+
+@dataclass(frozen=True)
+class RobustSettings:
+    """How controllers are made robust, after generations without noise.
+
+    Attributes:
+        objective: ``probability`` of completing the task, or ``fitness``, the expected fitness.
+            The latter often prefers plans that stop halfway and are safe.
+        generations: how many, after those without noise.
+        draws: outcomes that every individual of a generation meets.
+        refresh: new outcomes are drawn every so many generations, lest individuals be fitted to
+            them.
+        selection_draws: outcomes on which the individual to keep is chosen in the end.
+        genetic: the genetic algorithm; its mutation is finer than before.
+    """
+
+    objective: str = "probability"
+    generations: int = 300
+    draws: int = 32
+    refresh: int = 10
+    selection_draws: int = 1024
+    genetic: GeneticSettings = ROBUST_GENETIC
+
+    def __post_init__(self) -> None:
+        if self.objective not in ("fitness", "probability"):
+            raise UserError(
+                f"robust evolution is for fitness or probability, not {self.objective!r}"
+            )
+        _at_least_one(self, "generations", "draws", "refresh", "selection_draws")
+
+
+@dataclass(frozen=True)
+class EvolveSettings:
+    """How controllers are evolved; see :func:`default_settings`.
+
+    Attributes:
+        optimiser: its name; ``ga`` is the genetic algorithm of the controller's paper.
+        generations: how many populations are evaluated.
+        runs: independent runs, evaluated together; the best of all is kept.
+        genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a share
+            of a gene's range.
+        insertion: plans: whether a null command that mutation brings back comes at any position
+            in the plan; False: where it is, as we read the paper.
+        outcomes: trials, drawn anew, that every individual of a generation is tried in; 0: it is
+            judged by what the simulator expects.
+        objective: what is maximised; see :mod:`neurosim.evolve.objectives`.
+        robust: how to make the result robust, or None.
+        placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
+            (rad); for drawn outcomes alone.
+        selection: where outcomes are drawn, start poses from which the best of the last
+            population is chosen.
+        final_draws: fresh outcomes from which the probability of success is estimated.
+    """
+
+    optimiser: str = "ga"
+    generations: int = 1000
+    runs: int = 1
+    genetic: GeneticSettings = PLAN_GENETIC
+    insertion: bool = True
+    outcomes: int = 0
+    objective: str = "fitness"
+    robust: RobustSettings | None = None
+    placing: tuple[float, float] = field(default=PLACING)
+    selection: int = 50
+    final_draws: int = 4096
+
+    def __post_init__(self) -> None:
+        _at_least_one(self, "generations", "runs", "selection", "final_draws")
+        objective_named(self.objective)
+        if self.outcomes < 0:
+            raise UserError(f"outcomes must not be negative, not {self.outcomes}")
+        if min(self.placing) < 0:
+            raise UserError("the scatter of the start pose must not be negative")
+
+
+def default_settings(controller: Controller, task: Task, **changes: Any) -> EvolveSettings:
+    """Return the settings of the paper that a controller is from, and some changed.
+
+    Plans are evolved as in section 6.2 of Pretorius et al. 2009, on what the simulator expects.
+    Controllers that see are evolved as by Lund and Miglino 1996, in trials drawn anew for every
+    generation, from random starts where the task has them; else for graded progress.
+    """
+    if controller.blind:
+        return replace(EvolveSettings(runs=10), **changes)
+    steady = task.trial_starts > 1
+    settings = EvolveSettings(
+        generations=200,
+        genetic=NETWORK_GENETIC,
+        outcomes=1 if steady else 4,
+        objective="steady" if steady else "progress",
+        final_draws=256,
+    )
+    return replace(settings, **changes)
+
+
+def _at_least_one(settings: object, *names: str) -> None:
+    for name in names:
+        if getattr(settings, name) < 1:
+            raise UserError(f"{name} must be at least 1, not {getattr(settings, name)}")

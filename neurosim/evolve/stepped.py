@@ -1,0 +1,205 @@
+"""Rollouts of any controller in any simulator, step by step through ``act()`` and ``step()``.
+
+This is what compiled rollouts are held to.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers.base import NOT_READINGS, Controller, observe
+from neurosim.simulators.base import Simulator, as_seed, put_down
+
+
+class SteppedRollouts:
+    """Rollouts through the steps that the protocols offer.
+
+    A simulator that can be given its noise meets every controller with the same; one that draws
+    it itself draws the same for a batch of the same size, but not the same for two controllers
+    of a batch.
+    """
+
+    def __init__(self, simulator: Simulator, controller: Controller, episode: Episode):
+        self._simulator, self._controller, self._episode = simulator, controller, episode
+        self._sees = [name for name in controller.inputs if name not in NOT_READINGS]
+        self._reads = bool(simulator.reading_names) and (bool(self._sees) or episode.readings)
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw outcomes: where each robot stands, its member, and its noise or a seed for it."""
+        simulator, count = self._simulator, len(starts)
+        generator = torch.Generator().manual_seed(as_seed(rng))
+        starts = put_down(starts, placing, generator)
+        member = None
+        if simulator.members > 1:
+            order = torch.randperm(count, generator=generator)
+            member = (torch.arange(count) % simulator.members)[order].numpy()
+        if simulator.has_noise and simulator.noise_width:
+            noise = simulator.draw_noise(count, self._steps(), generator).numpy()
+            return Draws(starts, member, noise)
+        seeds = np.array([as_seed(rng)], np.uint64) if simulator.has_noise else None
+        return Draws(starts, member, None, seeds)
+
+    def _steps(self) -> int:
+        if self._controller.blind:
+            genes = np.zeros((1, self._controller.genes))
+            return self._controller.commands(genes, self._episode.rest)[0].shape[1]
+        return self._episode.steps + (self._episode.rest > 0)
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
+        with torch.no_grad():
+            if self._controller.blind:
+                return trial.blind(*self._controller.commands(genes, self._episode.rest))
+            return trial.seeing(self._controller, torch.from_numpy(np.ascontiguousarray(genes)))
+
+
+class _Trial:
+    """A batch of trials under way: P individuals, each through R outcomes."""
+
+    def __init__(
+        self, simulator: Simulator, episode: Episode, count: int, draws: Draws, reads: bool
+    ):
+        self._simulator, self._episode, self._reads = simulator, episode, reads
+        self._shape = count, len(draws)
+        self._noise = None if draws.noise is None else torch.from_numpy(draws.noise)
+        self._generator = None
+        if self._noise is None and draws.seeds is not None:
+            self._generator = torch.Generator().manual_seed(int(draws.seeds[0]) % 2**63)
+        starts = self._each(torch.from_numpy(np.asarray(draws.starts, np.float64)))
+        if draws.member is None:
+            self._state = simulator.start(starts)
+        else:
+            self._state = simulator.start_as(starts, self._each(torch.from_numpy(draws.member)))
+        self._poses = [self._state[:, :3]]
+        self._readings: list[Tensor] = []
+
+    def _each(self, outcome: Tensor) -> Tensor:
+        """Return what belongs to outcomes [R, ...] for every row [P R, ...]."""
+        return outcome.expand(self._shape[0], *outcome.shape).flatten(0, 1)
+
+    def _random(self, step: int) -> dict[str, Any]:
+        """Return what ``step`` and ``sense`` take for their noise."""
+        if self._noise is not None:
+            return {"z": self._each(self._noise[:, step])}
+        return {} if self._generator is None else {"generator": self._generator}
+
+    def _sense(self, step: int) -> Tensor | None:
+        if not self._reads:
+            return None
+        seen = self._simulator.sense(self._state, **self._random(step))
+        self._readings.append(seen)
+        return seen
+
+    def _step(self, command: Tensor, step: int, active: Tensor | None = None) -> None:
+        after = self._simulator.step(self._state, command, **self._random(step))
+        if active is not None:
+            after = torch.where(active.unsqueeze(-1), after, self._state)
+        self._state = after
+        self._poses.append(after[:, :3])
+
+    def blind(self, commands: NDArray, active: NDArray) -> Trajectory:
+        """Drive commands [P, T, 3]; those that are not active leave the robot as it is."""
+        count, steps, _ = commands.shape
+        outcomes = self._shape[1]
+        rests = self._episode.rest > 0
+        sent = torch.zeros(count * outcomes, dtype=torch.long)
+        for step in range(steps):
+            command = torch.from_numpy(commands[:, step]).repeat_interleave(outcomes, 0)
+            given = torch.from_numpy(active[:, step]).repeat_interleave(outcomes, 0)
+            if rests and step == steps - 1:
+                given = torch.ones_like(given)
+            self._sense(step)
+            self._step_given(command, sent, given)
+            sent = sent + given
+        shape = (*self._shape, steps)
+        return self._trajectory(
+            np.broadcast_to(commands[:, None], (*shape, commands.shape[-1])),
+            np.broadcast_to(np.where(active, commands[..., -1], 0.0)[:, None], shape),
+            np.broadcast_to(active[:, None], shape),
+        )
+
+    def _step_given(self, command: Tensor, sent: Tensor, given: Tensor) -> None:
+        """Step with the noise of the n-th command that is given: null ones use up none."""
+        random = self._random(0)
+        if self._noise is not None:
+            rows = torch.arange(len(sent)) % self._shape[1]
+            random = {"z": self._noise[rows, sent]}
+        after = self._simulator.step(self._state, command, **random)
+        self._state = torch.where(given.unsqueeze(-1), after, self._state)
+        self._poses.append(self._state[:, :3])
+
+    def seeing(self, controller: Controller, genes: Tensor) -> Trajectory:
+        """Ask a controller with genes [P, G] for a command at every step."""
+        episode, simulator = self._episode, self._simulator
+        genes = genes.repeat_interleave(self._shape[1], 0)
+        memory, goals = controller.start(len(genes)), _Goals(episode, len(genes))
+        timed = "duration" in simulator.command_names
+        given = []
+        for step in range(episode.steps):
+            readings, pose = self._sense(step), self._state[:, :3]
+            seen = observe(
+                controller.inputs,
+                readings,
+                simulator.reading_names,
+                pose,
+                goals.at(pose),
+                step * episode.step,
+            )
+            command, memory = controller.act(genes, seen, memory)
+            given.append(command)
+            if timed:
+                lasting = torch.full_like(command[:, :1], episode.step)
+                command = torch.cat([command, lasting], dim=1)
+            self._step(command, step)
+        durations: Any = episode.step
+        active = None
+        if episode.rest > 0:
+            stop = torch.zeros_like(given[0])
+            lasting = torch.full_like(stop[:, :1], episode.rest)
+            self._sense(episode.steps)
+            self._step(torch.cat([stop, lasting], 1) if timed else stop, episode.steps)
+            given.append(stop)
+            durations = np.append(np.full(episode.steps, episode.step), episode.rest)
+            active = np.append(np.ones(episode.steps, np.bool_), False)
+        commands = torch.stack(given, dim=1).unflatten(0, self._shape).numpy()
+        shape = commands.shape[:-1]
+        if active is not None:
+            durations, active = np.broadcast_to(durations, shape), np.broadcast_to(active, shape)
+        return self._trajectory(commands, durations, active)
+
+    def _trajectory(self, commands: NDArray, durations: Any, active: NDArray | None) -> Trajectory:
+        poses = torch.stack(self._poses, dim=1).unflatten(0, self._shape).numpy()
+        readings = None
+        if self._readings:
+            readings = torch.stack(self._readings, dim=1).unflatten(0, self._shape).numpy()
+        return Trajectory(poses, commands, durations, readings, active)
+
+
+class _Goals:
+    """Which of an episode's goals each robot is to reach next."""
+
+    def __init__(self, episode: Episode, rows: int):
+        self._goals = None if episode.goals is None else torch.from_numpy(episode.goals)
+        self._reach = episode.reach
+        self._next = torch.zeros(rows, dtype=torch.long)
+
+    def at(self, pose: Tensor) -> Tensor | None:
+        """Return the next goal [B, 3] of robots at ``pose`` [B, 3]."""
+        if self._goals is None:
+            return None
+        away = (self._goals[self._next, :2] - pose[:, :2]).norm(dim=1)
+        last = len(self._goals) - 1
+        self._next = torch.where(away <= self._reach, (self._next + 1).clamp(max=last), self._next)
+        return self._goals[self._next]

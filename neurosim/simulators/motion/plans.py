@@ -1,0 +1,63 @@
+"""Plans driven in a motion network, in compiled code."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from neurosim.base.trajectory import Draws, Episode, Trajectory, planned
+from neurosim.simulators.base import as_seed, put_down
+from neurosim.simulators.motion.plan_kernels import drawn_poses, lay_out, mean_poses
+
+
+class MotionPlans:
+    """Rollouts of blind controllers in a motion network of linear units."""
+
+    def __init__(self, simulator: Any, controller: Any, episode: Episode):
+        """Lay out the networks.
+
+        Args:
+            simulator: a motion network of linear units.
+            controller: with ``commands(genes, rest)``, in the simulator's columns.
+            episode: how a trial runs.
+        """
+        self._simulator, self._controller, self._rest = simulator, controller, episode.rest
+        self._arrays = simulator.arrays()
+        self._mean = lay_out(self._arrays, mean=True)
+        self._members = lay_out(self._arrays, mean=False)
+        self._source = simulator.input_sources()
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw outcomes: where the robot is put down, member and noise of each."""
+        simulator, count = self._simulator, len(starts)
+        generator = torch.Generator().manual_seed(as_seed(rng))
+        starts = put_down(starts, placing, generator)
+        # As many of each member as can be: what is left to chance is noise in the fitness.
+        member = torch.arange(count) % simulator.members
+        member = member[torch.randperm(count, generator=generator)].numpy()
+        genes = np.zeros((1, self._controller.genes))
+        steps = self._controller.commands(genes, self._rest)[0].shape[1]
+        if simulator.noise is None:
+            return Draws(starts, member, np.zeros((count, steps, 0)))
+        return Draws(starts, member, simulator.noise.draw(count, steps, generator).numpy())
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...]; see :class:`neurosim.simulators.base.Rollouts`."""
+        commands, active = self._controller.commands(genes, self._rest)
+        plans = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(active, np.bool_)
+        rests = self._rest > 0
+        if draws.noise is None:
+            each = [mean_poses(self._mean, self._source, s, *plans, rests) for s in draws.starts]
+            poses = each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
+        else:
+            outcomes = draws.starts, draws.member, draws.noise
+            poses = drawn_poses(self._members, self._arrays, self._source, *outcomes, *plans, rests)
+        return planned(poses, commands, active, self._rest)

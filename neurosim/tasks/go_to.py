@@ -1,0 +1,185 @@
+"""Go to a pose, or to several in turn, without touching a wall."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.nine_rectangles import RUN_DOWN
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class GoTo(Task):
+    """Drive to poses in turn and stop at the last.
+
+    Fitness is the number of goals that were passed, and how much of the way to the next one was
+    made; at the last goal also how well it was hit. A robot that touches a wall gets nothing for
+    what it does afterwards.
+
+    Attributes:
+        goals: x (m), y (m), heading (rad) of each; the heading counts at the last one only.
+        begin: where the robot starts, likewise.
+        walls: [x1, y1, x2, y2] of each wall, m.
+        radius: of the robot, m: its centre keeps so far away from walls.
+        within: a goal is passed within this distance, m.
+        tolerance: at the end the robot must be so near to the last goal, m.
+        heading_tolerance: and turned so well, rad; None: its heading does not matter.
+        step: a controller that sees is asked for a command so often, s.
+        seconds: how long it has.
+    """
+
+    name: ClassVar[str] = "go-to"
+    reasons: ClassVar[tuple[str, ...]] = (
+        "touched a wall",
+        "did not pass all goals",
+        "did not stop at the last goal",
+        "stopped at the last goal, turned wrongly",
+    )
+
+    goals: tuple[Pose, ...] = ((0.6, 0.3, 0.0),)
+    begin: Pose = (0.0, 0.0, 0.0)
+    walls: tuple[tuple[float, float, float, float], ...] = ()
+    radius: float = 0.09
+    within: float = 0.08
+    tolerance: float = 0.05
+    heading_tolerance: float | None = None
+    step: float = 0.1
+    seconds: float = 15.0
+
+    def __post_init__(self) -> None:
+        for name, width in (("goals", 3), ("walls", 4)):
+            rows = tuple(tuple(float(v) for v in row) for row in getattr(self, name))
+            if any(len(row) != width or not all(map(math.isfinite, row)) for row in rows):
+                raise UserError(f"each of {name} must be {width} finite numbers, not {rows}")
+            object.__setattr__(self, name, rows)
+        object.__setattr__(self, "begin", tuple(float(value) for value in self.begin))
+        if not self.goals or len(self.begin) != 3:
+            raise UserError("go-to needs at least one goal (x, y, heading) and a start pose")
+        sizes = (self.within, self.tolerance, self.step, self.seconds)
+        if not all(value > 0 for value in sizes) or self.radius < 0:
+            raise UserError("within, tolerance, step and seconds must be above 0, radius not below")
+
+    @property
+    def start(self) -> Pose:  # type: ignore[override]
+        """Where a trial starts."""
+        return self.begin
+
+    @property
+    def episode(self) -> Episode:
+        """Steps for ``seconds``, then the motors run down."""
+        steps = max(round(self.seconds / self.step), 1)
+        return Episode(self.step, steps, RUN_DOWN, np.array(self.goals), self.within)
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        """Judge trajectories by their poses; between two, the robot moves straight.
+
+        Raises:
+            UserError: if there are no poses.
+        """
+        if trajectory.poses is None:
+            raise UserError("go-to can only be judged where the robot's poses are known")
+        shape = trajectory.shape
+        poses = np.asarray(trajectory.poses, np.float64)
+        poses = poses.reshape(-1, *poses.shape[-2:])
+        poses = np.nan_to_num(poses, nan=1e3, posinf=1e3, neginf=-1e3)
+        places, goals = poses[..., :2], np.array(self.goals)
+        touched, until = self._touched(places)
+        passed, nearest = self._passed(places, goals[:, :2], until)
+        rows, last = np.arange(len(poses)), len(goals) - 1
+        away = np.linalg.norm(places[:, -1] - goals[last, :2], axis=-1)
+        turned = np.abs(np.remainder(poses[:, -1, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
+        legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
+        goal = np.minimum(passed, last)
+        fitness = passed + np.clip(1.0 - nearest[rows, goal] / np.maximum(legs[goal], 1e-6), 0, 1)
+        there = (passed >= len(goals)) & ~touched
+        good = away <= self.tolerance
+        fine = np.ones_like(good)
+        if self.heading_tolerance is not None:
+            fine = turned <= self.heading_tolerance
+        # Passing all is worth len(goals); hitting the last one up to 1 more, or 2 with a heading.
+        hit = 1.0 / (1.0 + away / self.tolerance)
+        if self.heading_tolerance is not None:
+            hit = hit + 1.0 / (1.0 + turned / self.heading_tolerance)
+        fitness = np.where(passed >= len(goals), len(goals) + np.where(touched, 0.0, hit), fitness)
+        success = there & good & fine
+        reason = np.select([touched, ~there, ~good], [0, 1, 2], 3)
+        segment = np.where(touched, until - 1, poses.shape[1] - 2)
+        if trajectory.segment is not None:
+            segment = trajectory.segment[segment]
+        return Judgement.of(
+            fitness.reshape(shape),
+            success.reshape(shape),
+            reason.reshape(shape),
+            segment.reshape(shape),
+            passed=passed.reshape(shape),
+            distance=away.reshape(shape),
+            turn=turned.reshape(shape),
+        )
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return walls, and goals as circles."""
+        shapes: list[dict[str, Any]] = [
+            {"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.walls
+        ]
+        for number, (x, y, _) in enumerate(self.goals, start=1):
+            shapes.append({"circle": [x, y, self.within]})
+            shapes.append({"text": str(number), "at": [x, y]})
+        return shapes
+
+    def _touched(self, places: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
+        """Return who touches a wall [B], and the first pose after that (else the last) [B]."""
+        last = places.shape[1] - 1
+        near = np.zeros(places.shape[:2], np.bool_)
+        for wall in self.walls:
+            a, b = np.array(wall[:2]), np.array(wall[2:])
+            distance = _between_segments(places[:, :-1], places[:, 1:], a, b)
+            near[:, 1:] |= distance < self.radius
+        touched = near.any(axis=1)
+        return touched, np.where(touched, near.argmax(axis=1), last)
+
+    def _passed(
+        self, places: NDArray, goals: NDArray, until: NDArray
+    ) -> tuple[NDArray[np.int64], NDArray]:
+        """Return how many goals were passed in turn [B], and how near each came [B, N]."""
+        passed = np.zeros(len(places), np.int64)
+        nearest = np.full((len(places), len(goals)), np.inf)
+        rows = np.arange(len(places))
+        for step in range(places.shape[1]):
+            goal = np.minimum(passed, len(goals) - 1)
+            before = places[:, max(step - 1, 0)]
+            distance = _to_segment(goals[goal], before, places[:, step])
+            counts = step <= until
+            nearest[rows, goal] = np.where(
+                counts, np.minimum(nearest[rows, goal], distance), nearest[rows, goal]
+            )
+            passed += counts & (distance <= self.within) & (passed < len(goals))
+        return passed, np.where(np.isfinite(nearest), nearest, 1e3)
+
+
+def _to_segment(point: NDArray, a: NDArray, b: NDArray) -> NDArray:
+    """Return the distances [...] of points [..., 2] to the segments from a to b [..., 2]."""
+    along = b - a
+    square = (along * along).sum(-1)
+    share = ((point - a) * along).sum(-1) / np.where(square > 0, square, 1.0)
+    return np.linalg.norm(a + np.clip(share, 0, 1)[..., None] * along - point, axis=-1)
+
+
+def _between_segments(a: NDArray, b: NDArray, c: NDArray, d: NDArray) -> NDArray:
+    """Return the distances [...] of the segments a to b [..., 2] to the segment c to d [2]."""
+
+    def side(p: NDArray, q: NDArray, r: NDArray) -> NDArray:
+        u, v = q - p, r - p
+        return u[..., 0] * v[..., 1] - u[..., 1] * v[..., 0]
+
+    crosses = (side(a, b, c) * side(a, b, d) < 0) & (side(c, d, a) * side(c, d, b) < 0)
+    ends = [_to_segment(c, a, b), _to_segment(d, a, b), _to_segment(a, c, d), _to_segment(b, c, d)]
+    return np.where(crosses, 0.0, np.minimum.reduce(ends))

@@ -1,0 +1,41 @@
+"""The tasks by name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
+from neurosim.tasks.base import Task
+
+#: By name: a class whose settings are keywords.
+TASKS = Registry(
+    "task",
+    "neurosim.tasks",
+    {
+        "nine-rectangles": "neurosim.tasks.nine_rectangles:NineRectangles",
+        "obstacle-avoidance": "neurosim.tasks.obstacle_avoidance:ObstacleAvoidance",
+        "go-to": "neurosim.tasks.go_to:GoTo",
+    },
+)
+
+
+def make_task(task: str | Mapping[str, Any] | Task, **settings: Any) -> Task:
+    """Return a task.
+
+    Args:
+        task: its name; or ``{"name", "settings"}``, as artefacts say it; or the task itself.
+        settings: of a task that is named.
+
+    Raises:
+        UserError: if there is none, or it has no such setting.
+    """
+    if isinstance(task, Task):
+        return task
+    if isinstance(task, Mapping):
+        return make_task(str(task.get("name")), **{**task.get("settings", {}), **settings})
+    made = TASKS.make(task, settings)
+    if not isinstance(made, Task):
+        raise UserError(f"the task {task} is not a neurosim.Task: subclass it")
+    return made
