@@ -170,7 +170,7 @@ def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp
     away = taken_away(6.0, 12.0)
     recording, said, truth = make(tmp_path / "r", STEADY, 8, prepare=away, settings={})
     assert said[0].startswith("the robot is lost from sight")
-    assert "without light sensors it cannot drive unseen" in said[1]
+    assert "the robot is not seen, and cannot drive unseen" in said[1]
     assert said[2].startswith("the robot is seen again, after 6.")
     assert len(said) == 3
     cut = [line for line in recording.commands() if line.kind == "cut"]
