@@ -14,6 +14,7 @@ demo: .venv/installed
 test: .venv/installed-dev
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
 	$(BIN)/pytest -n 2 --dist loadfile $(TIER) $(PYTEST_ARGS)
 
 test-fast: TIER = -m "not slow"

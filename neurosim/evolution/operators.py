@@ -6,6 +6,8 @@ of its tensors. Leading dimensions are independent runs.
 
 from __future__ import annotations
 
+from typing import Any
+
 import torch
 from torch import Tensor
 
@@ -114,7 +116,7 @@ def gaussian_mutation(
         generator: source of the draws.
         bounds: lowest and highest value of a gene; what was changed is clamped to them.
     """
-    draws = {"generator": generator, "device": genes.device, "dtype": genes.dtype}
+    draws: dict[str, Any] = {"generator": generator, "device": genes.device, "dtype": genes.dtype}
     changed = torch.rand(genes.shape, **draws) < probability
     mutated = genes + torch.randn(genes.shape, **draws) * scale * changed
     return mutated if bounds is None else _clamp(mutated, bounds)

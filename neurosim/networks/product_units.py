@@ -46,11 +46,12 @@ class Weights(NamedTuple):
     summation_bias: Tensor  #: [..., S]
     summation_weights: Tensor  #: from summation units to the output, [..., S]
     bias: Tensor  #: of the output, [...]
-    #: Of the product units, [..., P, I]: their exponents, but for networks that have phases.
-    phases: Tensor | None = None
+    #: Of the product units, [..., P, I]: their exponents, but for networks that have phases; not
+    #: needed to join the genes of others.
+    phases: Tensor = torch.empty(0)
     #: Of the product units, [..., P]: what the logarithms of their magnitudes are kept below;
-    #: LOG_LIMIT, but for networks that have ceilings.
-    ceilings: Tensor | None = None
+    #: LOG_LIMIT, but for networks that have ceilings; not needed to join the genes of others.
+    ceilings: Tensor = torch.empty(0)
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class SortedRows:
 
     def log2(self) -> np.ndarray:
         """Return the logarithms to base 2, for the kernels."""
-        return (self.log * np.float32(1.0 / np.log(2.0))).numpy()
+        return self.log.numpy() * np.float32(1.0 / np.log(2.0))
 
     def blocks(self, start: int, end: int, width: int) -> list[tuple[int, int]]:
         """Cut rows into blocks, ``width`` numbers a row."""
