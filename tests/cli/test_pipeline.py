@@ -4,12 +4,11 @@ import json
 import os
 import shutil
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from cli_pipeline import neurosim, wait_for
+from cli_pipeline import neurosim
+from patience import ended_by
 
 from neurosim.lab import read_truth
 from tracking.datasets.dataset import Dataset
@@ -125,15 +124,9 @@ def test_the_same_seed_makes_the_same_recording(pipeline, tmp_path):
 def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path):
     words = ["record", "killed", "--commands", "60", "--seed", "7", "--calibration"]
     words.append(str(pipeline / "calibration.json"))
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", *words],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    wait_for(child, tmp_path / "killed" / "commands.csv", "command", 25)
-    child.send_signal(signal.SIGKILL)
-    child.wait()
+    log = "killed/commands.csv"
+    killed = ended_by("SIGKILL", words, log=log, count=25, word="command", cwd=tmp_path)
+    assert killed.returncode == -signal.SIGKILL
     assert Recording(tmp_path / "killed").meta["complete"] is False
     refused = neurosim(*words, "--resume", "--max-speed", 40, cwd=tmp_path, check=False)
     assert refused.returncode == 1
@@ -154,18 +147,11 @@ def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path
 @pytest.mark.skipif(os.name == "nt", reason="Windows sends other signals")
 def test_ctrl_c_leaves_everything_readable(tmp_path):
     words = ["record", "r", "--commands", "500", "--camera-size", "320x240"]
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", *words],
-        cwd=tmp_path,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(child, tmp_path / "r" / "commands.csv", "command", 8)
-    child.send_signal(signal.SIGINT)
-    _, said = child.communicate(timeout=240)
-    assert child.returncode == 130
-    assert "Traceback" not in said
-    assert "interrupted" in said
+    log = "r/commands.csv"
+    ended = ended_by("SIGINT", words, log=log, count=8, word="command", cwd=tmp_path)
+    assert ended.returncode == 130
+    assert "Traceback" not in ended.stderr
+    assert "interrupted" in ended.stderr
     recording = Recording(tmp_path / "r")
     assert len(recording.commands()) > 8
     assert recording.frame_times(1) is not None

@@ -62,7 +62,7 @@ def test_generations_on_a_robot(folder):
         "--generations", 3, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
         "--starts", 2, "--then-on-robot", 2, "--lab-seed", 1, "--json",
     )  # fmt: skip
-    result = json.loads(done.output)
+    result = json.loads(done.stdout)
     assert result["transfer"] == 3
     assert len(result["best"]) == len(result["mean"]) == 5
     assert all(0 < best <= 20 for best in result["best"])
@@ -94,7 +94,7 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
     )  # fmt: skip
     for name in ("sim", "net"):
         done = call("report", tmp_path / name, "-o", tmp_path / "page.html", "--json")
-        assert json.loads(done.output)["virtual"] is virtual
+        assert json.loads(done.stdout)["virtual"] is virtual
         assert ("Virtual lab" in (tmp_path / "page.html").read_text()) is bool(virtual)
 
 
@@ -137,7 +137,7 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
         with pytest.raises(UserError, match=message):
             call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", *words)
     done = call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--json")
-    assert json.loads(done.output)["transfer"] == 2
+    assert json.loads(done.stdout)["transfer"] == 2
     evolution = read_controller(folder / "resumed").evolution
     assert evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
     assert evolution["robot"]["virtual_lab"]["robot_seed"] == 0
@@ -212,7 +212,7 @@ def test_view(folder):
         "view", folder / "arena.json", "--simulator", folder / "sim", "--controller",
         folder / "net", "--pose", 15, 10, 90, "--seconds", 5, "-o", out, "--json",
     )  # fmt: skip
-    result = json.loads(done.output)
+    result = json.loads(done.stdout)
     assert result["path"][0] == pytest.approx([0.15, 0.10, math.pi / 2])
     assert len(result["path"]) == 51
     assert len(result["readings"]) == 8
@@ -234,7 +234,7 @@ def test_view_counts_what_the_network_was_evolved_for(folder, tmp_path):
         (net / "controller.json").write_text(json.dumps(found))
         words = ["--controller", net, "--pose", 15, 10, 90, "--seconds", 5]
         done = call("view", folder / "sim", *words, "-o", tmp_path / "x.png", "--json")
-        result = json.loads(done.output)
+        result = json.loads(done.stdout)
         assert ("fitness" in result) is here
         path = np.array(result["path"])[:, :2]
         if here:
@@ -258,7 +258,7 @@ def test_view_of_a_plan(folder):
         "view", folder / "sim", "--controller", folder / "plan", "--pose", 10, 10, 0,
         "-o", folder / "plan.png", "--json",
     )  # fmt: skip
-    assert json.loads(done.output)["pose"] == pytest.approx([0.15, 0.1, 0])
+    assert json.loads(done.stdout)["pose"] == pytest.approx([0.15, 0.1, 0])
 
 
 @pytest.mark.parametrize(

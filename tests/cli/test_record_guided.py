@@ -3,12 +3,11 @@
 import json
 import os
 import signal
-import subprocess
-import sys
 
 import numpy as np
 import pytest
-from cli_pipeline import neurosim, wait_for
+from cli_pipeline import neurosim
+from patience import ended_by
 
 from neurosim.cli._guided import Rounds
 from neurosim.lab import read_truth
@@ -51,17 +50,10 @@ def test_what_cannot_be_guided_is_refused_in_a_sentence(words, says, tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
 def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipeline, tmp_path):
     words = [*WORDS, "--calibration", str(pipeline / "calibration.json")]
-    child = subprocess.Popen(
-        [sys.executable, "-m", "neurosim", *words],
-        cwd=tmp_path,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
-    wait_for(child, tmp_path / "r" / "round-02" / "commands.csv", "command", 5)
-    child.send_signal(signal.SIGKILL)
-    _, said = child.communicate()
-    assert "round 2 of 2: learning from" in said
+    log = "r/round-02/commands.csv"
+    killed = ended_by("SIGKILL", words, log=log, count=5, word="command", cwd=tmp_path)
+    assert killed.returncode == -signal.SIGKILL
+    assert "round 2 of 2: learning from" in killed.stderr
     chosen = Recording(tmp_path / "r" / "round-02").meta["settings"]["source"]
     refused = neurosim(*words, "--resume", "--max-speed", "40", cwd=tmp_path, check=False)
     assert refused.returncode == 1

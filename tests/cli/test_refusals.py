@@ -1,6 +1,7 @@
 """What a user can get wrong: one clear sentence on stderr, exit code 1, nothing half-written."""
 
 import json
+import math
 import os
 import shutil
 import sys
@@ -9,6 +10,7 @@ import click
 import cv2
 import numpy as np
 import pytest
+from patience import PATIENCE, wait_until
 
 from neurosim.base.files import write_csv, write_json
 from neurosim.cli._common import Range
@@ -22,6 +24,8 @@ posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device f
 def refused(tmp_path, monkeypatch, capsys):
     """Run a command that must fail in the folder of the test; return its one sentence."""
     monkeypatch.chdir(tmp_path)
+    # What takes long says so on stderr, too; here the one sentence is looked at.
+    monkeypatch.setattr("neurosim.base.progress.LINE_EVERY", math.inf)
 
     def run(*words) -> str:
         before = sorted(str(path) for path in tmp_path.rglob("*"))
@@ -102,7 +106,14 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
         def __init__(self, *args, **options):
             super().__init__(*args, **options)
             self.radio.silent_at = 12.0
-            self.robot._deadline = 0.3
+            handle = self.radio._unheard
+
+            def unheard():
+                if silent := handle():
+                    self.robot._brick._sock._deadline = 0.3  # nothing comes any more
+                return silent
+
+            self.radio._unheard = unheard
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("neurosim.lab.VirtualRig", Dying)
@@ -195,7 +206,6 @@ def test_a_closed_terminal_stops_the_motors(tmp_path, name):
     """A robot that runs on in real time in this process, recorded by another one."""
     import signal
     import subprocess
-    import time
 
     from neurosim.lab import Pacer
 
@@ -209,24 +219,25 @@ def test_a_closed_terminal_stops_the_motors(tmp_path, name):
             text=True,
         )
         log = tmp_path / "r" / "commands.csv"
-        deadline = time.monotonic() + 60
-        while time.monotonic() < deadline and (
-            not log.exists() or ",command," not in log.read_text()
-        ):
-            time.sleep(0.02)
-        time.sleep(0.3)
+        wait_until(lambda: log.exists() and ",command," in log.read_text(), "a command")
+        wait_until(lambda: turned(rig) != (0, 0), "the robot's first turn of a wheel")
         child.send_signal(getattr(signal, name))
-        _, said = child.communicate(timeout=30)
+        _, said = child.communicate(timeout=PATIENCE)
         assert child.returncode == 130
         assert "interrupted" in said
         assert "Traceback" not in said
-        time.sleep(0.7)
-        with rig.lab.lock:
-            before = [rig.lab.body.output(port).rotation_count for port in (1, 2)]
-        time.sleep(0.3)
-        with rig.lab.lock:
-            after = [rig.lab.body.output(port).rotation_count for port in (1, 2)]
-        assert before == after
+        # In the lab's time, which lags behind on a busy computer.
+        now = rig.lab.clock.now()
+        rig.lab.clock.sleep_until(now + 0.7)
+        at_rest = turned(rig)
+        rig.lab.clock.sleep_until(now + 1.0)
+        assert turned(rig) == at_rest
+
+
+def turned(rig):
+    """Return how far the motors have turned, degrees."""
+    with rig.lab.lock:
+        return tuple(rig.lab.body.output(port).rotation_count for port in (1, 2))
 
 
 class OtherRobot:

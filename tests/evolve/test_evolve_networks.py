@@ -126,15 +126,15 @@ def test_the_virtual_robot_is_switched_off_under_way(tmp_path):
             nonlocal count
             if count == after:
                 rig.switch_off()
+                robot._timeout = 0.2
             count += 1
             return trials(genes, rng)
 
         return evolved(tmp_path / "net", tried, resume=after is None, robot=robot.describe())
 
-    with VirtualKheperaRig(1) as rig:
-        rig.robot._timeout = 0.2
-        with rig.robot as robot, pytest.raises(LinkLost, match=r"stopped answering.*--resume"):
-            on(rig, robot, after=9)
+    lost = pytest.raises(LinkLost, match=r"stopped answering.*--resume")
+    with VirtualKheperaRig(1) as rig, rig.robot as robot, lost:
+        on(rig, robot, after=9)
     with VirtualKheperaRig(1) as rig, rig.robot as robot:
         made = on(rig, robot)
     assert len(made.evolution["history"]["best"]) == 6

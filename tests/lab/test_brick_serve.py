@@ -6,15 +6,16 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 
 import numpy as np
 import nxt.locator
 import pytest
 from brick_body import Body, LabClock
 from nxt.motor import Mode, Port, RegulationMode, RunState
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import RobotError
+from neurosim.lab.nxt import serve
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.robots.base import SystemClock
@@ -43,6 +44,7 @@ class World:
         self.body = Stamped(self.clock)
         self.brick = VirtualBrick(self.body)
         rng = np.random.default_rng(radio.pop("seed", 1))
+        radio.setdefault("patience", PATIENCE)
         self.radio = Radio(self.brick, self.clock, rng, **radio)
 
 
@@ -56,13 +58,6 @@ def find(server):
 @pytest.fixture(params=[pytest.param(PtyServer, marks=needs_pty), SocketServer])
 def kind(request):
     return request.param
-
-
-def wait_until(condition):
-    end = time.monotonic() + 5.0
-    while not condition():
-        assert time.monotonic() < end
-        time.sleep(0.002)
 
 
 def test_a_reply_takes_two_delays():
@@ -137,7 +132,7 @@ def test_nxt_test_passes(kind):
             [sys.executable, "-m", "nxt.command.test", *way],
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=PATIENCE,
         )
     assert done.returncode == 0, done.stderr
     assert "NXT brick name: NXT" in done.stdout
@@ -176,14 +171,30 @@ def test_clients_come_and_go(kind):
     server.stop()
 
 
+def watched(kind, radio):
+    """A server that says when nothing, and when a rest, is left of what it was sent."""
+
+    class Watched(kind):
+        empty, rest = threading.Event(), threading.Event()
+
+        def _wait_or_settle(self, readable, rest_due):
+            (self.rest if rest_due else self.empty).set()
+            return super()._wait_or_settle(readable, rest_due)
+
+    return Watched(radio)
+
+
 @needs_pty
-def test_garbage_on_the_pty_is_dropped_and_the_line_goes_on():
+def test_garbage_on_the_pty_is_dropped_and_the_line_goes_on(monkeypatch):
+    monkeypatch.setattr(serve, "REST_WITHIN", 0.01)
     world = World()
-    with PtyServer(world.radio) as server:
+    with watched(PtyServer, world.radio) as server:
         device = os.open(server.path, os.O_RDWR | os.O_NOCTTY)
         for garbage in (b"\xff" * 300, b"hello, modem\r\n", b"\x02\x00\x00", b"\x05\x00\x01"):
+            assert server.empty.wait(PATIENCE)
+            server.empty.clear()
             os.write(device, garbage)
-            time.sleep(0.6 if len(garbage) < 5 else 0.05)
+            assert server.empty.wait(PATIENCE)
             while select.select([device], [], [], 0)[0]:
                 os.read(device, 4096)
         os.close(device)
@@ -191,10 +202,11 @@ def test_garbage_on_the_pty_is_dropped_and_the_line_goes_on():
             assert brick.get_battery_level() == 7900
 
 
-def test_glued_and_broken_telegrams_over_tcp():
+def test_glued_and_broken_telegrams_over_tcp(monkeypatch):
+    monkeypatch.setattr(serve, "REST_WITHIN", PATIENCE)
     world = World()
-    with SocketServer(world.radio) as server:
-        with socket.create_connection(server.address, timeout=5) as client:
+    with watched(SocketServer, world.radio) as server:
+        with socket.create_connection(server.address, timeout=PATIENCE) as client:
             run = bytes([0x80, 4, 1, 30, 7, 1, 0, 0x20, 0, 0, 0, 0])
             client.sendall(b"\x98" + run + run[:2] + b"\2" + run[3:] + b"\x00\x0b")
             received = b""
@@ -202,10 +214,12 @@ def test_glued_and_broken_telegrams_over_tcp():
                 received += client.recv(1)
             assert received == b"bluetooth\x02\x0b\x00\xdc\x1e"
             assert [port for port, _, _ in world.body.log] == [1, 2]
+            server.rest.clear()
             client.sendall(b"\x00")
-            time.sleep(0.05)
+            assert server.rest.wait(PATIENCE)
             client.sendall(b"\x0b")
             assert client.recv(64) == b"\x02\x0b\x00\xdc\x1e"
+            monkeypatch.setattr(serve, "REST_WITHIN", 0.01)
             client.sendall(b"\x00\x06")  # and its port never comes
             assert client.recv(64)[:3] == b"\x02\x06\xbf"
             client.sendall(b"GET / HTTP/1.1\r\n")

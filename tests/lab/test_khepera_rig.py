@@ -5,12 +5,11 @@ import math
 import os
 import subprocess
 import sys
-import threading
-import time
 
 import numpy as np
 import pytest
 import serial
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab import KheperaParams, LabArena, Pacer, VirtualKheperaRig
@@ -97,7 +96,7 @@ def test_a_client_to_the_manuals_letter(device):
     with VirtualKheperaRig(0, device=device, real_time=True) as rig, Pacer(rig.lab):
         for _ in range(2):  # The second comes after the first has gone.
             with serial.serial_for_url(
-                rig.address, baudrate=9600, bytesize=8, parity="N", stopbits=2, timeout=5
+                rig.address, baudrate=9600, bytesize=8, parity="N", stopbits=2, timeout=PATIENCE
             ) as port:
                 port.write(b"B\r")
                 assert port.readline() == b"b,5.02,5.02-virtual\r\n"
@@ -105,10 +104,14 @@ def test_a_client_to_the_manuals_letter(device):
                 assert port.readline() == b"d\r\n"
                 port.write(b"G,0,0\r\n")
                 assert port.readline() == b"g\r\n"
-                time.sleep(0.3)
-                port.write(b"H\n")
-                name, left, right = port.readline().strip().split(b",")
-                assert (name, int(left) > 20, int(right) < -20) == (b"h", True, True)
+
+                def turned():
+                    port.write(b"H\n")
+                    name, left, right = port.readline().strip().split(b",")
+                    assert name == b"h"
+                    return int(left) > 20 and int(right) < -20
+
+                wait_until(turned, "the wheels' turn")
                 port.write(b"D,0,0\nE\n")
                 assert port.readline() == b"d\r\n"
                 assert port.readline().startswith(b"e,")
@@ -130,7 +133,7 @@ def test_a_reboot_is_survived(device):
         robot.set_speeds(3, 3)
         robot.set_counts(1000, 1000)
         rig.reboot()
-        threading.Event().wait(0.05)
+        wait_until(lambda: robot._line._serial.in_waiting, "the banner")
         robot.read_proximity()
         robot.clock.sleep_until(robot.clock.now() + 1.0)
         assert robot.reboots == 1
@@ -139,19 +142,19 @@ def test_a_reboot_is_survived(device):
 
 
 def test_a_robot_switched_off_is_lost():
-    with VirtualKheperaRig(1) as rig:
-        robot = Khepera(rig.address, timeout=0.05, clock=rig.lab.clock)
-        with robot:
-            rig.switch_off()
-            with pytest.raises(LinkLost, match="stopped answering"):
-                robot.read_proximity()
+    with VirtualKheperaRig(1) as rig, rig.robot as robot:
+        rig.switch_off()
+        robot._timeout = 0.05
+        with pytest.raises(LinkLost, match="stopped answering"):
+            robot.read_proximity()
 
 
 def test_a_line_taken_down_is_lost():
     with VirtualKheperaRig(1) as rig:
-        robot = Khepera(rig.address, timeout=0.05, clock=rig.lab.clock)
+        robot = rig.robot
         robot.connect()
         rig.close()
+        robot._timeout = 0.05
         with pytest.raises(RobotError):
             robot.read_proximity()
         robot.close()
@@ -178,27 +181,26 @@ def test_from_the_command_line(tmp_path):
     arena = tmp_path / "arena.json"
     Arena.rectangle(1.0, 1.0).write(arena)
     process = run(
-        "lab", "khepera", "--arena", arena, "--socket", "--seconds", 20, "--start", 10, 0, 90,
+        "lab", "khepera", "--arena", arena, "--socket", "--seconds", PATIENCE, "--start", 10, 0, 90,
         "--json",
     )  # fmt: skip
     try:
         text = "".join(process.stdout.readline().decode() for _ in range(4))
         told = json.loads(text)
         assert told["baud"] == 9600
-        with Khepera(told["port"], timeout=2.0) as robot:
+        with Khepera(told["port"], timeout=PATIENCE) as robot:
             robot.set_speeds(5, 5)
-            time.sleep(0.5)
+            wait_until(lambda: robot.read_counts()[0] > 100, "its drive")
             robot.stop()
             assert max(robot.read_proximity()) < 60
-            assert robot.read_counts()[0] > 100
     finally:
         process.terminate()
-        process.communicate(timeout=10)
+        process.communicate(timeout=PATIENCE)
 
 
 def test_a_start_outside_the_arena():
     process = run("lab", "khepera", "--start", 50, 0, 0, "--seconds", 1)
-    _, error = process.communicate(timeout=60)
+    _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
     assert b"outside the arena" in error
     assert b"Traceback" not in error

@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 nbformat = pytest.importorskip("nbformat", reason="pip install 'neurosim[notebooks]'")
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
-#: Of a single cell; a whole notebook takes about a minute on two idle cores.
-CELL_TIMEOUT = 300
 FEWEST_PICTURES = 3
 
 
@@ -45,7 +44,7 @@ def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
     # This interpreter's own kernel, whichever kernels the user has installed besides.
     nbclient.NotebookClient(
         notebook,
-        timeout=CELL_TIMEOUT,
+        timeout=PATIENCE,
         kernel_name="python3",
         resources={"metadata": {"path": str(path.parent)}},
     ).execute()

@@ -6,11 +6,11 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from urllib.request import urlopen
 
 import numpy as np
 import pytest
+from patience import PATIENCE, ended_by, wait_until
 
 from neurosim.base.errors import UserError
 from neurosim.lab import VirtualRig, read_truth
@@ -250,7 +250,7 @@ def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
     assert 1 <= len(sent) <= 3
 
 
-LONG = ("--calibration", "c.json", "--camera-size", "320x240", "--commands", "400")
+LONG = ("--calibration", "c.json", "--camera-size", "320x240", "--commands", "100000")
 
 
 def neurosim(*words, cwd):
@@ -271,13 +271,13 @@ def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
         line = child.stderr.readline()
         assert line.startswith("Watch at http://127.0.0.1:")
         url = line.split()[-1]
-        end = time.monotonic() + 60
-        found = False
-        while not found and time.monotonic() < end:
-            with urlopen(f"{url}picture?after=0", timeout=30) as reply:
+
+        def seen():
+            with urlopen(f"{url}picture?after=0", timeout=PATIENCE) as reply:
                 state = reply.headers["Neurosim-State"]
-            found = '"found":true' in state
-        assert found
+            return '"found":true' in state and state
+
+        state = wait_until(seen, "a picture with the robot in it")
         assert '"settable":false' in state
         assert '"pose":{' in state
     finally:
@@ -289,13 +289,9 @@ def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="there is no such signal")
 def test_a_kill_leaves_a_recording_that_can_be_tracked(kept, tmp_path):
     shutil.copyfile(kept[0].path / "calibration.json", tmp_path / "c.json")
-    child = neurosim("record", "r", *LONG, cwd=tmp_path)
-    path = tmp_path / "r" / "sightings.csv"
-    end = time.monotonic() + 120
-    while time.monotonic() < end and (not path.exists() or path.read_bytes().count(b"\n") < 400):
-        time.sleep(0.05)
-    child.send_signal(signal.SIGKILL)
-    child.communicate()
+    words = ["record", "r", *LONG]
+    killed = ended_by("SIGKILL", words, log="r/sightings.csv", count=400, cwd=tmp_path)
+    assert killed.returncode == -signal.SIGKILL
     recording = Recording(tmp_path / "r")
     assert not recording.is_tracked
     summary = track(recording.path)

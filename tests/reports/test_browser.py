@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import pytest
+from patience import PATIENCE
 
 from neurosim.reports import write_report
 
@@ -40,7 +41,7 @@ def run(browser: str, folder: Path, *words: str) -> subprocess.CompletedProcess:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE,
         check=True,
     )
 

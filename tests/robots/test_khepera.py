@@ -11,11 +11,15 @@ import pytest
 import serial
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.robots import Battery, Counters, Lamp, Robot, open_robot
 from neurosim.robots.base import Proximity
+from neurosim.robots.khepera import driver as driver_module
+from neurosim.robots.khepera import serial_line
 from neurosim.robots.khepera.driver import Khepera, _numbers
+from neurosim.robots.khepera.serial_line import SerialLine
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="this system has no pseudo-terminals")
 
@@ -31,11 +35,28 @@ WELL = {
 BANNER = b"\r\nROM of minirobot KHEPERA, version 3\r\n"
 
 
+SHORT = 0.3  # where no answer comes
+
+
 class Scripted:
     """Answers commands on a pseudo-terminal; ``script`` holds what to say in place of WELL."""
 
     def __init__(self, master):
         self.master, self.heard, self.script, self.table = master, [], [], WELL
+        self.sent = self.taken = 0
+
+    def pace(self, driver):
+        """Have a driver give up soon where the script has no whole answer, and only there."""
+        write = driver._line.write
+
+        def paced(data):
+            wait_until(lambda: self.taken == self.sent, "the command before")
+            answer = self.script[0] if self.script else self.table.get(data[:1], b"")
+            driver._timeout = PATIENCE if answer.endswith(b"\n") else SHORT
+            self.sent += 1
+            write(data)
+
+        driver._line.write = paced
 
     def run(self):
         buffer = b""
@@ -55,9 +76,12 @@ class Scripted:
                     os.write(
                         self.master, self.table.get(command[:1], b"") if answer is None else answer
                     )
+                    self.taken += 1
 
-    def say(self, data):
+    def say(self, data, driver):
+        """Say something by itself; return when it stands before the driver."""
         os.write(self.master, data)
+        wait_until(lambda: driver._line._serial.in_waiting >= len(data), "what was said")
 
 
 @contextmanager
@@ -73,7 +97,7 @@ def scripted():
         yield robot, os.ttyname(slave)
     finally:
         os.write(slave, b"\x04")
-        thread.join(5.0)
+        thread.join(PATIENCE)
         os.close(slave)
         os.close(master)
 
@@ -87,14 +111,16 @@ def line():
 @pytest.fixture
 def robot(line):
     script, path = line
-    with Khepera(path, timeout=0.3) as driver:
+    with Khepera(path, timeout=PATIENCE) as driver:
         script.heard.clear()
+        script.taken = 0
+        script.pace(driver)
         yield driver
 
 
 def test_it_is_a_robot_and_says_which(line):
     script, path = line
-    driver = open_robot("khepera", port=path, timeout=0.3)
+    driver = open_robot("khepera", port=path, timeout=PATIENCE)
     assert isinstance(driver, Robot)
     assert [isinstance(driver, kind) for kind in (Lamp, Proximity, Counters)] == [True] * 3
     assert not isinstance(driver, Battery)
@@ -160,8 +186,7 @@ def test_garbage_before_an_answer_is_passed_over(line, robot):
 
 def test_a_late_answer_is_not_taken_for_the_next(line, robot):
     script, _ = line
-    script.say(b"h,1,1\r\n")
-    threading.Event().wait(0.05)
+    script.say(b"h,1,1\r\n", robot)
     assert robot.read_counts() == (120, -7)
 
 
@@ -170,8 +195,7 @@ def test_a_robot_that_reboots_is_set_to_what_it_was(line, robot):
     robot.set_speeds(7, 8)
     robot.read_counts()
     script.heard.clear()
-    script.say(BANNER)
-    threading.Event().wait(0.05)
+    script.say(BANNER, robot)
     robot.read_proximity()
     assert script.heard == ["G,120,-7", "D,7,8", "N"]
     assert robot.reboots == 1
@@ -195,6 +219,7 @@ def test_silence_is_a_lost_link(line, robot):
     script.table = {}
     with pytest.raises(LinkLost, match=rf"{path} stopped answering.*'N' within 0.3 s, 3 times"):
         robot.read_proximity()
+    wait_until(lambda: script.taken == script.sent, "the last of them")
     assert script.heard == ["N", "N", "N"]
     with pytest.raises(LinkLost, match="stopped answering"):
         robot.read_proximity()
@@ -214,9 +239,17 @@ def test_nothing_answers(line):
         Khepera(path, timeout=0.05).connect()
 
 
-def test_something_else_answers(line):
+def test_something_else_answers(line, monkeypatch):
     script, path = line
     script.table = {b"B": b"\x80\x91gibberish\r\n"}
+    write = SerialLine.write
+
+    def heard(self, data):
+        write(self, data)
+        if data.strip():
+            wait_until(lambda: self._serial.in_waiting, "its answer")
+
+    monkeypatch.setattr(SerialLine, "write", heard)
     with pytest.raises(RobotError, match=r"is no Khepera.*gibberish.*its speed"):
         Khepera(path, timeout=0.05).connect()
 
@@ -267,7 +300,7 @@ def test_no_right_to_a_port(monkeypatch):
 
 def test_the_line_goes_away():
     with scripted() as (script, path):
-        driver = Khepera(path, timeout=0.3)
+        driver = Khepera(path, timeout=PATIENCE)
         driver.connect()
         script.table = {}
         driver._line._serial.close()
@@ -278,7 +311,7 @@ def test_the_line_goes_away():
 
 def test_a_spy_on_the_line(line, tmp_path):
     _, path = line
-    with Khepera(f"spy://{path}?file={tmp_path / 'log'}", timeout=0.3) as driver:
+    with Khepera(f"spy://{path}?file={tmp_path / 'log'}", timeout=PATIENCE) as driver:
         assert driver.read_counts() == (120, -7)
     assert "H" in (tmp_path / "log").read_text()
 
@@ -288,7 +321,7 @@ def test_the_khepera_iii_has_other_letters_prefixes_and_sensors(line):
     answer = b"n," + b",".join(b"%d" % (100 * i) for i in range(11)) + b",4711\r\n"
     script.table = {b"B": b"b,3,0\r\n", b"D": b"d\r\n", b"N": answer, b"I": b"i\r\n"}
     script.table |= {b"R": b"r,l10,-20\r\n"}
-    with Khepera(path, dialect="khepera3", timeout=0.3) as driver:
+    with Khepera(path, dialect="khepera3", timeout=PATIENCE) as driver:
         script.heard.clear()
         driver.drive(100, -100)
         driver.set_counts(0, 5)
@@ -311,7 +344,7 @@ def test_the_e_puck_has_other_letters_and_its_own_order(line):
         b"P": b"p\r\n",
         b"B": b"b\r\n",
     }
-    with Khepera(path, dialect="epuck", timeout=0.3) as driver:
+    with Khepera(path, dialect="epuck", timeout=PATIENCE) as driver:
         script.heard.clear()
         assert driver.describe()["version"] == "Version 1.1.3 September 2006"
         driver.drive(50, 100)
@@ -328,11 +361,11 @@ def test_the_e_puck_has_other_letters_and_its_own_order(line):
 def test_an_e_puck_that_reboots(line):
     script, path = line
     script.table = {b"V": b"v,x\r\n", b"D": b"d\r\n", b"N": b"n,0,0,0,0,0,0,0,0\r\n"}
-    with Khepera(path, dialect="epuck", timeout=0.3) as driver:
+    with Khepera(path, dialect="epuck", timeout=PATIENCE) as driver:
         driver.set_speeds(100, 200)
         script.heard.clear()
-        script.say(b"\f\aWELCOME to the SerCom protocol on e-Puck\r\nthe EPFL education robot\r\n")
-        threading.Event().wait(0.05)
+        banner = b"\f\aWELCOME to the SerCom protocol on e-Puck\r\nthe EPFL education robot\r\n"
+        script.say(banner, driver)
         driver.read_proximity()
         assert script.heard == ["D,100,200", "N"]
 
@@ -355,10 +388,17 @@ def test_options_that_make_no_sense(options, why):
 
 
 class Noisy:
-    """A port in memory: garbage and an answer to the first command, the answer to the next."""
+    """A port in memory: garbage and an answer to the first command, the answer to the next.
+
+    It is the clock, too: time goes by where there is nothing to read.
+    """
 
     def __init__(self, garbage, answer):
         self.answers, self.waiting = [garbage + answer, answer, answer], b""
+        self.time = 0.0
+
+    def monotonic(self):
+        return self.time
 
     @property
     def in_waiting(self):
@@ -366,6 +406,7 @@ class Noisy:
 
     def read(self, count):
         found, self.waiting = self.waiting[:count], self.waiting[count:]
+        self.time += 0.0 if found else 0.1
         return found
 
     def write(self, data):
@@ -380,9 +421,13 @@ class Noisy:
 @given(st.binary(max_size=700))
 def test_whatever_comes_before_an_answer(garbage):
     assume(b"h,12" not in garbage and b"ROM of" not in garbage)
-    driver = Khepera("memory", timeout=0.01)
-    driver._line._serial = Noisy(garbage.replace(b"h", b"").replace(b"z", b""), b"h,12,-3\r\n")
-    assert driver.read_counts() == (12, -3)
+    port = Noisy(garbage.replace(b"h", b"").replace(b"z", b""), b"h,12,-3\r\n")
+    driver = Khepera("memory", timeout=1.0)
+    driver._line._serial = port
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (driver_module, serial_line):
+            patch.setattr(module, "time", port)
+        assert driver.read_counts() == (12, -3)
 
 
 def test_a_flood_is_no_answer():

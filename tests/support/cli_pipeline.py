@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
-import time
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from patience import PATIENCE
 
 
-def neurosim(*words, cwd, check=True, timeout=240) -> subprocess.CompletedProcess:
+def neurosim(*words, cwd, check=True) -> subprocess.CompletedProcess:
     """Run the command as a user does."""
     done = subprocess.run(
         [sys.executable, "-m", "neurosim", *map(str, words)],
@@ -20,22 +20,11 @@ def neurosim(*words, cwd, check=True, timeout=240) -> subprocess.CompletedProces
         capture_output=True,
         text=True,
         stdin=subprocess.DEVNULL,
-        timeout=timeout,
+        timeout=PATIENCE,
     )
     if check:
         assert done.returncode == 0, done.stderr
     return done
-
-
-def wait_for(child, log, word, count):
-    """Return when a log that another process writes holds a word so often."""
-    deadline = time.monotonic() + 240
-    while not log.exists() or log.read_text().count(word) < count:
-        assert child.poll() is None, "it ended by itself"
-        if time.monotonic() > deadline:
-            child.kill()
-            pytest.fail(f"{log.name} does not grow")
-        time.sleep(0.02)
 
 
 @dataclass

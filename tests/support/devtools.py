@@ -8,11 +8,11 @@ import os
 import re
 import shutil
 import subprocess
-import time
 from contextlib import contextmanager
 from urllib.request import urlopen
 
 import pytest
+from patience import PATIENCE, wait_until
 from websockets.sync.client import connect
 
 NAMES = ("chromium", "chromium-browser", "google-chrome", "chrome")
@@ -42,7 +42,7 @@ class Tab:
         self._last += 1
         self._socket.send(json.dumps({"id": self._last, "method": method, "params": parameters}))
         while True:
-            message = json.loads(self._socket.recv(timeout=30))
+            message = json.loads(self._socket.recv(timeout=PATIENCE))
             if message.get("id") == self._last:
                 assert "error" not in message, message["error"]
                 return message["result"]
@@ -68,13 +68,9 @@ class Tab:
         assert "exceptionDetails" not in answer, answer["exceptionDetails"]
         return answer["result"].get("value")
 
-    def until(self, condition, seconds=30):
+    def until(self, condition):
         """Wait until an expression is true, and return its value."""
-        end = time.monotonic() + seconds
-        while not (value := self.run(condition)):
-            assert time.monotonic() < end, f"waited in vain for {condition}"
-            time.sleep(0.05)
-        return value
+        return wait_until(lambda: self.run(condition), condition)
 
     def click(self, x, y):
         for kind in ("mouseMoved", "mousePressed", "mouseReleased"):
@@ -135,4 +131,4 @@ def browser_tab(folder, size=(1280, 900)):
             yield Tab(socket)
     finally:
         process.terminate()
-        process.communicate(timeout=20)
+        process.communicate(timeout=PATIENCE)

@@ -1,9 +1,9 @@
 import threading
-import time
 
 import numpy as np
 import pytest
 import tracking_scene as scene
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
 from tracking.camera.cameras import OpenCVCamera, VideoSink
@@ -43,13 +43,13 @@ def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
 
     def slow(what):
         busy.set()
-        assert go.wait(20)
+        assert go.wait(PATIENCE)
         seen.append(what.index)
 
     live = LiveTracker(COLOURS, None, lambda: 0.0, slow)
     film = list(frames(10))
     live.take(*film[0])
-    assert busy.wait(20)
+    assert busy.wait(PATIENCE)
     for when, frame in film[1:]:
         live.take(when, frame)  # returns although nothing is tracked
     go.set()
@@ -77,11 +77,8 @@ class FullDisk:
 
 def test_a_video_that_could_not_be_written_is_told_of_at_the_end(tmp_path):
     sink = VideoSink(tmp_path / "video.avi", FullDisk(), 1, scene.SIZE, 30.0)
-    for when, frame in frames(2):
-        sink.write(when, frame)
-        time.sleep(0.05)
-        if sink._error is not None:
-            break
+    sink.write(*next(frames(1)))
+    wait_until(lambda: sink._error, "the full disk")
     with pytest.raises(UserError, match="No space left"):
         sink.close()
 
@@ -103,9 +100,6 @@ def test_a_camera_stops_where_its_frames_cannot_be_taken(tmp_path):
 
     camera = OpenCVCamera(str(tmp_path / "video.avi"), lambda: 0.0)
     camera.start(refuse)
-    end = time.monotonic() + 20
-    while not camera.failed and time.monotonic() < end:
-        time.sleep(0.01)
+    wait_until(lambda: camera.failed, "the end of the camera")
     camera.stop()
-    assert camera.failed
     assert taken == [0.0]

@@ -268,7 +268,7 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     clicks = ["--click", "422,178", "--click", "437,177"]
     done = CliRunner().invoke(verb, arguments + clicks)
     assert done.exit_code == 0, done.output
-    told = json.loads(done.output)
+    told = json.loads(done.stdout)
     assert told["found"] == 1
     assert told["markers"]["front"]["sure"] > 0.5
     poses = read_csv(tmp_path / "out" / "poses.csv", {"u": number, "v": number})

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from devtools import browser_tab
+from patience import wait_until
 
 from neurosim.lab import CameraParams
 from neurosim.lab.camera.camera import RoofCamera
@@ -223,8 +224,5 @@ def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
         assert answered == []
         # The same server answers its own page.
         tab.open(server.url)
-        end = time.monotonic() + 20
-        while not answered and time.monotonic() < end:
-            time.sleep(0.05)
-        assert answered
+        wait_until(lambda: answered, "its own page")
     tab.complaints.clear()

@@ -6,6 +6,7 @@ import socket
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from neurosim.base.errors import UserError
 from neurosim.watch import PageServer, Viewer
@@ -53,7 +54,7 @@ def server(viewer):
 
 def ask(server, what="", method="GET", body=None, path=None, **headers):
     """Return status, headers and body; the header names with _ for -, None to leave one out."""
-    connection = http.client.HTTPConnection(*server.address, timeout=10)
+    connection = http.client.HTTPConnection(*server.address, timeout=PATIENCE)
     port = server.address[1]
     given = {"Host": f"127.0.0.1:{port}"}
     if body is not None:
@@ -130,7 +131,7 @@ def test_others_are_refused(server, viewer, headers):
 def test_who_asks_twice_is_refused(server, name):
     port = server.address[1]
     own = f"127.0.0.1:{port}" if name == "Host" else f"http://127.0.0.1:{port}"
-    with socket.create_connection(server.address, timeout=10) as line:
+    with socket.create_connection(server.address, timeout=PATIENCE) as line:
         path = server.url.split("/", 3)[3]
         both = f"{name}: {own}\r\n{name}: http://evil.example\r\n"
         host = "" if name == "Host" else f"Host: 127.0.0.1:{port}\r\n"

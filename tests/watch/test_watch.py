@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from urllib.request import urlopen
 
@@ -13,6 +12,7 @@ import cv2
 import numpy as np
 import pytest
 import tracking_scene as scene
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
@@ -53,7 +53,7 @@ def watching(*words, cwd):
 
 
 def state_of(url, after=0):
-    with urlopen(f"{url}picture?after={after}", timeout=20) as reply:
+    with urlopen(f"{url}picture?after={after}", timeout=PATIENCE) as reply:
         return json.loads(reply.headers["Neurosim-State"])
 
 
@@ -67,7 +67,7 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
             number = state["number"]
         assert state["found"] is True
         child.send_signal(signal.SIGINT)
-        assert child.wait(timeout=20) == 0
+        assert child.wait(timeout=PATIENCE) == 0
         assert child.stderr.read() == ""
     assert [path.name for path in tmp_path.iterdir()] == [video.name]
 
@@ -76,24 +76,24 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
 def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
     with watching("--camera", "lab", "--camera-size", "320x240", cwd=tmp_path) as (child, url):
-        first = state_of(url)
-        end = time.monotonic() + 60
-        while not (first["found"] and first["label"] == "virtual lab"):
-            assert time.monotonic() < end
-            first = state_of(url, first["number"])
-        second = first
-        while np.hypot(*np.subtract(second["front"] or first["front"], first["front"])) < 5:
-            assert time.monotonic() < end
-            second = state_of(url, second["number"])
+        state = {"number": 0}
+
+        def front():
+            state.update(state_of(url, state["number"]))
+            return state["found"] and state["front"]
+
+        first = wait_until(front, "a robot in the picture")
+        assert state["label"] == "virtual lab"
+        wait_until(lambda: np.hypot(*np.subtract(front() or first, first)) >= 5, "its drive")
         child.send_signal(signal.SIGINT)
-        assert child.wait(timeout=20) == 0
+        assert child.wait(timeout=PATIENCE) == 0
         assert child.stderr.read() == ""
 
 
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
     # OpenCV opens a video as it opens a camera; at its end the camera is gone.
     monkeypatch.setattr(
-        "tracking.camera.cameras.VideoCamera", lambda path: OpenCVCamera(path, time.time)
+        "tracking.camera.cameras.VideoCamera", lambda path: OpenCVCamera(path, lambda: 0.0)
     )
     ended = []
     monkeypatch.setattr("neurosim.watch.Viewer.end", lambda self, why: ended.append(why))
@@ -151,11 +151,8 @@ def test_a_video_that_goes_away_is_a_camera_that_failed(video):
             video.unlink()
 
     camera.start(take)
-    end = time.monotonic() + 20
-    while not camera.failed and time.monotonic() < end:
-        time.sleep(0.02)
+    wait_until(lambda: camera.failed, "the end of the video")
     camera.stop()
-    assert camera.failed
     assert len(seen) == 12
     assert np.all(np.diff(seen) > 0)
     with pytest.raises(UserError, match="no such video"):

@@ -76,8 +76,9 @@ class VirtualRig:
             wiring=Wiring(),
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
-        # A lone telegram waits for company; in real time that must not be felt.
-        patience = 0.002 if real_time else 0.25
+        # A lone telegram waits for company: in the lab's own time for longer than the slowest
+        # computer needs, in real time so short that it is not felt.
+        patience = 0.002 if real_time else 60.0
         self.radio = Radio(self.brick, self.lab.clock, rng, patience=patience)
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
