@@ -62,7 +62,7 @@ def read(path: Path) -> tuple[Dataset, Dataset]:
 
 
 def trainer(name: str, generations: int | None = None) -> Learner:
-    kind = TRAINERS[name]
+    kind = TRAINERS.get(name)
 
     def learn(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
         data: TrainingData = training_data(rows)
@@ -235,7 +235,7 @@ def main() -> None:
     parser.add_argument("--floor", type=Path, default=Path("data/noise_floor.json"))
     parser.add_argument("--no-floor", action="store_true", help="of another robot")
     parser.add_argument("--seeds", type=int, default=5)
-    parser.add_argument("--trainers", nargs="*", default=list(TRAINERS), choices=list(TRAINERS))
+    parser.add_argument("--trainers", nargs="*", default=TRAINERS.names(), choices=TRAINERS.names())
     parser.add_argument("--no-regressors", dest="regressors", action="store_false")
     parser.add_argument("--sizes", action="store_true", help="error against the number of rows")
     parser.add_argument("--quick", action="store_true", help="one seed")

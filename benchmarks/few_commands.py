@@ -18,10 +18,10 @@ import sys
 import numpy as np
 import torch
 from guided_recording import guided_rows, random_rows
+from neurosim.loop.plans import PlanSettings, RobustSettings, evolve_plan
 from robust_plans import TASK, drive, learned_from
 
 from neurosim.cli._guided import Rounds
-from neurosim.evolve.plans import PlanSettings, RobustSettings, evolve_plan
 from neurosim.simulators import MotionNetwork
 from neurosim.training.guided import motor_data
 

@@ -29,10 +29,10 @@ from pathlib import Path
 import numba
 import numpy as np
 import torch
+from neurosim.loop.plan_course import Course
+from neurosim.loop.plans import Evolution, PlanSettings
+from neurosim.loop.rollouts import SteppedRollouts, rollouts
 
-from neurosim.evolve.plan_course import Course
-from neurosim.evolve.plans import Evolution, PlanSettings
-from neurosim.evolve.rollouts import SteppedRollouts, rollouts
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles

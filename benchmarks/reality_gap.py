@@ -23,10 +23,10 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from neurosim.loop.plans import PlanSettings, RobustSettings
+from neurosim.loop.write_plans import evolve
 
 from neurosim.evolution import GeneticSettings
-from neurosim.evolve.plans import PlanSettings, RobustSettings
-from neurosim.evolve.write_plans import evolve
 from neurosim.lab import VirtualRig
 from neurosim.lab.camera.photographs import SQUARE, render_photographs
 from neurosim.lab.nxt.params import CameraParams

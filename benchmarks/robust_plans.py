@@ -33,17 +33,17 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numba import njit, prange
-
-from neurosim.evolve.plan_check import check_commands
-from neurosim.evolve.plans import (
+from neurosim.loop.plan_check import check_commands
+from neurosim.loop.plans import (
     PlanResult,
     PlanSettings,
     RobustSettings,
     evolve_plan,
     improve_plans,
 )
-from neurosim.evolve.rollouts import PLACING, RUN_DOWN
+from neurosim.loop.rollouts import PLACING, RUN_DOWN
+from numba import njit, prange
+
 from neurosim.lab import VirtualRig
 from neurosim.lab.nxt import physics
 from neurosim.lab.nxt.params import LabParams
@@ -154,7 +154,7 @@ def learned_from_few(options: argparse.Namespace, number: int):
 
 def learned_from(data: TrainingData, seed: int, *, members: int = MEMBERS, noise: bool = True):
     """Return what the default trainer makes of all these rows; nothing is held out."""
-    kind = TRAINERS[DEFAULT]
+    kind = TRAINERS.get(DEFAULT)
     network = ProductSummationNetwork(data.x.shape[1], *kind.default_hidden)
     trainer = EnsembleTrainer(
         kind,

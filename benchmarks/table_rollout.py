@@ -30,8 +30,8 @@ from pathlib import Path
 import numba
 import numpy as np
 import torch
+from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
-from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable

@@ -40,9 +40,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from neurosim.loop.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
+from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
-from neurosim.evolve.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
-from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
 from neurosim.lab.khepera.rig import SerialCable
 from neurosim.robots.khepera.dialects import dialect_named

@@ -1,3 +1,111 @@
-"""neurosim: a robot builds its own simulator."""
+"""A robot builds its own simulator: record it, learn it, evolve in it, drive it.
+
+What a script needs is here, and imported when it is used::
+
+    import neurosim as ns
+
+    simulator = ns.train("data/reference", "simulator")
+    task, plan = ns.make_task("nine-rectangles"), ns.make_controller("plan")
+    fitness = ns.evaluate(simulator, task, plan)      # genes [P, G] -> fitness [P]
+    best = ns.evolve(simulator, task, plan)[0]
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from neurosim.base.errors import UserError
+    from neurosim.base.trajectory import Episode, Trajectory
+    from neurosim.controllers import Controller, Function, SavedController, make_controller
+    from neurosim.loop.check import check
+    from neurosim.loop.evaluate import evaluate
+    from neurosim.loop.evolve import evolve
+    from neurosim.loop.shortcuts import load, read_dataset, rollout
+    from neurosim.simulators.base import Simulator
+    from neurosim.tasks.base import Judgement, Task
+    from neurosim.tasks.registry import make_task
+    from neurosim.training.train import train
+
+_PUBLIC = {
+    "load": "neurosim.loop.shortcuts",
+    "read_dataset": "neurosim.loop.shortcuts",
+    "rollout": "neurosim.loop.shortcuts",
+    "train": "neurosim.training.train",
+    "make_task": "neurosim.tasks.registry",
+    "make_controller": "neurosim.controllers",
+    "evaluate": "neurosim.loop.evaluate",
+    "evolve": "neurosim.loop.evolve",
+    "check": "neurosim.loop.check",
+    "Simulator": "neurosim.simulators.base",
+    "Controller": "neurosim.controllers",
+    "Function": "neurosim.controllers",
+    "SavedController": "neurosim.controllers",
+    "Task": "neurosim.tasks.base",
+    "Judgement": "neurosim.tasks.base",
+    "Trajectory": "neurosim.base.trajectory",
+    "Episode": "neurosim.base.trajectory",
+    "UserError": "neurosim.base.errors",
+}
+
+#: What can be registered by name, and where.
+_REGISTRIES = {
+    "robot": ("neurosim.robots.registry", "ROBOTS"),
+    "simulator": ("neurosim.simulators.registry", "SIMULATORS"),
+    "controller": ("neurosim.controllers.registry", "CONTROLLERS"),
+    "task": ("neurosim.tasks.registry", "TASKS"),
+    "optimiser": ("neurosim.loop.optimisers", "OPTIMISERS"),
+    "trainer": ("neurosim.training.trainers.registry", "TRAINERS"),
+}
+
+__all__ = [
+    "Controller",
+    "Episode",
+    "Function",
+    "Judgement",
+    "SavedController",
+    "Simulator",
+    "Task",
+    "Trajectory",
+    "UserError",
+    "check",
+    "evaluate",
+    "evolve",
+    "load",
+    "make_controller",
+    "make_task",
+    "read_dataset",
+    "register",
+    "rollout",
+    "train",
+]
+
+
+def register(what: str, name: str, item: Any = None) -> Any:
+    """Give something of yours a name; it then works wherever such a name is taken.
+
+    Args:
+        what: robot, simulator, controller, task, optimiser or trainer.
+        name: what ``make_task``, ``--task`` and the like then take.
+        item: what the name stands for, such as a :class:`Task`'s class; without it, a decorator.
+
+    Raises:
+        UserError: if the name is taken by one of ours, or there is no such kind of thing.
+    """
+    if what not in _REGISTRIES:
+        from neurosim.base.errors import UserError
+
+        raise UserError(f"{what!r} cannot be registered; what can: {', '.join(_REGISTRIES)}")
+    module, attribute = _REGISTRIES[what]
+    return getattr(import_module(module), attribute).register(name, item)
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PUBLIC:
+        raise AttributeError(f"module 'neurosim' has no attribute {name!r}")
+    return getattr(import_module(_PUBLIC[name]), name)
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

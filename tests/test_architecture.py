@@ -16,7 +16,7 @@ LAYERS = (
     {"neurosim.robots", "neurosim.networks", "neurosim.evolution", "tracking"},
     {"neurosim.simulators", "neurosim.controllers"},
     {"neurosim.tasks", "neurosim.recording", "neurosim.sampling", "neurosim.lab"},
-    {"neurosim.evolve", "neurosim.training"},
+    {"neurosim.loop", "neurosim.training"},
     {"neurosim.back_to_reality", "neurosim.trials"},
     {"neurosim.envs", "neurosim.reports", "neurosim.watch"},
     {"neurosim", "neurosim.testing"},
@@ -70,8 +70,8 @@ IMPORTS = {name: imports_of(path.read_text("utf-8")) - {name} for name, path in 
 
 #: Circles that are left; nothing may be added.
 LEFT = {
-    "neurosim.evolve.plan_course": {"neurosim.evolve.plans"},
-    "neurosim.evolve.robust": {"neurosim.evolve.plan_course"},
+    "neurosim.loop.plan_course": {"neurosim.loop.plans"},
+    "neurosim.loop.robust": {"neurosim.loop.plan_course"},
     "neurosim.tasks.base": {"neurosim.tasks.nine_rectangles"},
 }
 

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from khepera_data import made_up
+from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
 from neurosim.cli.main import cli
-from neurosim.evolve.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.obstacle_avoidance import FITNESS
 

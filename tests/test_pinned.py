@@ -40,19 +40,6 @@ from neurosim.cli.main import cli
 from neurosim.controllers import FixedPlan, Network, Plan, SavedController
 from neurosim.controllers.plan import with_rest
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.evolve.check import check
-from neurosim.evolve.evaluate import Evaluator
-from neurosim.evolve.evolve import evolve_in, improve
-from neurosim.evolve.optimisers import make_optimiser
-from neurosim.evolve.search import Search
-from neurosim.evolve.settings import (
-    NETWORK_GENETIC,
-    PLAN_GENETIC,
-    ROBUST_GENETIC,
-    EvolveSettings,
-    RobustSettings,
-)
-from neurosim.evolve.stepped import SteppedRollouts
 from neurosim.lab import (
     KheperaParams,
     LabArena,
@@ -63,6 +50,19 @@ from neurosim.lab import (
 )
 from neurosim.lab.khepera.body import KheperaBody
 from neurosim.lab.nxt import physics
+from neurosim.loop.check import check
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import evolve_in, improve
+from neurosim.loop.optimisers import make_optimiser
+from neurosim.loop.search import Search
+from neurosim.loop.settings import (
+    NETWORK_GENETIC,
+    PLAN_GENETIC,
+    ROBUST_GENETIC,
+    EvolveSettings,
+    RobustSettings,
+)
+from neurosim.loop.stepped import SteppedRollouts
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import RecordSettings, record
 from neurosim.sampling import SampleSettings, sample

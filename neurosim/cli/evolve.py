@@ -32,7 +32,7 @@ def _settings_options(values: Mapping[str, str]) -> Sequence[click.Parameter]:
     """Return the options of the task, the controller and the algorithm that are asked for."""
     from neurosim.cli._tasks import read_task
     from neurosim.controllers import CONTROLLERS, Controller, FixedPlan
-    from neurosim.evolve.settings import default_settings
+    from neurosim.loop.settings import default_settings
 
     try:
         cls, settings = read_task(values["task"])
@@ -175,8 +175,8 @@ def evolve(
     from neurosim.cli._tasks import read_task
     from neurosim.controllers import CONTROLLERS, make_controller
     from neurosim.evolution.genetic import GeneticSettings
-    from neurosim.evolve.evolve import evolve as evolve_
-    from neurosim.evolve.settings import EvolveSettings, RobustSettings, default_settings
+    from neurosim.loop.evolve import evolve as evolve_
+    from neurosim.loop.settings import EvolveSettings, RobustSettings, default_settings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
 
@@ -184,7 +184,7 @@ def evolve(
     made = make_task(cls.name, **{**settings, **given_of(cls, given)})
     kind = kind or ("network" if made.episode.readings else "plan")
     found = _changed(read_simulator(simulator), given)
-    family = make_controller(kind, found, made.episode, **given_of(CONTROLLERS.get(kind), given))
+    family = make_controller(kind, found, made, **given_of(CONTROLLERS.get(kind), given))
     how = default_settings(family, made, optimiser=optimiser, **given_of(EvolveSettings, given))
     genetic = GeneticSettings() if preset == "paper" and family.blind else how.genetic
     changes = given_of(GeneticSettings, given)
@@ -303,7 +303,7 @@ def _on_robot(
         yield None
         return
     from neurosim.cli._robots import khepera, virtual_khepera_baud
-    from neurosim.evolve.evaluate import Evaluator
+    from neurosim.loop.evaluate import Evaluator
     from neurosim.trials.reality import in_lab, on_khepera
 
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing)

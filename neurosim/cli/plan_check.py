@@ -11,7 +11,7 @@ import click
 from neurosim.cli._common import PATH, emit, json_option, placing_option, seed_option
 
 if TYPE_CHECKING:
-    from neurosim.evolve.check import Check
+    from neurosim.loop.check import Check
 
 
 @click.command("plan-check")
@@ -33,7 +33,7 @@ def plan_check(
 
     SIMULATOR need not be the one that the plan was evolved in.
     """
-    from neurosim.evolve.check import check
+    from neurosim.loop.check import check
 
     scatter = (placing[0] / 1000.0, math.radians(placing[1]))
     found = check(controller, simulator, draws=draws, seed=seed, placing=scatter)

@@ -96,7 +96,7 @@ class FixedPlan(Controller):
 
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
         """Return the commands [P, T, 3] of as many rows as ``genes`` has, and active [P, T]."""
-        commands = np.tile(np.array(self.given, np.float64), (len(genes), 1, 1))
+        commands = np.tile(np.array(self.given, np.float64).reshape(-1, 3), (len(genes), 1, 1))
         return with_rest(commands, np.ones(commands.shape[:2], np.bool_), rest)
 
 

@@ -7,7 +7,6 @@ from typing import Any
 
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
-from neurosim.base.trajectory import Episode
 from neurosim.controllers.base import GOAL_INPUTS, Controller
 
 #: By name: what takes settings as keywords and returns a :class:`Controller`.
@@ -25,7 +24,7 @@ CONTROLLERS = Registry(
 def make_controller(
     kind: str,
     simulator: Any = None,
-    episode: Episode | None = None,
+    task: Any = None,
     **settings: Any,
 ) -> Controller:
     """Return a family of controllers.
@@ -34,7 +33,7 @@ def make_controller(
         kind: its name.
         simulator: where it is to run: a network observes the sensors that there are, and its
             outputs are the commands that there are, if the settings say nothing else.
-        episode: of the task: a network observes where the next goal is, if there are goals.
+        task: a network observes where its next goal is, if it has goals.
         settings: of the kind.
 
     Raises:
@@ -43,7 +42,7 @@ def make_controller(
     maker = CONTROLLERS.get(kind)
     fields = [one.name for one in dataclasses.fields(maker)] if _is_settings(maker) else []
     if simulator is not None and "inputs" in fields and "inputs" not in settings:
-        goals = GOAL_INPUTS if episode is not None and episode.goals is not None else ()
+        goals = GOAL_INPUTS if task is not None and task.episode.goals is not None else ()
         settings["inputs"] = (*simulator.reading_names, *goals)
         if not settings["inputs"]:
             raise UserError(

@@ -20,7 +20,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import read_controller
-from neurosim.evolve.stepped import SteppedRollouts
+from neurosim.loop.stepped import SteppedRollouts
 from neurosim.reports.svg import INK
 from neurosim.simulators import TableSimulator, read_simulator
 from neurosim.simulators.tables.arena import Arena

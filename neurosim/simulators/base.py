@@ -143,6 +143,11 @@ def put_down(
     return starts + scatter * np.array([placing[0], placing[0], placing[1]])
 
 
+#: Commands may leave the domain by this share of its width: the largest that was recorded is not
+#: quite the largest that was meant.
+_SLACK = 0.05
+
+
 def check_commands(simulator: Simulator, commands: NDArray, where: str = "commands") -> None:
     """Refuse commands [..., C] that the simulator cannot have learned.
 
@@ -162,14 +167,15 @@ def check_commands(simulator: Simulator, commands: NDArray, where: str = "comman
         low, high = simulator.domain.get(name, (-np.inf, np.inf))
         if name == "duration":
             low = max(low, 0.0)
-        wrong = ~np.isfinite(column) | (column < low) | (column > high)
+        slack = _SLACK * (high - low) if np.isfinite(high - low) else 0.0
+        wrong = ~np.isfinite(column) | (column < low - slack) | (column > high + slack)
         if name == "duration":
             wrong |= column <= 0.0
         if wrong.any():
             at = np.unravel_index(int(wrong.argmax()), commands.shape[:-1])
             value, index = column[wrong.argmax()], "".join(f"[{i}]" for i in at)
-            asked = f"{low:g} to {high:g}" if np.isfinite([low, high]).any() else "a number"
+            asked = f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else "a finite number"
             raise UserError(
-                f"{where}{index}: {name} = {value:g} is not in what this simulator was made "
-                f"from: {asked}"
+                f"{where}{index}: {name} = {value:g} lies outside of what this simulator was made "
+                f"from ({asked})"
             )

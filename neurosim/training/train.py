@@ -144,7 +144,7 @@ def train(
             noise=noise,
         )
     except ValueError as error:
-        raise UserError(f"trainer {trainer!r} cannot be set so: {error}") from None
+        raise UserError(f"trainer {trainer!r} has invalid settings: {error}") from None
 
     checkpoint = Checkpoint(out, "training")
     settings_now = {**begun, "dataset_sha256": source["sha256"]}

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import observe
-from neurosim.evolve.evaluate import Evaluator
-from neurosim.evolve.objectives import mean_fitness
 from neurosim.lab import LabArena, VirtualKheperaRig
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.objectives import mean_fitness
 from neurosim.robots.base import Proximity, Robot
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
@@ -40,7 +40,7 @@ class RobotTrials:
     reading; the command that follows from it is sent a fixed time later, so that the robot is as
     late in every step as it is in the simulator.
 
-    It is the :class:`~neurosim.evolve.reality.Reality` of an evolution.
+    It is the :class:`~neurosim.loop.reality.Reality` of an evolution.
 
     Attributes:
         robot: connected.

@@ -9,12 +9,12 @@ import pytest
 from click.testing import CliRunner
 from khepera_data import made_up
 from matplotlib.image import imread
+from neurosim.loop.network_evolution import NetworkSettings
 
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
 from neurosim.cli.main import cli
 from neurosim.controllers import Plan, read_controller
-from neurosim.evolve.network_evolution import NetworkSettings
 from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion

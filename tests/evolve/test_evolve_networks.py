@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 from khepera_data import made_up
+from neurosim.loop.evolve_networks import AGAIN, TRIALS_AGAIN, evolve_networks
+from neurosim.loop.network_evolution import NetworkSettings
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import LinkLost, UserError
 from neurosim.controllers import read_controller
-from neurosim.evolve.evolve_networks import AGAIN, TRIALS_AGAIN, evolve_networks
-from neurosim.evolve.network_evolution import NetworkSettings
 from neurosim.lab import VirtualKheperaRig
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena

@@ -7,11 +7,11 @@ import pytest
 import torch
 from click.testing import CliRunner
 from ideal_simulator import IdealWheels
+from neurosim.loop.plan_check import check_commands, check_plan, wilson
 
 from neurosim.base.errors import UserError
 from neurosim.cli.plan_check import _in_words, plan_check
 from neurosim.controllers import Plan
-from neurosim.evolve.plan_check import check_commands, check_plan, wilson
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.files import write_motion

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 from ideal_simulator import IdealWheels
+from neurosim.loop.plans import PlanSettings, RobustSettings, evolve_plan, improve_plans
+from neurosim.loop.rollouts import SteppedRollouts
 
 from neurosim.base.errors import UserError
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.evolve import plans as planning
-from neurosim.evolve.plans import PlanSettings, RobustSettings, evolve_plan, improve_plans
-from neurosim.evolve.rollouts import SteppedRollouts
+from neurosim.loop import plans as planning
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Evaluation
 from neurosim.tasks.nine_rectangles import NineRectangles

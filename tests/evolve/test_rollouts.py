@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from neurosim.loop.rollouts import RUN_DOWN, CompiledRollouts, SteppedRollouts, rollouts, stepped
 
-from neurosim.evolve.rollouts import RUN_DOWN, CompiledRollouts, SteppedRollouts, rollouts, stepped
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from khepera_data import made_up
+from neurosim.loop.rollouts import TableRollouts, rollouts, stepped
 
-from neurosim.evolve.rollouts import TableRollouts, rollouts, stepped
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable

@@ -3,18 +3,18 @@
 import numpy as np
 import pytest
 from khepera_data import made_up
-
-from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import NetworkController, Plan, read_controller
-from neurosim.evolve.evolve_networks import choose, evolve_networks
-from neurosim.evolve.network_evolution import (
+from neurosim.loop.evolve_networks import choose, evolve_networks
+from neurosim.loop.network_evolution import (
     TOGETHER,
     NetworkEvolution,
     NetworkSettings,
     TableTrials,
 )
-from neurosim.evolve.rollouts import rollouts
-from neurosim.evolve.write_plans import evolve
+from neurosim.loop.rollouts import rollouts
+from neurosim.loop.write_plans import evolve
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.controllers import NetworkController, Plan, read_controller
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.sensor_table import SensorTable

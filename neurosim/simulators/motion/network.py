@@ -149,6 +149,15 @@ class MotionNetwork(Simulator):
         """How many numbers the noise of a command is made of."""
         return 0 if self.noise is None else DRAWS
 
+    @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """The largest commands that it has learned from."""
+        largest = dict(zip(self.input_names, self.input_scale.tolist(), strict=True))
+        return {
+            name: (0.0 if name == "duration" else -largest[name], largest[name])
+            for name in self.command_names
+        }
+
     def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
         return self.noise.draw(rows, steps, generator)

@@ -1,6 +1,6 @@
 """Rollouts of plans in a motion network, compiled and on all cores.
 
-They compute what :class:`neurosim.evolve.stepped.SteppedRollouts` does one step at a time.
+They compute what :class:`neurosim.loop.stepped.SteppedRollouts` does one step at a time.
 Two things make them fast. What a command does to the network's inputs and to the size of the noise
 is the same
 for all draws of a plan, so networks are evaluated once a command and member, not once a draw.

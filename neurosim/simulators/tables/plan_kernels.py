@@ -54,7 +54,7 @@ def drive_plans(t, starts, z, commands, parts, given, rests):
     Args:
         t: :class:`~neurosim.simulators.tables.kernels.TableArrays`.
         starts: [R, 3] poses.
-        z: [R, T, 3] the noise of every command, the same for all plans.
+        z: [R, T, 3] the noise of the n-th command that is sent, the same for all plans.
         commands: [B, T, 3] left, right (%), duration (s).
         parts: [B, T] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
         given: [B, T] bool; a command that is not given leaves the robot as it is.
@@ -71,8 +71,10 @@ def drive_plans(t, starts, z, commands, parts, given, rests):
         pose, speeds, goals = starts[r].copy(), np.zeros(2), np.zeros(2)
         kept = np.empty((3, 3))
         poses[b, r, 0] = pose
+        sent = 0
         for k in range(length):
             if given[b, k] or (rests and k == length - 1):
-                _drive(t, pose, speeds, goals, commands[b, k], parts[b, k], z[r, k], kept)
+                _drive(t, pose, speeds, goals, commands[b, k], parts[b, k], z[r, sent], kept)
+                sent += 1
             poses[b, r, k + 1] = pose
     return poses

@@ -6,16 +6,19 @@ from dataclasses import fields
 from typing import Any
 
 from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
 from neurosim.training.base import Trainer
-from neurosim.training.trainers.exponents import ExponentsTrainer
-from neurosim.training.trainers.ga import GaTrainer
-from neurosim.training.trainers.gradient import GradientTrainer
 
-TRAINERS: dict[str, type[Trainer]] = {
-    "exponents": ExponentsTrainer,
-    "ga": GaTrainer,
-    "gradient": GradientTrainer,
-}
+#: By name: a class as :class:`~neurosim.training.base.Trainer` says.
+TRAINERS = Registry(
+    "trainer",
+    "neurosim.trainers",
+    {
+        "exponents": "neurosim.training.trainers.exponents:ExponentsTrainer",
+        "ga": "neurosim.training.trainers.ga:GaTrainer",
+        "gradient": "neurosim.training.trainers.gradient:GradientTrainer",
+    },
+)
 
 #: The name of the trainer that is used if nobody says otherwise.
 DEFAULT = "exponents"
@@ -27,10 +30,7 @@ def trainer_class(name: str) -> type[Trainer]:
     Raises:
         UserError: if there is none.
     """
-    try:
-        return TRAINERS[name]
-    except KeyError:
-        raise UserError(f"no trainer {name!r}; there are {', '.join(TRAINERS)}") from None
+    return TRAINERS.get(name)
 
 
 def trainer_settings(name: str, options: dict[str, Any]) -> Any:
@@ -49,4 +49,4 @@ def trainer_settings(name: str, options: dict[str, Any]) -> Any:
     try:
         return kind(**options)
     except (TypeError, ValueError) as error:
-        raise UserError(f"trainer {name!r} cannot be set so: {error}") from None
+        raise UserError(f"trainer {name!r} has invalid settings: {error}") from None

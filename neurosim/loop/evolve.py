@@ -24,12 +24,12 @@ from neurosim.base.generations import CHECKPOINT_EVERY, run_generations
 from neurosim.base.progress import Progress
 from neurosim.controllers import FixedPlan, SavedController, make_controller, read_controller
 from neurosim.controllers.base import Controller
-from neurosim.evolve.evaluate import Evaluator
-from neurosim.evolve.objectives import mean_fitness, repeats_of
-from neurosim.evolve.optimisers import make_optimiser
-from neurosim.evolve.reality import TRIALS_AGAIN, Reality, RealSearch
-from neurosim.evolve.search import Search
-from neurosim.evolve.settings import EvolveSettings, default_settings
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.objectives import mean_fitness, repeats_of
+from neurosim.loop.optimisers import make_optimiser
+from neurosim.loop.reality import TRIALS_AGAIN, Reality, RealSearch
+from neurosim.loop.search import Search
+from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import named
@@ -495,7 +495,7 @@ def evolve(
     if controller is None:
         controller = "network" if task.episode.readings else "plan"
     if isinstance(controller, str):
-        controller = make_controller(controller, simulator, task.episode)
+        controller = make_controller(controller, simulator, task)
     if settings is None:
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from neurosim.base.statistics import wilson
 from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import SavedController, read_controller
-from neurosim.evolve.evaluate import Evaluator
-from neurosim.evolve.evolve import check_uncertain
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import check_uncertain
 from neurosim.simulators.base import PLACING, Simulator
 from neurosim.simulators.registry import read_simulator
 from neurosim.tasks.base import Judgement, Task

@@ -23,9 +23,9 @@ from numpy.typing import NDArray
 from neurosim.base.checkpoint import random_state, set_random_state
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws
-from neurosim.evolve.evaluate import Evaluator
-from neurosim.evolve.objectives import Merit, repeats_of
-from neurosim.evolve.optimisers import Optimiser
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.objectives import Merit, repeats_of
+from neurosim.loop.optimisers import Optimiser
 
 #: Of a stage with drawn outcomes so many candidates of each run are looked at again: the best of
 #: the last population, and the best of each set of outcomes before.

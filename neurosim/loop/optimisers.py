@@ -14,7 +14,7 @@ from neurosim.base.registry import Registry
 from neurosim.controllers.base import Controller
 from neurosim.evolution import GeneticAlgorithm
 from neurosim.evolution.command_sets import PlanPopulation
-from neurosim.evolve.settings import EvolveSettings
+from neurosim.loop.settings import EvolveSettings
 
 
 @runtime_checkable
@@ -39,7 +39,7 @@ class Optimiser(Protocol):
 OPTIMISERS = Registry(
     "optimiser",
     "neurosim.optimisers",
-    {"ga": "neurosim.evolve.optimisers:paper_ga", "cma": "neurosim.evolve.cma:CMA"},
+    {"ga": "neurosim.loop.optimisers:paper_ga", "cma": "neurosim.loop.cma:CMA"},
 )
 
 

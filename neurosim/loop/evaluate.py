@@ -19,8 +19,8 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
-from neurosim.evolve.objectives import Merit, objective_named, repeats_of
-from neurosim.evolve.stepped import SteppedRollouts
+from neurosim.loop.objectives import Merit, objective_named, repeats_of
+from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators.base import PLACING, Rollouts, Simulator
 from neurosim.tasks.base import Judgement, Task
 
@@ -120,7 +120,7 @@ class Evaluator:
         Args:
             genes: a row for each individual.
             draws: the outcomes.
-            objective: one of :data:`neurosim.evolve.objectives.OBJECTIVES`.
+            objective: one of :data:`neurosim.loop.objectives.OBJECTIVES`.
             hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
                 which crossover of plans pairs commands.
         """

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.checkpoint import random_state, set_random_state
-from neurosim.evolve.search import Search
+from neurosim.loop.search import Search
 
 #: So many of the last population's best are tried again, and so often each: what was best in its
 #: own trial may have been lucky.

@@ -126,9 +126,19 @@ class _Trial:
         shape = (*self._shape, steps)
         return self._trajectory(
             np.broadcast_to(commands[:, None], (*shape, commands.shape[-1])),
-            np.broadcast_to(np.where(active, commands[..., -1], 0.0)[:, None], shape),
+            np.broadcast_to(self._durations(commands, active)[:, None], shape),
             np.broadcast_to(active[:, None], shape),
         )
+
+    def _durations(self, commands: NDArray, active: NDArray) -> NDArray:
+        """Return how long each of the commands [P, T, C] holds, [P, T]."""
+        durations = np.full(active.shape, self._episode.step)
+        if "duration" in self._simulator.command_names:
+            durations = commands[..., -1]
+        durations = np.where(active, durations, 0.0)
+        if self._episode.rest > 0:
+            durations[:, -1] = self._episode.rest
+        return durations
 
     def _step_given(self, command: Tensor, sent: Tensor, given: Tensor) -> None:
         """Step with the noise of the n-th command that is given: null ones use up none."""

@@ -8,7 +8,7 @@ from typing import Any
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.evolve.objectives import objective_named
+from neurosim.loop.objectives import objective_named
 from neurosim.simulators.base import PLACING
 from neurosim.tasks.base import Task
 
@@ -68,7 +68,7 @@ class EvolveSettings:
             in the plan; False: where it is, as we read the paper.
         outcomes: trials, drawn anew, that every individual of a generation is tried in; 0: it is
             judged by what the simulator expects.
-        objective: what is maximised; see :mod:`neurosim.evolve.objectives`.
+        objective: what is maximised; see :mod:`neurosim.loop.objectives`.
         robust: how to make the result robust, or None.
         placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
             (rad); for drawn outcomes alone.

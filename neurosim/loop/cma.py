@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
-from neurosim.evolve.settings import EvolveSettings
+from neurosim.loop.settings import EvolveSettings
 
 
 class CMA:

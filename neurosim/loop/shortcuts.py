@@ -1,0 +1,140 @@
+"""What a script needs beside evolution: read any artefact, drive commands or a controller."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+from torch import Tensor
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers import SavedController, read_controller
+from neurosim.controllers.base import Controller
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.stepped import SteppedRollouts
+from neurosim.simulators.base import PLACING, Rollouts, Simulator, check_commands
+from neurosim.simulators.registry import read_simulator
+from neurosim.tasks.base import Task
+from neurosim.tasks.registry import make_task
+from tracking.datasets.dataset import Dataset
+
+_READERS = {
+    "simulator.json": read_simulator,
+    "controller.json": read_controller,
+    "dataset.json": Dataset.read,
+}
+
+
+def load(folder: str | Path) -> Any:
+    """Read a simulator, a controller or a dataset, whichever a folder holds.
+
+    Raises:
+        FileError: if it holds none of them, or a file in it is missing or wrong.
+    """
+    folder = Path(folder)
+    for name, read in _READERS.items():
+        if (folder / name).exists():
+            return read(folder)
+    what = f"it has none of {', '.join(_READERS)}" if folder.is_dir() else "no such folder"
+    raise FileError(folder, f"is no simulator, controller or dataset: {what}")
+
+
+def read_dataset(folder: str | Path) -> Dataset:
+    """Read a dataset.
+
+    Raises:
+        FileError: if a file is missing or wrong.
+    """
+    return Dataset.read(folder)
+
+
+class _Given(Controller):
+    """Commands that are given as they are, in a simulator's own columns."""
+
+    kind, blind = "commands", True
+
+    def __init__(self, commands: NDArray[np.float64], names: tuple[str, ...]):
+        self._commands, self.outputs = commands, names
+
+    def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
+        """Return the commands [P, T, C]; nothing is added at the end."""
+        return self._commands, np.ones(self._commands.shape[:2], np.bool_)
+
+
+def rollout(
+    simulator: Simulator,
+    what: ArrayLike | Tensor | SavedController,
+    *,
+    start: ArrayLike | None = None,
+    task: Task | None = None,
+    outcomes: int = 0,
+    seed: int = 0,
+) -> Trajectory:
+    """Drive commands or a controller in a simulator.
+
+    Args:
+        simulator: where.
+        what: commands [T, C] or a batch [B, T, C] in the simulator's columns, NumPy or torch; or
+            a saved controller.
+        start: x (m), y (m), heading (rad); by default 0, 0, 0, or the controller's own.
+        task: of a controller, how long it runs; by default its own.
+        outcomes: drawn outcomes that each is driven through; 0: what the simulator expects.
+        seed: of the draws.
+
+    Returns:
+        The trajectory: [B] trials (none for one command sequence or controller), with
+        ``outcomes`` [B, outcomes] or [outcomes]; in tensors where ``what`` was a tensor.
+
+    Raises:
+        UserError: if a command is not finite, lasts no time or lies outside what the simulator
+            was made from; or a controller does not fit the simulator.
+    """
+    single, rollouts = True, None
+    rows = np.empty((1, 0))
+    if isinstance(what, SavedController):
+        task = task or make_task(what.task)
+        evaluator = Evaluator(simulator, task, what.controller)
+        rollouts, rows = evaluator.rollouts, what.genes[None]
+        start = what.start if start is None else start
+    else:
+        given = what.detach().cpu().numpy() if isinstance(what, Tensor) else what
+        commands = np.asarray(given, np.float64)
+        if commands.ndim not in (2, 3):
+            raise UserError(f"commands must be [T, C] or [B, T, C], not of shape {commands.shape}")
+        check_commands(simulator, commands)
+        single = commands.ndim == 2
+        commands = np.ascontiguousarray(commands[None] if single else commands)
+        rollouts = _compiled_or_stepped(simulator, _Given(commands, simulator.command_names))
+        rows = np.empty((len(commands), 0))
+    pose = np.asarray((0.0, 0.0, 0.0) if start is None else start, np.float64)
+    if pose.shape != (3,) or not np.isfinite(pose).all():
+        raise UserError(f"start must be x (m), y (m), heading (rad), not {start}")
+    starts = np.tile(pose, (max(outcomes, 1), 1))
+    draws = rollouts.draw(starts, seed, PLACING) if outcomes else Draws(starts)
+    found = rollouts.run(rows, draws)
+    index = ((0,) if single else (slice(None),)) + (() if outcomes else (0,))
+    return _picked(found, index, isinstance(what, Tensor))
+
+
+def _compiled_or_stepped(simulator: Simulator, controller: Controller) -> Rollouts:
+    episode = Episode()
+    compiled = simulator.rollouts(controller, episode)
+    return compiled or SteppedRollouts(simulator, controller, episode)
+
+
+def _picked(trajectory: Trajectory, index: tuple[Any, ...], tensors: bool) -> Trajectory:
+    """Return some trials of a trajectory, as tensors where these are wanted."""
+
+    def pick(value: Any) -> Any:
+        if value is None or np.ndim(value) == 0:
+            return value
+        part = value[index]
+        return torch.from_numpy(np.array(part)) if tensors else part
+
+    names = ("poses", "commands", "durations", "readings", "active")
+    return replace(trajectory, **{name: pick(getattr(trajectory, name)) for name in names})
