@@ -14,6 +14,7 @@ from torch import Tensor
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import NOT_READINGS, Controller, observe
+from neurosim.controllers.goals import Goals
 from neurosim.simulators.base import Simulator, as_seed, put_down
 
 
@@ -154,7 +155,7 @@ class _Trial:
         """Ask a controller with genes [P, G] for a command at every step."""
         episode, simulator = self._episode, self._simulator
         genes = genes.repeat_interleave(self._shape[1], 0)
-        memory, goals = controller.start(len(genes)), _Goals(episode, len(genes))
+        memory, goals = controller.start(len(genes)), Goals(episode, len(genes))
         timed = "duration" in simulator.command_names
         given = []
         for step in range(episode.steps):
@@ -195,21 +196,3 @@ class _Trial:
         if self._readings:
             readings = torch.stack(self._readings, dim=1).unflatten(0, self._shape).numpy()
         return Trajectory(poses, commands, durations, readings, active)
-
-
-class _Goals:
-    """Which of an episode's goals each robot is to reach next."""
-
-    def __init__(self, episode: Episode, rows: int):
-        self._goals = None if episode.goals is None else torch.from_numpy(episode.goals)
-        self._reach = episode.reach
-        self._next = torch.zeros(rows, dtype=torch.long)
-
-    def at(self, pose: Tensor) -> Tensor | None:
-        """Return the next goal [B, 3] of robots at ``pose`` [B, 3]."""
-        if self._goals is None:
-            return None
-        away = (self._goals[self._next, :2] - pose[:, :2]).norm(dim=1)
-        last = len(self._goals) - 1
-        self._next = torch.where(away <= self._reach, (self._next + 1).clamp(max=last), self._next)
-        return self._goals[self._next]

@@ -1,13 +1,15 @@
 """A session in closed loop: a controller that sees is asked for every command.
 
-Every step ends with a command that is sent at a steady rate. Shortly before it is due the robot
-is looked at: the last thing that is read are its sensors, so that what the controller knows is as
-old in every step as a reading takes. How long that is, the robot shows standing still.
+A command is due when the one before is over, at a steady rate if all are equally long. Shortly
+before that the robot is looked at: its sensors are read last, so that what the controller knows is
+hardly older than a reading takes. How long that is, the last few looks say, the first of them at a
+robot that stands still.
 """
 
 from __future__ import annotations
 
 import math
+from collections import deque
 from dataclasses import dataclass
 from typing import Any
 
@@ -20,9 +22,11 @@ from neurosim.robots.base import Counters, Robot, Sensors
 from neurosim.robots.odometry import Odometry
 from tracking.datasets.recordings import Recording
 
-#: So many looks, while the robot stands still, say how long one takes.
+#: How long a look takes is taken from so many, the longest left out: it may be an accident.
 LOOKS = 5
-#: A command that is later than this share of a step has missed its deadline.
+#: So much more time is left for a look than it takes.
+MARGIN = 1.1
+#: A command that is later than this share of its duration has missed its deadline.
 LATE = 0.1
 #: The battery is asked so often, s.
 BATTERY_EVERY = 30.0
@@ -34,7 +38,8 @@ class Deadlines:
 
     Attributes:
         steps: commands that were sent.
-        missed: those that were sent later than they were due by more than a tenth of a step.
+        missed: those that were sent later than they were due by more than a tenth of their
+            duration.
         worst_late_s: the latest of all, s.
     """
 
@@ -42,9 +47,9 @@ class Deadlines:
     missed: int = 0
     worst_late_s: float = 0.0
 
-    def sent(self, late: float, step: float) -> bool:
+    def sent(self, late: float, duration: float) -> bool:
         """Count a command that was sent so late (s); return whether it missed its deadline."""
-        missed = late > LATE * step
+        missed = late > LATE * duration
         self.steps += 1
         self.missed += missed
         self.worst_late_s = round(max(self.worst_late_s, late), 6)
@@ -95,13 +100,14 @@ class ClosedLoopSession(Session):
         self.deadlines = Deadlines()
         self._recording = recording
         self._odometry: Odometry | None = None
+        self._took: deque[float] = deque(maxlen=LOOKS)
         names = robot.sensor_names if isinstance(robot, Sensors) else ()
         # What guards the perimeter is read at every step, too.
         guards = self._guard.at_line != "ignore" and not set(LINES).isdisjoint(names)
         self._names = names if self._source.reads or guards else ()
 
     def run(self) -> bool:
-        """Drive between a flash and a flash; return whether all steps were made."""
+        """Drive between a flash and a flash; return whether nothing is left to be driven."""
         if self._spotter is None and isinstance(self._robot, Counters):
             self._odometry = Odometry(self._robot, self._source.start)
         with self._recording.observation_log(self._names) as log:
@@ -109,44 +115,50 @@ class ClosedLoopSession(Session):
             return super().run()
 
     def _drive(self) -> bool:
-        """Ask for a command at every step; return whether all steps were made."""
-        source, step = self._source, self._source.step
+        """Ask for every command; a drive that was stopped is over, too."""
+        source = self._source
         self._check_battery()
-        lead = self._rehearse()
+        self._rehearse()
         asked = self._clock.now()
-        begin = due = asked + 1.1 * lead
+        begin = due = asked + 2 * self._lead
         with Progress("driving", source.steps, "steps") as progress:
             for number in range(source.steps):
-                self._clock.sleep_until(due - lead)
-                seen = self._look(due, due - begin, number)
+                self._clock.sleep_until(due - self._lead)
+                looked = self._clock.now()
+                time, seen = self._observe(due, due - begin)
                 if not self._may_go_on(seen):
                     return self._cut()
+                self._keep(time, seen, number)
                 command = source.react(seen)
+                self._took.append(self._clock.now() - looked)
                 self._clock.sleep_until(due)
-                self._write("command", command.left, command.right, step, number)
-                missed = self.deadlines.sent(self._sent - due, step)
-                due = (self._sent if missed else due) + step
+                self._write("command", command.left, command.right, command.duration, number)
+                missed = self.deadlines.sent(self._sent - due, command.duration)
+                due = (self._sent if missed else due) + command.duration
                 progress.advance()
                 if self._clock.now() - asked > BATTERY_EVERY:
                     asked = self._clock.now()
                     self._check_battery()
-                if not self._hold(command, due - lead, lead):
+                if not self._hold(command, due - self._lead, self._lead):
                     return self._cut()
-        self._look(due, due - begin)
+        self._look(due)
         self._clock.sleep_until(due)
         return True
 
-    def _rehearse(self) -> float:
-        """Look and ask while the robot stands still; return how long that takes at most, s."""
-        longest = 0.0
+    @property
+    def _lead(self) -> float:
+        """How long before a command is due the robot is looked at, s."""
+        return MARGIN * sorted(self._took)[-2]
+
+    def _rehearse(self) -> None:
+        """Look and ask while the robot stands still, to learn how long that takes."""
         for _ in range(LOOKS):
-            begin = self._clock.now()
-            seen = self._observe(begin, 0.0)[1]
+            looked = self._clock.now()
+            _, seen = self._observe(looked, 0.0)
             if seen.pose is not None or not self._source.needs_pose:
                 self._source.react(seen)
-            longest = max(longest, self._clock.now() - begin)
+            self._took.append(self._clock.now() - looked)
         self._source.begin()
-        return longest
 
     def _observe(self, due: float, since: float) -> tuple[float, Observation]:
         """Look at the robot.
@@ -167,19 +179,20 @@ class ClosedLoopSession(Session):
         readings = self._robot.read_sensors() if self._names else {}
         return time, Observation(since, pose, readings)
 
-    def _look(self, due: float, since: float, number: int | None = None) -> Observation:
-        """Look at the robot and write it down; see :meth:`_observe`."""
-        time, seen = self._observe(due, since)
+    def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
+        """Write down what was seen, and the command that follows from it, if one does."""
         pose = (None,) * 3 if seen.pose is None else np.round(seen.pose, 6)
         readings = (seen.readings[name] for name in self._names)
         self._seen_log.append(self._session, number, round(time, 6), *pose, *readings)
-        return seen
+
+    def _look(self, due: float) -> None:
+        """See and write down where the robot is, at the end of the last command or later."""
+        self._keep(*self._observe(due, math.nan))
 
     def _stopped(self) -> None:
         """See where the robot comes to rest."""
         self._clock.sleep_until(self._sent + self._source.rest)
-        now = self._clock.now()
-        self._look(now, math.nan)
+        self._look(self._clock.now())
 
     def _may_go_on(self, seen: Observation) -> bool:
         if getattr(self._camera, "failed", False):
@@ -189,12 +202,12 @@ class ClosedLoopSession(Session):
         return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
 
     def _cut(self) -> bool:
-        """Stop at once; where that was is looked at then."""
+        """Stop at once and look where that was; return whether the drive is over."""
         if self.deadlines.steps:
             self._write("cut", 0, 0, number=self.deadlines.steps - 1)
         self._say("the robot was stopped before the end: at a line, the board's edge, or unseen")
-        self._look(self._clock.now(), math.nan)
-        return False
+        self._look(self._clock.now())
+        return not getattr(self._camera, "failed", False)
 
     def _is_blind(self) -> bool:
         """Return whether nothing tells where the robot is, though that must be known."""

@@ -58,11 +58,10 @@ class Observation:
 
 @runtime_checkable
 class SeeingSource(Protocol):
-    """Gives a command for what is seen, at a steady rate: a controller in closed loop.
+    """Gives a command for what is seen: a controller in closed loop.
 
     Attributes:
-        step: a command is asked for so often, s.
-        steps: how many times.
+        steps: how many commands it gives; each is asked for when the one before is over.
         rest: how long the robot is watched after it was stopped, s.
         start: pose [3] where the robot stands at first (m, m, rad).
         sensors: names of the sensors that it needs.
@@ -70,7 +69,6 @@ class SeeingSource(Protocol):
         needs_pose: whether it needs the pose.
     """
 
-    step: float
     steps: int
     rest: float
     start: tuple[float, float, float]
@@ -83,7 +81,7 @@ class SeeingSource(Protocol):
         ...
 
     def react(self, seen: Observation) -> Command:
-        """Return the command for the next ``step`` seconds."""
+        """Return the command that follows; it holds for its duration."""
         ...
 
     def describe(self) -> dict[str, Any]:

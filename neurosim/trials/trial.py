@@ -1,14 +1,17 @@
 """Run a controller on a robot and hold what happened against what was predicted.
 
-Section 7.2 of Pretorius, du Plessis and Cilliers (2009), Figures 6 and 7. A trial is a recording
-of a controller at work, with ``trial.json`` beside it.
+A trial is a recording of a controller at work, with ``trial.json`` beside it. Where the robot was a
+camera says, or the counters of its wheels. For plans this is section 7.2 of Pretorius, du Plessis
+and Cilliers (2009), Figures 6 and 7; for controllers that see, see
+:class:`~neurosim.trials.driver.Driver`.
 """
 
 from __future__ import annotations
 
 import datetime
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,17 +22,22 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import sha256, write_json
 from neurosim.base.provenance import is_virtual
 from neurosim.base.trajectory import Trajectory
-from neurosim.controllers import SavedController, read_controller
-from neurosim.recording.commands import Command, FixedCommands
+from neurosim.controllers import read_controller
+from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.record import Guard, RecordSettings, record
-from neurosim.robots.base import Robot
+from neurosim.robots.base import Counters, Robot, WholeSpeeds
+from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
+from neurosim.trials.driver import Driver, missing, plan_of
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
 from tracking.datasets.displacements import Track
-from tracking.datasets.recordings import CommandLine, Poses, Recording
+from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
 
 FORMAT, VERSION = "neurosim-trial", 1
+
+#: x (m), y (m), heading (rad), or None where nobody knows.
+Pose = list[float] | None
 
 #: The motors have run down this long after the last command, s.
 AT_REST = 0.5
@@ -41,23 +49,26 @@ def run_trial(
     robot: Robot,
     camera: Camera | None,
     *,
-    track: Callable[[Path], Any],
+    track: Callable[[Path], Any] | None = None,
     calibration: str | Path | None = None,
     guard: Guard = Guard(at_line="end", margin=0.05),  # noqa: B008 - frozen
     settings: dict[str, Any] | None = None,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Drive a plan, record and track it, and compare.
+    """Drive a robot with a controller, record and track it, and compare.
+
+    A plan is sent as it is; a controller that sees is asked at the steps of its task. Where the
+    robot is a camera says, or, without one, the counters of its wheels from the start pose on.
 
     The trial ends where a light sensor meets the perimeter line, unless the guard says otherwise:
     the robot is then at the grid's edge or beyond, with little left to win and a fall to fear.
 
     Args:
-        controller: folder of a plan.
+        controller: folder of a controller of any kind.
         out: folder of the trial; new.
-        robot: standing at the plan's start pose.
-        camera: what films it.
+        robot: standing at the controller's start pose.
+        camera: what films it, or None.
         track: tracks the recording in a folder, where it was not tracked as it was made.
         calibration: the camera's.
         guard: of the perimeter line.
@@ -68,121 +79,252 @@ def run_trial(
         What trial.json says.
 
     Raises:
-        UserError: if anything on the way is not what it should be.
+        UserError: if anything on the way is not what it should be; before anything moves, if the
+            robot lacks what the controller or the task needs.
     """
-    plan = read_controller(controller)
+    saved = read_controller(controller)
+    task = make_task(saved.task)
     if calibration is not None and not CameraModel.read(calibration).has_board:
         raise UserError(
             f"{calibration} has no points on the board, so poses cannot be held against the plan; "
             "run neurosim calibrate with at least 4 marked points"
         )
-    commands = [Command(*command) for command in plan.given]
+    lacks = missing(saved, robot, camera, task, calibration=calibration)
+    if lacks:
+        raise UserError("; ".join(lacks))
+    source: CommandSource | SeeingSource
+    if saved.controller.blind and camera is not None and not task.episode.readings:
+        source = FixedCommands(plan_of(saved))
+        count = len(source.commands)
+    else:
+        source = Driver(saved, task.episode, _source(Path(controller)))
+        count = source.steps
     record(
         out,
         robot,
         camera,
-        FixedCommands(commands),
-        RecordSettings(len(commands), guard, **(settings or {})),
+        source,
+        RecordSettings(count, guard, **{**_size_of(robot), **(settings or {})}),
         calibration=calibration,
         finish=finish,
         lab=lab,
     )
-    if not Recording(out).is_tracked:
+    if camera is not None and not Recording(out).is_tracked and track is not None:
         track(Path(out))
     return compare(controller, out)
 
 
 def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
-    """Hold a tracked recording of a plan against its prediction; write and return trial.json.
+    """Hold a recording of a controller against its prediction; write and return trial.json.
 
     Raises:
-        UserError: if the recording is not of this plan, or the robot was not seen at its start.
+        UserError: if the recording is not of this controller, or where it was filmed the robot was
+            not seen at its start.
     """
-    plan, recording = read_controller(controller), Recording(out)
-    motor = [line for line in recording.commands() if line.is_motor and line.session == 1]
-    sent = [line for line in motor if line.kind == "command"]
-    _check_same(plan, sent, recording.path)
-    boundaries = [line.time for line in motor][: len(sent) + 1]
-    if len(boundaries) == len(sent):
-        raise UserError(f"{recording.path}: the recording stops before the last command ended")
-    poses = recording.poses().of_session(1)
-    track = Track(poses.time, poses.pose, poses.quality)
-    actual = [_pose_at(track, time) for time in boundaries]
+    saved, recording = read_controller(controller), Recording(out)
+    source, plan = _source(Path(controller)), plan_of(saved)
+    driven = _Drive.read(recording)
+    if plan:
+        _check_same(plan, driven.sent, recording.path)
+    else:
+        _check_driver(source, recording)
+    task = make_task(saved.task)
+    # A robot that is to stop is watched as it does; a plan's always was.
+    trajectory = driven.trajectory(bool(plan), bool(plan) or task.episode.rest > 0)
+    judged = task.judge(trajectory)
+    ended_early = driven.cut or len(driven.sent) < (len(plan) or task.episode.steps)
+    completes = bool(judged.success) and not ended_early
+    predicted, actual = saved.predicted, driven.at
     # Where a command was cut short is not where it would have led.
-    cut = actual.pop() if any(line.kind == "cut" for line in motor) else None
-    ended_early = len(sent) < len(plan.given) or len(actual) == len(sent)
-    if actual[0] is None:
-        raise UserError(f"{recording.path}: the robot was not seen at its start")
-    dense, segment = _dense(poses, boundaries)
-    driven = Trajectory.of_track(
-        dense[:, 0],
-        dense[:, 1:],
-        segment,
-        np.array([(line.left, line.right, line.duration) for line in sent] + [(0.0, 0.0, 0.0)]),
-        np.append(np.ones(len(sent), bool), False),
-    )
-    judged = make_task(plan.task).judge(driven)
-    predicted = plan.predicted["poses"]
-    rest = _median_pose(poses, boundaries[-1] + AT_REST, boundaries[-1] + 2 * AT_REST)
+    reached = actual[:-1] if driven.cut else actual
+    poses = predicted.get("poses")
+    boundaries = len(plan or driven.sent) + 1
     report = {
-        "controller": _source(Path(controller) / "controller.json"),
-        "simulator": dict(plan.simulator) or None,
+        "kind": saved.kind,
+        "controller": source,
+        "simulator": dict(saved.simulator) or None,
         "virtual": bool(is_virtual(recording.meta)),
-        "task": dict(plan.task),
-        "commands": [list(command) for command in plan.given],
-        "plan_length": len(plan.commands),
-        "start": {"planned": list(plan.start), "actual": actual[0]},
+        "task": dict(saved.task),
+        "commands": [[line.left, line.right, line.duration] for line in driven.sent],
+        "start": {"planned": list(saved.start), "actual": actual[0]},
         "predicted": {
-            "poses": predicted,
-            "rest": plan.predicted["rest"],
-            "fitness": plan.predicted["fitness"],
-            "completes": plan.predicted["completes"],
-            "probability": plan.predicted.get("probability"),
+            name: predicted.get(name)
+            for name in ("poses", "rest", "fitness", "completes", "probability")
         },
         "actual": {
-            "poses": [*actual, *[None] * (len(predicted) - len(actual))],
-            "cut": cut,
-            "rest": rest,
-            "fitness": float(judged.fitness),
-            "completes": bool(judged.success) and not ended_early,
-            "path": np.round(dense, 5).tolist(),
+            "seen_by": driven.seen_by,
+            "poses": [*reached, *[None] * (boundaries - len(reached))],
+            "cut": actual[-1] if driven.cut else None,
+            "rest": driven.rest,
+            "fitness": _whole(task, judged),
+            "completes": completes,
+            "reason": _reason(task, judged, ended_early),
+            "path": np.round(driven.path, 5).tolist(),
         },
-        "errors": [
-            _error(number, was, actual[number] if number < len(actual) else None)
-            for number, was in enumerate(predicted)
-        ],
+        "errors": [],
         "ended_early": ended_early,
+        "deadlines": recording.meta.get("deadlines"),
+        "observations": driven.summary(),
         "created": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
     }
+    if plan:
+        # All commands of the plan, also those that were not sent any more.
+        report["commands"] = [list(astuple(command)) for command in plan]
+        report["plan_length"] = len(saved.commands) or len(plan)
+        report["errors"] = [
+            _error(number, was, reached[number] if number < len(reached) else None)
+            for number, was in enumerate(poses or [])
+        ]
     write_json(recording.path / "trial.json", FORMAT, VERSION, report)
     return report
 
 
-def _check_same(plan: SavedController, sent: list[CommandLine], path: Path) -> None:
-    for number, (command, line) in enumerate(zip(plan.given, sent, strict=False), start=1):
-        if (line.left, line.right) != command[:2] or abs(line.duration - command[2]) > 1e-6:
+@dataclass(frozen=True)
+class _Drive:
+    """What was driven in a recording, and where the robot was.
+
+    Attributes:
+        sent: the commands.
+        boundaries: when each began, and when the last ended, s.
+        cut: whether the last was cut short.
+        seen_by: what says where the robot was: ``camera``, ``counters``, or None.
+        at: where it was at the boundaries.
+        rest: where it came to rest.
+        path: [M, 4] time (s) and pose, all that are known.
+        looks: what a controller saw, or None.
+    """
+
+    sent: list[CommandLine]
+    boundaries: list[float]
+    cut: bool
+    seen_by: str | None
+    at: list[Pose]
+    rest: Pose
+    path: NDArray
+    looks: Observations | None
+
+    @classmethod
+    def read(cls, recording: Recording) -> _Drive:
+        """Read the first session of a recording.
+
+        Raises:
+            UserError: if no command was sent, the last did not end, or the robot was not seen.
+        """
+        motor = [line for line in recording.commands() if line.is_motor and line.session == 1]
+        sent = [line for line in motor if line.kind == "command"]
+        if not sent:
+            raise UserError(f"{recording.path}: no command was sent")
+        boundaries = [line.time for line in motor][: len(sent) + 1]
+        if len(boundaries) == len(sent):
+            raise UserError(f"{recording.path}: the recording stops before the last command ended")
+        looks = recording.observations()
+        looks = None if looks is None else looks.of_session(1)
+        cut = any(line.kind == "cut" for line in motor)
+        if recording.is_tracked:
+            found = _by_camera(recording.poses().of_session(1), boundaries)
+            if found[0][0] is None:
+                raise UserError(f"{recording.path}: the robot was not seen at its start")
+            return cls(sent, boundaries, cut, "camera", *found, looks)
+        if looks is not None and np.isfinite(looks.pose).all(axis=1).any():
+            return cls(sent, boundaries, cut, "counters", *_by_counters(looks, len(sent)), looks)
+        nowhere: list[Pose] = [None] * len(boundaries)
+        return cls(sent, boundaries, cut, None, nowhere, None, np.empty((0, 4)), looks)
+
+    def trajectory(self, timed: bool, stops: bool) -> Trajectory:
+        """Return what a task judges.
+
+        Args:
+            timed: whether commands have their duration as a column.
+            stops: whether how the robot stops belongs to it.
+        """
+        columns = [(line.left, line.right, line.duration)[: 2 + timed] for line in self.sent]
+        commands = np.array(columns + [(0.0,) * (2 + timed)] * stops)
+        active = np.append(np.ones(len(self.sent), bool), [False] * stops)
+        readings = None
+        if self.looks is not None and self.looks.names:
+            readings = self.looks.readings[: len(commands)]
+        if self.seen_by is None:
+            durations = np.append(np.diff(self.boundaries), [0.0] * stops)
+            return Trajectory(None, commands, durations, readings, active)
+        times = self.path[:, 0]
+        until = self.boundaries[-1] + (2 * AT_REST if stops else 0.0)
+        path = self.path[times <= until]
+        segment = np.searchsorted(self.boundaries, path[:, 0], side="right") - 1
+        segment = np.clip(segment, 0, len(commands) - 1)
+        return Trajectory.of_track(path[:, 0], path[:, 1:], segment, commands, active, readings)
+
+    def summary(self) -> dict[str, Any] | None:
+        """Return how often a controller looked, and what its sensors read; None if it did not."""
+        if self.looks is None:
+            return None
+        columns = zip(self.looks.names, self.looks.readings.T, strict=True)
+        sensors = {
+            name: {"min": float(c.min()), "mean": float(c.mean()), "max": float(c.max())}
+            for name, c in columns
+        }
+        return {"looks": len(self.looks.time), "sensors": sensors}
+
+
+def _by_camera(poses: Poses, boundaries: list[float]) -> tuple[list[Pose], Pose, NDArray]:
+    """Return where a camera saw the robot: at the boundaries, at rest, and all the way."""
+    track, end = Track(poses.time, poses.pose, poses.quality), boundaries[-1]
+    at = [_pose_at(track, time) for time in boundaries]
+    seen = np.isfinite(poses.pose).all(axis=1)
+    seen &= (poses.time >= boundaries[0]) & (poses.time <= end + 2 * AT_REST)
+    path = np.column_stack([poses.time[seen], poses.pose[seen]])
+    resting = path[path[:, 0] >= end + AT_REST, 1:]
+    return at, np.median(resting, axis=0).tolist() if len(resting) else None, path
+
+
+def _by_counters(looks: Observations, count: int) -> tuple[list[Pose], Pose, NDArray]:
+    """Return where the counters said that the robot was, as a camera does."""
+    # A look for every command, one as the motors stop, and one at rest.
+    path = np.column_stack([looks.time, looks.pose])
+    at = [pose.tolist() for pose in looks.pose[: count + 1]]
+    return at, looks.pose[-1].tolist(), path
+
+
+def _whole(task: Task, judged: Judgement) -> float:
+    """Return the fitness of a trial from as many starts as the task has, were they all alike."""
+    return float(task.whole(np.repeat(judged.fitness, task.trial_starts)))
+
+
+def _reason(task: Task, judged: Judgement, ended_early: bool) -> str | None:
+    """Return why the task is not done, in words that follow "the robot"; None if it is."""
+    if judged.reason >= 0:
+        return task.reasons[int(judged.reason)]
+    return "was stopped before the end" if ended_early else None
+
+
+def _size_of(robot: Robot) -> dict[str, float]:
+    """Return full speed (m/s) and wheel base (m), as far as a robot says what they are."""
+    found = {}
+    if isinstance(robot, WholeSpeeds):
+        found["full_speed"] = robot.full_speed * robot.speed_unit
+    if isinstance(robot, Counters):
+        found["track"] = robot.geometry.wheel_base
+    return found
+
+
+def _check_driver(source: Mapping[str, str], recording: Recording) -> None:
+    told = recording.meta["settings"].get("source", {}).get("controller") or {}
+    if any(told.get(name) != value for name, value in source.items() if name != "path"):
+        raise UserError(
+            f"{recording.path}: was driven by another controller, {told.get('path')}, or this one "
+            "was changed since"
+        )
+
+
+def _check_same(plan: list[Command], sent: list[CommandLine], path: Path) -> None:
+    for number, (one, line) in enumerate(zip(plan, sent, strict=False), start=1):
+        same = (line.left, line.right) == (one.left, one.right)
+        if not same or abs(line.duration - one.duration) > 1e-6:
             raise UserError(f"{path}: command {number} is not the plan's; it is another's trial")
-    if not sent:
-        raise UserError(f"{path}: no command was sent")
 
 
-def _pose_at(track: Track, time: float) -> list[float] | None:
+def _pose_at(track: Track, time: float) -> Pose:
     found = track.pose_at(time)
     return None if found is None else [float(value) for value in found[0]]
-
-
-def _dense(poses: Poses, boundaries: list[float]) -> tuple[NDArray, NDArray]:
-    """Return the seen poses [M, 4] (time, x, y, theta) and during which command each was."""
-    seen = np.isfinite(poses.pose).all(axis=1)
-    seen &= (poses.time >= boundaries[0]) & (poses.time <= boundaries[-1] + 2 * AT_REST)
-    times = poses.time[seen]
-    segment = np.searchsorted(boundaries, times, side="right") - 1
-    return np.column_stack([times, poses.pose[seen]]), segment
-
-
-def _median_pose(poses: Poses, begin: float, end: float) -> list[float] | None:
-    rows = (poses.time >= begin) & (poses.time <= end) & np.isfinite(poses.pose).all(axis=1)
-    return np.median(poses.pose[rows], axis=0).tolist() if rows.any() else None
 
 
 def _error(number: int, was: list[float], now: list[float] | None) -> dict[str, Any] | None:
@@ -197,5 +339,8 @@ def _error(number: int, was: list[float], now: list[float] | None) -> dict[str, 
     }
 
 
-def _source(path: Path) -> dict[str, str]:
-    return {"path": str(path.parent), "sha256": sha256(path)}
+def _source(folder: Path) -> dict[str, str]:
+    """Return what names a controller: where it is, and what its files hold."""
+    found = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
+    weights = folder / "weights.safetensors"
+    return {**found, "weights_sha256": sha256(weights)} if weights.exists() else found

@@ -8,7 +8,7 @@ import pytest
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.controllers import Plan
+from neurosim.controllers import FixedPlan, SavedController
 from neurosim.trials.trial import compare
 from tracking.datasets.recordings import Poses, Recording
 
@@ -27,8 +27,9 @@ def predicted() -> list[list[float]]:
 
 def make(folder, *, scale=1.0, cut_at=None):
     """Write plan and recording; the robot drives ``scale`` times what was predicted."""
-    plan = Plan(
-        commands=(COMMANDS[0], None, *COMMANDS[1:]),
+    plan = SavedController(
+        FixedPlan((COMMANDS[0], None, *COMMANDS[1:])),
+        np.empty(0),
         task={"name": "nine-rectangles", "settings": {}},
         start=START,
         predicted={

@@ -1,0 +1,162 @@
+"""A saved controller as what a session asks for commands, and what a robot lacks for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.controllers import SavedController
+from neurosim.controllers.base import GOAL_INPUTS, NOT_READINGS, POSE_INPUTS, WHEELS, observe
+from neurosim.controllers.goals import Goals
+from neurosim.recording import closed_loop
+from neurosim.recording.commands import Command, Observation
+from neurosim.robots.base import Counters, Robot, Sensors
+from neurosim.tasks.base import Task
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.cameras import Camera
+
+
+def plan_of(saved: SavedController) -> list[Command]:
+    """Return the commands of a blind controller, without null ones; none of one that sees."""
+    if not saved.controller.blind:
+        return []
+    commands, active = saved.controller.commands(saved.genes[None], 0.0)
+    return [Command(*map(float, command)) for command in commands[0][active[0]]]
+
+
+class Driver:
+    """Drives a robot with a saved controller: a :class:`~neurosim.recording.commands.SeeingSource`.
+
+    A blind controller gives its commands in turn; one that sees is asked at the episode's steps,
+    and meets the same goals in turn as in a simulator.
+
+    Args:
+        saved: the controller.
+        episode: of the task.
+        about: what names the controller in the recording.
+
+    Attributes:
+        sensors: names of the sensors that the controller reads.
+        reads: whether the sensors are read, by the controller or for the task.
+        needs_pose: whether the controller is told the pose, or where a goal is from there.
+        steps, rest, start: as a session takes them.
+    """
+
+    def __init__(self, saved: SavedController, episode: Episode, about: Mapping[str, Any]):
+        family = saved.controller
+        self._family, self._episode, self._about = family, episode, dict(about)
+        self._genes = torch.from_numpy(np.array(saved.genes, np.float64)[None])
+        self._plan = plan_of(saved)
+        self.sensors = tuple(name for name in family.inputs if name not in NOT_READINGS)
+        self.reads = bool(self.sensors) or episode.readings
+        self.needs_pose = not {*POSE_INPUTS, *GOAL_INPUTS}.isdisjoint(family.inputs)
+        self.steps = len(self._plan) if family.blind else episode.steps
+        self.rest, self.start = episode.rest, saved.start
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a trial: memory, goals and commands from the start."""
+        self._memory, self._goals = self._family.start(1), Goals(self._episode, 1)
+        self._next = 0
+
+    def react(self, seen: Observation) -> Command:
+        """Return the controller's command for what is seen.
+
+        Raises:
+            UserError: if what it gives is no speed; beyond 100 % it is cut off there.
+        """
+        if self._family.blind:
+            command = self._plan[min(self._next, len(self._plan) - 1)]
+            self._next += 1
+            return command
+        where = np.full(3, np.nan) if seen.pose is None else seen.pose
+        pose = torch.from_numpy(np.array(where, np.float64)[None])
+        readings = torch.tensor(
+            [[seen.readings[name] for name in self.sensors]], dtype=torch.float64
+        )
+        with torch.no_grad():
+            observed = observe(
+                self._family.inputs,
+                readings,
+                self.sensors,
+                pose,
+                self._goals.at(pose) if self.needs_pose else None,
+                seen.time,
+            )
+            given, self._memory = self._family.act(self._genes, observed, self._memory)
+        speeds = dict(zip(self._family.outputs, given[0].tolist(), strict=True))
+        if not all(map(math.isfinite, speeds.values())):
+            raise UserError(
+                f"the controller ({self._family.kind}) gave {speeds} after {seen.time:.1f} s, "
+                "which is no command: its weights or its function are at fault"
+            )
+        left, right = (min(max(speeds[name], -100.0), 100.0) for name in WHEELS)
+        return Command(left, right, self._episode.step)
+
+    def describe(self) -> dict[str, Any]:
+        """Return kind and origin of the controller."""
+        return {"kind": self._family.kind, "controller": self._about}
+
+
+def missing(
+    saved: SavedController,
+    robot: Robot,
+    camera: Camera | None,
+    task: Task,
+    *,
+    calibration: str | Path | None = None,
+) -> list[str]:
+    """Return what is missing for a trial, a sentence for each thing; none: it can be made.
+
+    Args:
+        saved: the controller.
+        robot: connected or not.
+        camera: what films it, or None.
+        task: that the trial is judged by.
+        calibration: the camera's.
+    """
+    driver, kind = Driver(saved, task.episode, {}), robot.describe().get("kind", "robot")
+    columns = [name for name in saved.controller.outputs if name != "duration"]
+    found = []
+    if sorted(columns) != sorted(WHEELS):
+        found.append(
+            f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
+            f"{' and '.join(WHEELS)}"
+        )
+    goals = [name for name in saved.controller.inputs if name in GOAL_INPUTS]
+    if goals and task.episode.goals is None:
+        found.append(
+            f"the controller needs {', '.join(goals)}, and the task {task.name} gives no goals"
+        )
+    sees = (
+        camera is not None and calibration is not None and CameraModel.read(calibration).has_board
+    )
+    found += closed_loop.missing(driver, robot, sees=sees)
+    poses = camera is not None or isinstance(robot, Counters)
+    sensors = len(robot.sensor_names) if driver.reads and isinstance(robot, Sensors) else 0
+    why = _why_not_judged(task, poses, sensors)
+    if why is not None:
+        found.append(f"the task {task.name} cannot judge what this robot ({kind}) tells: {why}")
+    return found
+
+
+def _why_not_judged(task: Task, poses: bool, sensors: int) -> str | None:
+    """Return why a task cannot judge trajectories that have these things; None if it can."""
+    standing = Trajectory(
+        np.tile(task.start, (2, 1)) if poses else None,
+        np.zeros((1, 2)),
+        task.episode.step,
+        np.zeros((1, sensors)) if sensors else None,
+    )
+    try:
+        task.judge(standing)
+    except UserError as error:
+        return str(error)
+    return None

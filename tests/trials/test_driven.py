@@ -1,0 +1,258 @@
+"""Controllers that see, and plans without a camera, driven in the virtual lab and judged."""
+
+import json
+import math
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+import pytest
+import torch
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode
+from neurosim.controllers import FixedPlan, Function, Network, Recurrent, SavedController
+from neurosim.controllers.base import observe
+from neurosim.controllers.goals import Goals
+from neurosim.lab import VirtualKheperaRig, VirtualRig, read_truth
+from neurosim.recording.commands import Observation
+from neurosim.recording.record import Guard
+from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.go_to import GoTo
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
+from neurosim.tasks.registry import TASKS
+from neurosim.trials.driver import Driver, missing
+from neurosim.trials.trial import compare, run_trial
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import Recording
+
+SIZE = (320, 240)
+IGNORE = Guard("ignore")
+
+
+@dataclass(frozen=True)
+class FindTheLine(Task):
+    """Meet the line at the board's edge; a task of a user's own, judged by readings alone."""
+
+    name: ClassVar[str] = "find-the-line"
+    reasons: ClassVar[tuple[str, ...]] = ("met no line",)
+
+    seconds: float = 5.0
+
+    @property
+    def episode(self):
+        return Episode(0.25, round(self.seconds / 0.25), readings=True)
+
+    def judge(self, trajectory):
+        if trajectory.readings is None:
+            raise UserError("whether a line was met only readings say")
+        darkest = trajectory.readings.min(axis=(-1, -2))
+        return Judgement.of(1.0 - darkest, darkest < 0.4)
+
+
+@pytest.fixture(autouse=True)
+def task_of_a_user(monkeypatch):
+    monkeypatch.setattr(TASKS, "_registered", {"find-the-line": FindTheLine})
+
+
+def saved(folder, family, weights, task, start=(0.0, 0.0, 0.0)):
+    genes = np.ravel(np.array(weights, float))
+    controller = SavedController(family, genes, task.describe(), start, {"fitness": 1.0})
+    controller.write(folder)
+    return folder
+
+
+def test_a_network_on_the_nxt_goes_by_its_light_sensors(tmp_path):
+    start = (0.9, 0.0, 0.0)
+    # Ahead on the bare board, back on the dark line around it.
+    family = Network(("line_left", "line_right"), scale=40.0)
+    folder = saved(tmp_path / "c", family, [[20, 0, -8], [0, 20, -8]], FindTheLine(), start)
+    with VirtualRig(1, start=start, camera=False) as rig:
+        report = run_trial(
+            folder, tmp_path / "t", rig.robot, None, guard=IGNORE, finish=rig.write_truth,
+            lab=rig.describe(),
+        )  # fmt: skip
+    truth = read_truth(tmp_path / "t")
+    assert report["kind"] == "network"
+    assert report["virtual"] is True
+    assert report["actual"]["completes"] is True
+    assert report["actual"]["seen_by"] is None
+    assert report["errors"] == []
+    looks = report["observations"]
+    assert looks["sensors"]["line_left"]["min"] < 0.4 < 0.5 < looks["sensors"]["line_left"]["max"]
+    assert report["actual"]["fitness"] == pytest.approx(
+        1 - min(sensor["min"] for sensor in looks["sensors"].values()), abs=1e-9
+    )
+    assert report["deadlines"]["steps"] == len(report["commands"]) == 20
+    assert report["deadlines"]["missed"] == 0
+    # It does what the network says of what it read, and stays at the line.
+    seen = Recording(tmp_path / "t").observations()
+    wanted = 40 * np.tanh(20 * seen.readings[:20] - 8)
+    np.testing.assert_allclose([command[:2] for command in report["commands"]], wanted)
+    assert truth.poses[:, 0].max() < 1.38
+    assert min(command[0] for command in report["commands"]) < 0
+    # The guard that is there by default ends it at the line.
+    with VirtualRig(1, start=start, camera=False) as rig:
+        report = run_trial(folder, tmp_path / "guarded", rig.robot, None)
+    assert report["ended_early"] is True
+    assert report["actual"]["completes"] is False
+    assert len(report["commands"]) < 20
+
+
+def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
+    task = GoTo(goals=((0.2, 0.05, 0.0), (0.4, 0.0, 0.0)), seconds=3.0, step=0.15, tolerance=0.1)
+    family = Network(("goal_x", "goal_y", "cos_heading"), scale=50.0)
+    weights = [[8, -8, 0, 0], [8, 8, 0, 0]]
+    folder = saved(tmp_path / "c", family, weights, task)
+    with VirtualRig(2, noise_seed=5, camera_size=SIZE) as rig:
+        optics = rig.camera.optics
+        calibration = tmp_path / "calibration.json"
+        CameraModel(
+            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        ).write(calibration)
+        report = run_trial(
+            folder, tmp_path / "t", rig.robot, rig.camera, calibration=calibration,
+            finish=rig.write_truth, lab=rig.describe(),
+        )  # fmt: skip
+    truth = read_truth(tmp_path / "t")
+    actual = report["actual"]
+    assert actual["seen_by"] == "camera"
+    assert actual["completes"] is True
+    assert actual["reason"] is None
+    assert actual["fitness"] > 2.4  # both goals, and near the last
+    assert report["deadlines"]["missed"] < 5
+    assert len(actual["path"]) > 80  # of every frame, not of every command
+    path = np.array(actual["path"])
+    off = path[:, 1:3] - truth.pose_at(path[:, 0])[:, :2]
+    assert np.abs(off).max() < 0.02
+    assert len(actual["poses"]) == len(report["commands"]) + 1
+    # Held against the same controller again, and refused with another.
+    again = compare(folder, tmp_path / "t")
+    assert {**again, "created": ""} == {**report, "created": ""}
+    other = saved(tmp_path / "other", family, np.add(weights, 0.1), task)
+    with pytest.raises(UserError, match="driven by another controller"):
+        compare(other, tmp_path / "t")
+
+
+def test_a_network_of_eight_sensors_on_the_khepera_and_its_path_by_odometry(tmp_path):
+    task = ObstacleAvoidance(steps=100, starts=2)
+    start = (-0.22, 0.0, 0.3)
+    weights = np.zeros((2, 9))
+    weights[:, 8] = 0.6  # ahead, and away from what is near
+    weights[0, :3], weights[1, 3:6] = 1.5, 1.5
+    weights[1, :3], weights[0, 3:6] = -3.0, -3.0
+    names = tuple(f"sensor_{index}" for index in range(8))
+    folder = saved(tmp_path / "c", Network(names), weights, task, start)
+    with VirtualKheperaRig(1, start=start) as rig:
+        report = run_trial(folder, tmp_path / "t", rig.robot, None, lab=rig.describe())
+        truth = rig.lab.pose
+    actual = report["actual"]
+    assert actual["seen_by"] == "counters"
+    assert report["start"]["actual"] == pytest.approx(start, abs=1e-6)
+    assert (report["deadlines"]["steps"], report["deadlines"]["missed"]) == (50, 0)
+    assert len(report["commands"]) == 50
+    # Five seconds of odometry are a few millimetres off.
+    assert math.dist(actual["rest"][:2], truth[:2]) < 0.02
+    assert math.dist(actual["rest"][:2], start[:2]) > 0.05
+    # Two starts were they both like this one; at most a point a step.
+    assert 20 < actual["fitness"] < 100
+    assert set(report["observations"]["sensors"]) == set(names)
+    assert json.loads((tmp_path / "t" / "trial.json").read_text())["kind"] == "network"
+
+
+def test_a_plan_is_driven_without_a_camera_where_wheels_are_counted(tmp_path):
+    plan = FixedPlan(((50.0, 50.0, 1.0), None, (50.0, -50.0, 0.4)))
+    start = (-0.2, 0.0, 0.0)
+    predicted = {
+        "poses": [list(start), [-0.15, 0.0, 0.0], [-0.15, 0.0, -0.8]],
+        "rest": [-0.15, 0.0, -0.8], "fitness": 0.0, "completes": False,
+    }  # fmt: skip
+    task = GoTo(goals=((-0.15, 0.0, 0.0),), begin=start, tolerance=0.02)
+    folder = tmp_path / "c"
+    SavedController(plan, np.empty(0), task.describe(), start, predicted).write(folder)
+    with VirtualKheperaRig(1, start=start) as rig:
+        report = run_trial(folder, tmp_path / "t", rig.robot, None)
+    assert report["kind"] == "plan"
+    assert report["plan_length"] == 3
+    assert report["commands"] == [[50.0, 50.0, 1.0], [50.0, -50.0, 0.4]]
+    assert report["actual"]["seen_by"] == "counters"
+    assert report["actual"]["completes"] is True
+    assert [error["command"] for error in report["errors"]] == [0, 1, 2]
+    assert max(error["position"] for error in report["errors"]) < 0.02
+    assert report["deadlines"]["steps"] == 2
+
+
+def test_what_is_missing_is_said_before_anything_moves(tmp_path):
+    names = ("line_left", "sensor_3")
+    with VirtualRig(1, camera=False) as rig:
+        robot = rig.robot
+        task = FindTheLine()
+        folder = saved(tmp_path / "c", Network(names), np.zeros((2, 3)), task)
+        with pytest.raises(UserError) as refused:
+            run_trial(folder, tmp_path / "t", robot, None)
+        assert str(refused.value) == (
+            "the controller needs sensor_3, which this robot (nxt) has not: it reads line_left, "
+            "line_right"
+        )
+        assert not (tmp_path / "t").exists()
+
+        def lacks(family, task):
+            one = SavedController(family, np.zeros(family.genes), task.describe())
+            return missing(one, robot, None, task)
+
+        assert lacks(Network(("line_left",)), task) == []
+        (pose,) = lacks(Network(("x", "line_left")), task)
+        assert "needs the robot's pose, and nothing says it" in pose
+        goals, pose = lacks(Network(("goal_x",)), task)
+        assert goals == "the controller needs goal_x, and the task find-the-line gives no goals"
+        (legs,) = lacks(Network(("line_left",), outputs=("hip", "knee")), task)
+        assert "commands hip, knee, and this robot (nxt) is driven by left and right" in legs
+        (judged,) = lacks(Network(("line_left",)), GoTo())
+        assert "the task go-to cannot judge what this robot (nxt) tells" in judged
+    with VirtualKheperaRig(1) as rig:
+        one = SavedController(Network(("x", "sensor_0")), np.zeros(6), GoTo().describe())
+        assert missing(one, rig.robot, None, GoTo()) == []
+
+
+def test_a_driver_asks_as_a_simulator_does():
+    task = GoTo(goals=((0.2, 0.0, 0.0), (0.4, 0.3, 1.0)), within=0.05)
+    family = Recurrent(("sensor_1", "goal_x", "goal_sin", "y", "time"), units=3)
+    rng = np.random.default_rng(0)
+    genes = rng.standard_normal(family.genes)
+    driver = Driver(SavedController(family, genes, task.describe()), task.episode, {})
+    assert (driver.sensors, driver.reads, driver.needs_pose) == (("sensor_1",), True, True)
+    poses = np.column_stack([np.linspace(0, 0.3, 8), rng.uniform(-0.04, 0.04, (8, 2))])
+    readings = rng.random((8, 2))
+
+    def drive():
+        driver.begin()
+        found = []
+        for step, (pose, reading) in enumerate(zip(poses, readings, strict=True)):
+            named = {"sensor_0": reading[0], "sensor_1": reading[1]}
+            found.append(driver.react(Observation(0.1 * step, pose, named)))
+        return found
+
+    first = drive()
+    memory, goals, tensor = family.start(1), Goals(task.episode, 1), torch.from_numpy
+    for step, command in enumerate(first):
+        pose = tensor(poses[None, step])
+        seen = observe(
+            family.inputs, tensor(readings[None, step]), ("sensor_0", "sensor_1"), pose,
+            goals.at(pose), 0.1 * step,
+        )  # fmt: skip
+        given, memory = family.act(tensor(genes[None]), seen, memory)
+        assert [command.left, command.right] == pytest.approx(given[0].tolist(), rel=1e-12)
+        assert command.duration == task.step
+    assert drive() == first  # begun anew, nothing of before is left
+
+
+def test_speeds_that_are_none_are_refused_and_too_fast_ones_cut_off():
+    def driver(rule):
+        one = SavedController(Function(rule), np.empty(0), GoTo().describe())
+        return Driver(one, GoTo().episode, {})
+
+    seen = Observation(0.0, None, {})
+    command = driver(lambda seen: (250.0, -101.0)).react(seen)
+    assert (command.left, command.right) == (100.0, -100.0)
+    with pytest.raises(UserError, match=r"gave \{'left': nan, 'right': 1.0\} after 0.0 s"):
+        driver(lambda seen: (math.nan, 1.0)).react(seen)
