@@ -93,30 +93,38 @@ class ClosedLoopSession(Session):
     """
 
     _go_on = "at its start and begin again"
-    _source: SeeingSource
 
-    def __init__(self, recording: Recording, session: int, robot: Robot, *others: Any):
-        super().__init__(recording, session, robot, *others)
+    def __init__(
+        self,
+        recording: Recording,
+        session: int,
+        robot: Robot,
+        source: SeeingSource,
+        *others: Any,
+    ):
+        super().__init__(recording, session, robot, source, *others)
         self.deadlines = Deadlines()
+        self._seeing = source
         self._recording = recording
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
-        names = robot.sensor_names if isinstance(robot, Sensors) else ()
+        self._sensors = robot if isinstance(robot, Sensors) else None
+        names = () if self._sensors is None else self._sensors.sensor_names
         # What guards the perimeter is read at every step, too.
         guards = self._guard.at_line != "ignore" and not set(LINES).isdisjoint(names)
-        self._names = names if self._source.reads or guards else ()
+        self._names = names if source.reads or guards else ()
 
     def run(self) -> bool:
         """Drive between a flash and a flash; return whether nothing is left to be driven."""
         if self._spotter is None and isinstance(self._robot, Counters):
-            self._odometry = Odometry(self._robot, self._source.start)
+            self._odometry = Odometry(self._robot, self._seeing.start)
         with self._recording.observation_log(self._names) as log:
             self._seen_log = log
             return super().run()
 
     def _drive(self) -> bool:
         """Ask for every command; a drive that was stopped is over, too."""
-        source = self._source
+        source = self._seeing
         self._check_battery()
         self._rehearse()
         asked = self._clock.now()
@@ -155,10 +163,10 @@ class ClosedLoopSession(Session):
         for _ in range(LOOKS):
             looked = self._clock.now()
             _, seen = self._observe(looked, 0.0)
-            if seen.pose is not None or not self._source.needs_pose:
-                self._source.react(seen)
+            if seen.pose is not None or not self._seeing.needs_pose:
+                self._seeing.react(seen)
             self._took.append(self._clock.now() - looked)
-        self._source.begin()
+        self._seeing.begin()
 
     def _observe(self, due: float, since: float) -> tuple[float, Observation]:
         """Look at the robot.
@@ -171,12 +179,12 @@ class ClosedLoopSession(Session):
             When the robot was at the pose (or looked for the readings, if there is none), by its
             clock, and what it sees.
         """
-        time = self._clock.now()
+        time, pose = self._clock.now(), None
         if self._odometry is not None:
             pose = self._odometry.read()
-        elif (pose := self._pose(due)) is not None:
-            time = due
-        readings = self._robot.read_sensors() if self._names else {}
+        elif (tracked := self._pose(due)) is not None:
+            time, pose = due, tracked
+        readings = self._sensors.read_sensors() if self._sensors and self._names else {}
         return time, Observation(since, pose, readings)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
@@ -191,13 +199,13 @@ class ClosedLoopSession(Session):
 
     def _stopped(self) -> None:
         """See where the robot comes to rest."""
-        self._clock.sleep_until(self._sent + self._source.rest)
+        self._clock.sleep_until(self._sent + self._seeing.rest)
         self._look(self._clock.now())
 
     def _may_go_on(self, seen: Observation) -> bool:
         if getattr(self._camera, "failed", False):
             return False
-        if self._source.needs_pose and seen.pose is None:
+        if self._seeing.needs_pose and seen.pose is None:
             return False
         return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
 
@@ -211,6 +219,6 @@ class ClosedLoopSession(Session):
 
     def _is_blind(self) -> bool:
         """Return whether nothing tells where the robot is, though that must be known."""
-        if self._source.needs_pose and self._spotter is not None:
+        if self._seeing.needs_pose and self._spotter is not None:
             return self._spotter.unseen(self._clock.now()) > self._guard.unseen
         return super()._is_blind()

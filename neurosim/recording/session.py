@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from neurosim.base.progress import Progress
-from neurosim.recording.commands import Command, CommandSource
+from neurosim.recording.commands import Command, CommandSource, SeeingSource
 from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import Perimeter
 from neurosim.recording.settings import RecordSettings
@@ -69,7 +69,7 @@ class Session:
         recording: Recording,
         session: int,
         robot: Robot,
-        source: CommandSource,
+        source: CommandSource | SeeingSource,
         settings: RecordSettings,
         log: LineLog,
         say: Callable[[str], None],
