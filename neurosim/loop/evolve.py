@@ -243,7 +243,9 @@ class Evolution:
     def _selection(self) -> tuple[Any, Any]:
         """Return outcomes on which the best is chosen, and others from the same starts."""
         evaluator, rng = self.evaluator, np.random.default_rng([self._seed, 1])
-        starts, drawn = evaluator.starts(self.settings.selection, rng)
+        each = evaluator.task.trial_starts
+        count = -(-self.settings.selection // each) * each  # of whole trials
+        starts, drawn = evaluator.starts(count, rng)
         repeats = repeats_of(self.settings.objective) if evaluator.simulator.uncertain else 1
         placing = None if drawn else evaluator.placing
         chosen = evaluator.rollouts.draw(np.tile(starts, (repeats, 1)), rng, placing)
