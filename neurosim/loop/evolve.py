@@ -507,6 +507,7 @@ def evolve(
 
     def saved(results: list[Result]) -> list[SavedController]:
         about: dict[str, Any] = {"settings": asdict(settings), "seed": seed}
+        about |= simulator.conditions()
         if robot is not None:
             about["robot"] = robot
         if evolution.real is not None:
@@ -519,6 +520,7 @@ def evolve(
     checkpoint = Checkpoint(out, "evolution")
     begun = {
         **asdict(settings),
+        **simulator.conditions(),
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
