@@ -9,21 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
-import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks.control import NetworkArrays
-
-#: What a controller may be told beside the readings of sensors. The pose is in the board's frame;
-#: the next goal is in the robot's: ahead and to the left (m), and how much it must turn there.
-POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
-GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")
-TIME_INPUTS = ("time",)
-NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS)
+from neurosim.networks.control import GOAL_INPUTS, POSE_INPUTS, TIME_INPUTS, NetworkArrays
 
 #: The command columns of a robot with two driven wheels, %.
 WHEELS = ("left", "right")
@@ -150,19 +142,3 @@ def observe(
 
 def _circle(angle: Tensor, place: int) -> Tensor:
     return angle.sin() if place else angle.cos()
-
-
-def input_sources(inputs: Sequence[str], reading_names: Sequence[str]) -> NDArray[np.int64]:
-    """Return where each input comes from, as compiled rollouts take it, [I].
-
-    The index of a sensor, or -1 - the place in :data:`NOT_READINGS`.
-    """
-    return np.array(
-        [
-            -1 - NOT_READINGS.index(name)
-            if name in NOT_READINGS
-            else list(reading_names).index(name)
-            for name in inputs
-        ],
-        np.int64,
-    )

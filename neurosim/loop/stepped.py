@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory
-from neurosim.controllers.base import NOT_READINGS, Controller, observe
+from neurosim.controllers.base import Controller, observe
 from neurosim.controllers.goals import Goals
+from neurosim.networks.control import NOT_READINGS
 from neurosim.simulators.base import Simulator, as_seed, put_down
 
 
@@ -59,7 +60,8 @@ class SteppedRollouts:
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
-        trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
+        noise = self._simulator.noise_of(draws, self._steps())
+        trial = _Trial(self._simulator, self._episode, len(genes), draws, noise, self._reads)
         with torch.no_grad():
             if self._controller.blind:
                 return trial.blind(*self._controller.commands(genes, self._episode.rest))
@@ -70,11 +72,17 @@ class _Trial:
     """A batch of trials under way: P individuals, each through R outcomes."""
 
     def __init__(
-        self, simulator: Simulator, episode: Episode, count: int, draws: Draws, reads: bool
+        self,
+        simulator: Simulator,
+        episode: Episode,
+        count: int,
+        draws: Draws,
+        noise: NDArray | None,
+        reads: bool,
     ):
         self._simulator, self._episode, self._reads = simulator, episode, reads
         self._shape = count, len(draws)
-        self._noise = None if draws.noise is None else torch.from_numpy(draws.noise)
+        self._noise = None if noise is None else torch.from_numpy(noise)
         self._generator = None
         if self._noise is None and draws.seeds is not None:
             self._generator = torch.Generator().manual_seed(int(draws.seeds[0]) % 2**63)

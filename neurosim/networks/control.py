@@ -13,9 +13,18 @@ Behavior 3) stepped by Euler's method, alpha being the step over the unit's time
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+
+#: What a controller may be told beside the readings of sensors. The pose is in the board's frame;
+#: the next goal is in the robot's: ahead and to the left (m), and how much it must turn there.
+POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
+GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")
+TIME_INPUTS = ("time",)
+NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS)
 
 #: Values of :attr:`NetworkArrays.recurrence`.
 FEED_FORWARD, ELMAN, CTRNN = 0, 1, 2
@@ -33,3 +42,19 @@ class NetworkArrays(NamedTuple):
     hidden: np.ndarray  #: [L] int64 units of each hidden layer
     scale: np.ndarray  #: [C] float64 of the outputs
     recurrence: int  #: FEED_FORWARD, ELMAN or CTRNN
+
+
+def input_sources(inputs: Sequence[str], reading_names: Sequence[str]) -> NDArray[np.int64]:
+    """Return where each input comes from, as compiled rollouts take it, [I].
+
+    The index of a sensor, or -1 - the place in :data:`NOT_READINGS`.
+    """
+    return np.array(
+        [
+            -1 - NOT_READINGS.index(name)
+            if name in NOT_READINGS
+            else list(reading_names).index(name)
+            for name in inputs
+        ],
+        np.int64,
+    )

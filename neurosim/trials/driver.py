@@ -13,8 +13,9 @@ import torch
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.controllers import SavedController
-from neurosim.controllers.base import GOAL_INPUTS, NOT_READINGS, POSE_INPUTS, WHEELS, observe
+from neurosim.controllers.base import WHEELS, observe
 from neurosim.controllers.goals import Goals
+from neurosim.networks.control import GOAL_INPUTS, NOT_READINGS, POSE_INPUTS
 from neurosim.recording import closed_loop
 from neurosim.recording.commands import Command, Observation
 from neurosim.robots.base import Counters, Robot, Sensors

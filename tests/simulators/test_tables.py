@@ -7,13 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from khepera_data import BEARINGS, made_up
+from khepera_data import made_up
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.trajectory import Draws, Episode
+from neurosim.controllers import Network
 from neurosim.simulators import Simulator, TableSimulator, read_simulator
 from neurosim.simulators.tables.arena import Arena
-from neurosim.simulators.tables.kernels import drive_networks
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 
@@ -179,11 +180,10 @@ def test_no_such_reaction():
         Reaction(lag=(0.0, math.nan))
 
 
-def driven(sim, genes, starts, seeds, steps, duration, substeps):
-    poses = np.empty((len(genes), len(starts), steps + 1, 3))
-    readings, commands = (np.empty((*poses.shape[:2], steps, n), np.float32) for n in (8, 2))
-    drive_networks(sim.arrays, genes, starts, seeds, duration, substeps, poses, readings, commands)
-    return poses, readings, commands
+def driven(sim, genes, starts, seeds, steps, duration):
+    drives = sim.rollouts(Network(sim.reading_names), Episode(duration, steps))
+    found = drives.run(genes, Draws(starts, seeds=seeds))
+    return found.poses, found.readings, found.commands
 
 
 @pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
@@ -193,9 +193,7 @@ def test_kernel_is_the_tensors(simulator, arena, reaction):
     sim = simulator.changed(arena=arena, reaction=reaction)
     genes = rng.normal(0, 1.5, (12, 18)) + np.tile([0] * 8 + [1], 2)
     starts = arena.free_poses(4, sim.radius, rng)
-    poses, readings, commands = driven(
-        sim, genes, starts, np.zeros(4, np.uint64), 60, 0.35, int(sim.substeps(0.35))
-    )
+    poses, readings, commands = driven(sim, genes, starts, None, 60, 0.35)
     before = torch.from_numpy(poses[:, :, :-1].reshape(-1, 3))
     assert np.abs(sim.sense(before).numpy() - readings.reshape(-1, 8)).max() < 1e-5
     sums = readings @ genes.reshape(12, 2, 9)[:, None, :, :8].swapaxes(-1, -2)
@@ -224,7 +222,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     genes = np.zeros((1, 18))
     genes[0, [8, 17]] = np.arctanh([0.5, 0.3])
     starts, seeds = pose.numpy(), np.arange(20_000).astype(np.uint64) * 7919
-    poses, readings, _ = driven(sim, genes, starts, seeds, 1, 0.1, 1)
+    poses, readings, _ = driven(sim, genes, starts, seeds, 1, 0.1)
     for values in (drawn.numpy(), readings[0, :, 0]):
         off = (values - mean.numpy())[:, 2:4]
         assert np.abs(off.mean(0)).max() < 0.002
@@ -314,22 +312,3 @@ def test_a_start_in_something_solid_is_no_start(simulator):
     arena = replace(simulator.arena, start=(0.0, 0.0, 0.0), obstacles=((0.0, 0.0, 0.02),))
     with pytest.raises(UserError, match="would stand in a wall or an obstacle"):
         simulator.changed(arena=arena)
-
-
-def test_where_its_sensors_look_is_in_its_tables():
-    simulator = TableSimulator(made_up())
-    assert simulator.bearings == pytest.approx(BEARINGS, abs=1e-6)
-    blind = simulator.sensors.mean.copy()
-    blind[..., 3] = 0.25
-    simulator = TableSimulator(replace(simulator.sensors, mean=blind))
-    assert np.isnan(simulator.bearings[3])
-    assert np.isfinite(np.delete(simulator.bearings, 3)).all()
-
-
-def test_a_picture_shows_walls_and_obstacles():
-    arena = Arena(Arena.rectangle(2, 2).outline, ((0.4, 0.0, 0.1),), ((0.0, -0.5, 0.0, 0.5),))
-    assert TableSimulator(made_up(), arena=arena).outline() == [
-        {"polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]},
-        {"polygon": [[0, -0.5], [0, 0.5]], "forbidden": True},
-        {"circle": [0.4, 0, 0.1], "forbidden": True},
-    ]

@@ -1,4 +1,4 @@
-"""The table simulator, compiled: sensing, motion, collisions and network controllers.
+"""The table simulator, compiled: sensing, motion and collisions.
 
 They compute what :class:`neurosim.simulators.tables.simulator.TableSimulator` does in plain
 tensors, one robot after the other. Readings are in single precision, poses in double.
@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from neurosim.base.se2 import compiled as se2
 
@@ -19,7 +19,9 @@ _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
 #: Places in :data:`neurosim.simulators.tables.simulator.NOISES`.
 UNIFORM_NOISE, SAMPLES_NOISE = 1, 2
-SENSORS = 8
+#: Tables hold at least so many sensors: a number that is known when the kernels are compiled is
+#: faster. Those that a robot does not have read nothing.
+LANES = 8
 #: A robot in a corner is moved out of one wall and then the other, at most so often.
 PASSES = 8
 #: What is left of an overlap then, m; with more it is jammed and stays where it was.
@@ -30,13 +32,13 @@ class TableArrays(NamedTuple):
     """A table simulator's numbers, laid out for these kernels.
 
     Objects are 0, walls, and 1, round obstacles. The column of the first angle is repeated
-    after the last.
+    after the last. L is the number of sensors, but at least :data:`LANES`.
     """
 
-    excess: np.ndarray  #: [2, D, A + 1, 8] float32, reading above ambient
-    variance: np.ndarray  #: [2, D, A + 1, 8] float32, of a reading, above ambient
-    ambient: np.ndarray  #: [8] float32, reading far from everything
-    ambient_variance: np.ndarray  #: [8] float32
+    excess: np.ndarray  #: [2, D, A + 1, L] float32, reading above ambient
+    variance: np.ndarray  #: [2, D, A + 1, L] float32, of a reading, above ambient
+    ambient: np.ndarray  #: [L] float32, reading far from everything
+    ambient_variance: np.ndarray  #: [L] float32
     first: float  #: smallest sampled distance, rim to surface, m
     pitch: float  #: between sampled distances, m
     fade: float  #: beyond the last distance readings fade over this length, m
@@ -65,7 +67,7 @@ def _nearest(wall, x, y):
     return wall[0] + along * wall[2] - x, wall[1] + along * wall[3] - y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _share(t, w, x, y):
     """Return how much of a wall counts for a robot at (x, y): less beyond an inward corner."""
     wall = t.walls[w]
@@ -80,7 +82,7 @@ def _share(t, w, x, y):
     return 0.0 if 0.0 <= along <= wall[4] else 0.5
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _hidden(walls, hiding, x, y, dx, dy, itself):
     """Return whether a wall stands between (x, y) and the point (dx, dy) from it."""
     for h in hiding:
@@ -97,6 +99,15 @@ def _hidden(walls, hiding, x, y, dx, dy, itself):
         if 0.0 <= along <= w[4]:
             return True
     return False
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+def _mix(near, far, c, a, b, p, q, out):
+    """Add four rows of a table, weighted; near and far are [A + 1, L]."""
+    for s in range(LANES):
+        out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
+    for s in range(LANES, len(out)):
+        out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
@@ -117,19 +128,16 @@ def _add(t, kind, distance, bearing, weight, out, variance):
     p = np.float32(weight * u * (1.0 - v))
     q = np.float32(weight * u * v)
     near, far = t.excess[kind, r], t.excess[kind, r + 1]
-    for s in range(SENSORS):
-        out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
+    _mix(near, far, c, a, b, p, q, out)
     if t.noise == SAMPLES_NOISE:
-        near, far = t.variance[kind, r], t.variance[kind, r + 1]
-        for s in range(SENSORS):
-            variance[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
+        _mix(t.variance[kind, r], t.variance[kind, r + 1], c, a, b, p, q, variance)
 
 
 @njit(cache=True, error_model="numpy", inline="always")
 def _sense(t, x, y, theta, out, variance):
-    """Write the mean readings [8], not yet clipped, and their variance."""
+    """Write the mean readings [L], not yet clipped, and their variance."""
     reach = t.first + (t.excess.shape[1] - 1) * t.pitch + t.fade + t.radius
-    for s in range(SENSORS):
+    for s in range(len(out)):
         out[s] = t.ambient[s]
         variance[s] = t.ambient_variance[s]
     for w in range(len(t.walls)):
@@ -268,98 +276,28 @@ _GOLDEN = np.uint64(0x9E3779B97F4A7C15)
 
 
 @njit(cache=True, inline="always", error_model="numpy")
-def _draw_uniform(state, out):
-    """Write 12 numbers, uniform in -1 to 1; return the next state."""
-    for word in range(3):
-        state += _GOLDEN
-        bits = _random(state)
-        for part in range(4):
-            low = np.int64((bits >> np.uint64(16 * part)) & np.uint64(0xFFFF))
-            out[4 * word + part] = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
-    return state
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _draw_normal(state, out):
-    """Write 12 standard normal numbers (Box and Muller); return the next state."""
-    for pair in range(6):
-        state += _GOLDEN
-        bits = _random(state)
-        u = (np.float64(bits >> np.uint64(32)) + 0.5) / 4294967296.0
-        angle = np.float64(bits & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
-        size = math.sqrt(-2.0 * math.log(u))
-        out[2 * pair], out[2 * pair + 1] = size * math.cos(angle), size * math.sin(angle)
-    return state
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def _tanh_percent(x):
-    """Return 100 tanh(x); the library's own takes twice as long."""
-    return 100.0 - 200.0 / (math.exp(2.0 * x) + 1.0)
-
-
-@njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
-def drive_networks(t, genes, starts, seeds, duration, substeps, poses, readings, commands):
-    """Drive every network from every start, where the robot stands still at first.
-
-    What is written may be room that was used before: new room of tens of megabytes takes as long
-    as the driving.
+def draw(noise, state, out):
+    """Write numbers for the noise of a step; return the next state.
 
     Args:
-        t: :class:`TableArrays`.
-        genes: [P, 18] weights of 8 sensors and a bias, to the left motor and to the right.
-        starts: [R, 3] poses.
-        seeds: [R] uint64, of the noise: the same for all networks.
-        duration: of a step, s.
-        substeps: motions into which a step is cut; see :meth:`TableSimulator.substeps`.
-        poses: [P, R, T + 1, 3] float64, written: before the first of T steps and after each.
-        readings: [P, R, T, 8] float32, written.
-        commands: [P, R, T, 2] float32, %, written.
+        noise: place in :data:`neurosim.simulators.tables.simulator.NOISES`.
+        state: uint64; a seed at first.
+        out: [Z] float32, a multiple of 4: uniform in -1 to 1, or standard normal (Box and
+            Muller).
     """
-    population, count, steps = len(genes), len(starts), readings.shape[2]
-    root = math.sqrt(duration)
-    timing = phases(t, duration, substeps)
-    for job in prange(population * count):
-        p, r = job // count, job % count
-        mean, variance = np.empty(SENSORS, np.float32), np.empty(SENSORS, np.float32)
-        draws = np.zeros(12, np.float32)
-        twist, before, noise = np.empty(3), np.zeros(3), np.zeros(3)
-        speeds, left_goal, right_goal = np.zeros(2), 0.0, 0.0
-        weights = genes[p]
-        x, y, theta = starts[r, 0], starts[r, 1], starts[r, 2]
-        state = seeds[r]
-        for k in range(steps):
-            poses[p, r, k, 0], poses[p, r, k, 1], poses[p, r, k, 2] = x, y, theta
-            _sense(t, x, y, theta, mean, variance)
-            if t.noise == UNIFORM_NOISE:
-                state = _draw_uniform(state, draws)
-                for s in range(SENSORS):
-                    mean[s] += np.float32(t.sensor_noise) * draws[s]
-            elif t.noise == SAMPLES_NOISE:
-                state = _draw_normal(state, draws)
-                for s in range(SENSORS):
-                    mean[s] += math.sqrt(variance[s]) * draws[s]
-            left, right = weights[8], weights[17]
-            for s in range(SENSORS):
-                value = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
-                readings[p, r, k, s] = value
-                left += weights[s] * value
-                right += weights[9 + s] * value
-            left, right = _tanh_percent(left), _tanh_percent(right)
-            commands[p, r, k, 0], commands[p, r, k, 1] = left, right
-            left, right = _rounded(t, left), _rounded(t, right)
-            if t.noise == SAMPLES_NOISE:
-                _twist(t, t.twist_spread, left, right, noise)
-            for i in range(3):
-                if t.noise == UNIFORM_NOISE:
-                    noise[i] = t.twist_noise[i]
-                noise[i] *= root * draws[SENSORS + i] / substeps
-            for part in range(substeps):
-                if timing[part, 0, 0] > 0.0:
-                    _advance(t, timing[part, 0], speeds, left_goal, right_goal, before)
-                else:
-                    before[:] = 0.0
-                _advance(t, timing[part, 1], speeds, left, right, twist)
-                x, y, theta = _moved(t, x, y, theta, before, twist, noise)
-            left_goal, right_goal = left, right
-        poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = x, y, theta
+    if noise == UNIFORM_NOISE:
+        for word in range(len(out) // 4):
+            state += _GOLDEN
+            bits = _random(state)
+            for part in range(4):
+                low = np.int64((bits >> np.uint64(16 * part)) & np.uint64(0xFFFF))
+                out[4 * word + part] = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
+    elif noise == SAMPLES_NOISE:
+        for pair in range(len(out) // 2):
+            state += _GOLDEN
+            bits = _random(state)
+            u = (np.float64(bits >> np.uint64(32)) + 0.5) / 4294967296.0
+            angle = np.float64(bits & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
+            size = math.sqrt(-2.0 * math.log(u))
+            out[2 * pair], out[2 * pair + 1] = size * math.cos(angle), size * math.sin(angle)
+    return state

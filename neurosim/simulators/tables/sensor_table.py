@@ -36,6 +36,8 @@ class SensorTable:
     def __post_init__(self) -> None:
         if self.mean.ndim != 4 or len(self.mean) != len(OBJECTS):
             raise ValueError("expected readings (objects, distances, angles, sensors)")
+        if self.spread is not None and self.spread.shape != self.mean.shape:
+            raise ValueError("expected a spread for every reading")
         for name, table in (("readings", self.mean), ("spread", self.spread)):
             holes = np.argwhere(~np.isfinite(table)) if table is not None else ()
             if len(holes):
@@ -61,20 +63,6 @@ class SensorTable:
         if self.spread is None:
             return np.zeros(self.mean.shape[-1])
         return np.median(self.spread[:, -1], axis=(0, 1))
-
-    def bearings(self, kind: int = 0) -> NDArray[np.float64]:
-        """Return where each sensor looks, [S] rad to the left; NaN where it sees nothing.
-
-        The mean bearing at which it sees an object at the first distance, each weighted with the
-        reading above ambient: a near object saturates a sensor over a wide angle.
-
-        Args:
-            kind: the class of object, an index into :data:`OBJECTS`.
-        """
-        turn = 2.0 * np.pi * np.arange(self.mean.shape[2]) / self.mean.shape[2]
-        seen = np.maximum(self.mean[kind, 0] - self.ambient, 0.0)
-        to = (seen * np.exp(-1j * turn)[:, None]).sum(axis=0)
-        return np.where(np.abs(to) > 1e-9, np.angle(to), np.nan)
 
     @classmethod
     def from_samples(cls, samples: Mapping[str, Sequence[Samples]]) -> SensorTable:

@@ -32,10 +32,11 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.base.trajectory import Episode
+from neurosim.base.trajectory import Draws, Episode
 from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
-from neurosim.simulators.tables.kernels import PASSES, SLACK, TableArrays
+from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
+from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
@@ -117,22 +118,6 @@ class TableSimulator(Simulator):
         levels = float(self.motors.levels[0]), float(self.motors.levels[-1])
         return {"left": levels, "right": levels}
 
-    @property
-    def bearings(self) -> np.ndarray:
-        """Where the sensors see a wall, [S] rad to the left."""
-        return self.sensors.bearings()
-
-    def outline(self) -> list[dict[str, Any]]:
-        """Return the arena's walls and obstacles."""
-        return self.arena.shapes()
-
-    def conditions(self) -> dict[str, Any]:
-        """Return noise and arena."""
-        return {
-            "noise": {"kind": self.noise, "level": self.noise_level},
-            "arena": self.arena.to_json(),
-        }
-
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return random poses [count, 3] where the robot touches nothing."""
         return self.arena.free_poses(count, self.radius, rng)
@@ -143,6 +128,24 @@ class TableSimulator(Simulator):
         if self.noise == "uniform":
             return 2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0
         return torch.randn(shape, generator=generator, dtype=torch.float64)
+
+    def expand_noise(self, seeds: np.ndarray, steps: int) -> np.ndarray:
+        """Return the numbers [R, steps, noise_width] that compiled rollouts draw from seeds [R].
+
+        A seed is the state of SplitMix64. For uniform noise every word of it gives four numbers of
+        16 bits, for normal noise two (Box and Muller); of the numbers that are drawn for a step
+        the first ``noise_width`` count, in the order in which :meth:`sense` and :meth:`step` take
+        them.
+        """
+        found = np.zeros((len(seeds), steps, self.noise_width))
+        expand(self.arrays.noise, np.ascontiguousarray(seeds, np.uint64), found)
+        return found
+
+    def noise_of(self, draws: Draws, steps: int) -> np.ndarray | None:
+        """Return the numbers [R, steps, noise_width] of drawn outcomes' noise, or None."""
+        if draws.noise is None and draws.seeds is not None and self.has_noise:
+            return self.expand_noise(draws.seeds, steps)
+        return draws.noise
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, 7] of robots that stand at ``pose`` [B, 3] (m, m, rad)."""
@@ -226,6 +229,8 @@ class TableSimulator(Simulator):
         names = tuple(controller.outputs)
         if controller.blind and names == self.command_names and not episode.readings:
             return TablePlans(self, controller, episode)
+        if controller.arrays() is not None and names == self.command_names[:2]:
+            return TableClosedLoop(self, controller, episode)
         return None
 
     def substeps(self, duration: Any) -> Any:
@@ -256,8 +261,8 @@ class TableSimulator(Simulator):
         return TableArrays(
             excess=_closed(sensors.mean - ambient),
             variance=_closed(np.maximum(spread**2 - variance, 0.0)),
-            ambient=ambient.astype(np.float32),
-            ambient_variance=variance.astype(np.float32),
+            ambient=_filled(ambient),
+            ambient_variance=_filled(variance),
             first=float(sensors.first_distance),
             pitch=float(sensors.distance_step),
             fade=last / 2.0,
@@ -281,6 +286,8 @@ class TableSimulator(Simulator):
     @cached_property
     def _tensors(self) -> dict[str, Tensor]:
         arrays = self.arrays._asdict()
+        for name in ("excess", "variance", "ambient", "ambient_variance"):
+            arrays[name] = arrays[name][..., : len(self.reading_names)]
         return {
             name: torch.from_numpy(value).to(self.device, torch.float64)
             for name, value in arrays.items()
@@ -457,7 +464,7 @@ class TableSimulator(Simulator):
             if wrong or not math.isfinite(value) or value < 0 or (value == 0 and not free):
                 raise FileError(path, f"expected a length or size, found {value!r:.60}", field=name)
         shapes = {
-            "sensor_mean": (len(OBJECTS), None, None, 8),
+            "sensor_mean": (len(OBJECTS), None, None, None),
             "motor_levels": (None,),
             "motor_twist": (None, None, 3),
         }
@@ -510,5 +517,12 @@ def _joined(first: Tensor, second: Tensor) -> Tensor:
 
 
 def _closed(table: np.ndarray) -> np.ndarray:
-    """Return a table [2, D, A, S] with the first angle again after the last, float32."""
-    return np.concatenate([table, table[:, :, :1]], axis=2).astype(np.float32)
+    """Return a table [2, D, A, S] with the first angle again after the last, float32, filled."""
+    return _filled(np.concatenate([table, table[:, :, :1]], axis=2))
+
+
+def _filled(table: np.ndarray) -> np.ndarray:
+    """Return numbers [..., S] as float32, zeros behind them up to :data:`LANES`."""
+    missing = max(LANES - table.shape[-1], 0)
+    wide = np.pad(table, [(0, 0)] * (table.ndim - 1) + [(0, missing)])
+    return np.ascontiguousarray(wide, np.float32)
