@@ -35,7 +35,6 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from numba import njit, prange
 from numpy.typing import NDArray
 
 from neurosim.base import se2
@@ -44,7 +43,6 @@ from neurosim.lab.nxt.params import BOARD
 from neurosim.lab.nxt.physics import S
 from neurosim.recording.commands import RandomCommands
 from neurosim.simulators import MotionNetwork, read_simulator
-from neurosim.simulators.motion import kernels
 from neurosim.training import evaluate, train
 from neurosim.training.coverage import LEVELS, central, draw_displacements, region
 
@@ -161,29 +159,6 @@ def sequences(
     return np.array(starts), np.array(commands), drives.poses(ends)
 
 
-@njit(parallel=True, cache=True)
-def simulated_ends(arrays, start, commands, members, z, columns):
-    """Return final positions (D, 2) of one sequence in D trajectories with draws z (D, K, 4)."""
-    ends = np.empty((len(members), 2))
-    for d in prange(len(members)):
-        pose, moved = start.copy(), np.empty(3)
-        inputs = np.zeros(5)
-        for k in range(len(commands)):
-            inputs[columns[0]], inputs[columns[1]] = (
-                (commands[k - 1, 0], commands[k - 1, 1]) if k > 0 else (0.0, 0.0)
-            )
-            for c in range(3):
-                inputs[columns[2 + c]] = commands[k, c]
-            kernels.displacement(arrays, members[d], inputs, moved)
-            kernels.disturb(arrays, inputs, moved, z[d, k], moved)
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            pose[0] += cos * moved[0] - sin * moved[1]
-            pose[1] += sin * moved[0] + cos * moved[1]
-            pose[2] += moved[2]
-        ends[d] = pose[:2]
-    return ends
-
-
 def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
     """Return the coverage of intervals and of regions."""
     generator = torch.Generator().manual_seed(options.seed)
@@ -207,14 +182,12 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
         for place, name in enumerate(OUTPUTS)
     }
 
-    names = ("prev_left", "prev_right", "left", "right", "duration")
-    columns = np.array([simulator.input_names.index(name) for name in names])
-    arrays = simulator.arrays()
     points = np.empty((options.draws, len(starts), 2))
     for n, (start, given) in enumerate(zip(starts, commands, strict=True)):
-        members = simulator.draw_members(options.draws, generator).numpy()
-        z = simulator.noise.draw(options.draws, options.length, generator).numpy()
-        points[:, n] = simulated_ends(arrays, start, given, members, z, columns)
+        state = simulator.start(torch.tensor(start).expand(options.draws, 3), generator)
+        for command in torch.tensor(given):
+            state = simulator.step(state, command.expand(options.draws, 3), generator)
+        points[:, n] = state[:, :2]
     table[f"position after {options.length}"] = shares(region(points, ends[:, :2]))
     error = np.linalg.norm(points.mean(0) - ends[:, :2], axis=1)
     return {"table": table, "median distance from the predicted mean (m)": float(np.median(error))}

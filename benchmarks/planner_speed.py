@@ -115,7 +115,7 @@ def papers_size() -> MotionNetwork:
     names = ("prev_left", "prev_right", "left", "right", "duration")
     scale = torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0])
     inputs = [{"name": name, "unit": "s" if name == "duration" else "%"} for name in names]
-    return MotionNetwork(inputs, network, genes, scale, torch.full((3,), 0.1), "twist")
+    return MotionNetwork(inputs, network, genes, scale, torch.full((3,), 0.1))
 
 
 def ours(simulator: MotionNetwork, name: str, runs: int, generations: int) -> dict:

@@ -57,6 +57,8 @@ class PlanPopulation:
             seed: the same seed makes the same children.
             insertion: whether null commands come back at any place, see :func:`mutate`.
         """
+        if settings.parents:
+            raise ValueError("plans are selected by tournaments: parents must be 0")
         self._insertion = insertion
         self.genes = np.ascontiguousarray(genes, np.float64)
         self._settings = settings

@@ -6,19 +6,13 @@ tells what came out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
-
-#: Makes children of pairs: (population [..., P, G], first parents' indices [..., N], second
-#: parents' indices [..., N], generator) -> two tensors [..., N, G].
-Crossover = Callable[[Tensor, Tensor, Tensor, torch.Generator], tuple[Tensor, Tensor]]
-#: Chooses parents: (fitness [..., P], how many, generator) -> indices [..., N].
-Selection = Callable[[Tensor, int, torch.Generator], Tensor]
 
 
 @dataclass(frozen=True)
@@ -83,11 +77,6 @@ class GeneticAlgorithm:
         initial: Tensor,
         settings: GeneticSettings,
         generator: torch.Generator,
-        *,
-        selection: Selection | None = None,
-        crossover: Crossover | None = None,
-        mutation: Callable[[Tensor, torch.Generator], Tensor] | None = None,
-        bounds: tuple[Tensor | float, Tensor | float] | None = None,
     ):
         """Start from a first population.
 
@@ -95,12 +84,6 @@ class GeneticAlgorithm:
             initial: [..., P, G]; leading dimensions are independent runs.
             settings: sizes and probabilities.
             generator: source of all random numbers, on the device of ``initial``.
-            selection: in place of :func:`~neurosim.evolution.operators.tournament`; the first
-                half of what it returns is paired with the second.
-            crossover: in place of :func:`~neurosim.evolution.operators.sbx`; it is given
-                indices, so that it may look at what else is known of a parent.
-            mutation: in place of :func:`~neurosim.evolution.operators.gaussian_mutation`.
-            bounds: lowest and highest value of a gene, for the two default operators.
         """
         if initial.shape[-2] != settings.population:
             raise ValueError(f"expected {settings.population} individuals, got {initial.shape[-2]}")
@@ -112,10 +95,6 @@ class GeneticAlgorithm:
         )
         self._population = initial.clone()
         self._generator = generator
-        self._selection = selection or self._tournament
-        self._crossover = crossover or self._sbx
-        self._mutation = mutation or self._gaussian
-        self._bounds = bounds
 
     def ask(self) -> Tensor:
         """Return the population to evaluate, [..., P, G]; treat it as read-only."""
@@ -172,49 +151,29 @@ class GeneticAlgorithm:
     def _next_population(self, fitness: Tensor) -> Tensor:
         settings = self.settings
         pairs = (settings.population - settings.elites + 1) // 2
-        parents = self._selection(fitness, 2 * pairs, self._generator)
-        first, second = parents[..., :pairs], parents[..., pairs:]
-        crossed_a, crossed_b = self._crossover(self._population, first, second, self._generator)
+        parents = self._parents(fitness, 2 * pairs)
+        first = _pick(self._population, parents[..., :pairs])
+        second = _pick(self._population, parents[..., pairs:])
+        crossed_a, crossed_b = sbx(first, second, settings.eta, self._generator)
         cross = (
-            torch.rand(first.shape, generator=self._generator, device=fitness.device)
+            torch.rand(first.shape[:-1], generator=self._generator, device=fitness.device)
             < settings.crossover
         ).unsqueeze(-1)
         children = torch.cat(
-            [
-                torch.where(cross, crossed_a, _pick(self._population, first)),
-                torch.where(cross, crossed_b, _pick(self._population, second)),
-            ],
-            dim=-2,
+            [torch.where(cross, crossed_a, first), torch.where(cross, crossed_b, second)], dim=-2
         )
-        children = self._mutation(children, self._generator)
+        children = gaussian_mutation(
+            children, settings.mutation, settings.mutation_scale, self._generator
+        )
         elites = fitness.topk(settings.elites, dim=-1).indices
         children = children[..., : settings.population - settings.elites, :]
         return torch.cat([_pick(self._population, elites), children], dim=-2)
 
-    def _tournament(self, fitness: Tensor, count: int, generator: torch.Generator) -> Tensor:
-        if self.settings.parents:
-            return truncation(fitness, self.settings.parents, count, generator)
-        return tournament(fitness, self.settings.tournament, count, generator)
-
-    def _sbx(
-        self, population: Tensor, first: Tensor, second: Tensor, generator: torch.Generator
-    ) -> tuple[Tensor, Tensor]:
-        return sbx(
-            _pick(population, first),
-            _pick(population, second),
-            self.settings.eta,
-            generator,
-            bounds=self._bounds,
-        )
-
-    def _gaussian(self, genes: Tensor, generator: torch.Generator) -> Tensor:
-        return gaussian_mutation(
-            genes,
-            self.settings.mutation,
-            self.settings.mutation_scale,
-            generator,
-            bounds=self._bounds,
-        )
+    def _parents(self, fitness: Tensor, count: int) -> Tensor:
+        settings = self.settings
+        if settings.parents:
+            return truncation(fitness, settings.parents, count, self._generator)
+        return tournament(fitness, settings.tournament, count, self._generator)
 
 
 def _pick(population: Tensor, indices: Tensor) -> Tensor:

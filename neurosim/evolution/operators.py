@@ -63,7 +63,6 @@ def sbx(
     generator: torch.Generator,
     *,
     gene_probability: float = 0.5,
-    bounds: tuple[Tensor | float, Tensor | float] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Return two children of each pair of parents by simulated binary crossover.
 
@@ -77,8 +76,6 @@ def sbx(
         generator: source of the draws.
         gene_probability: chance that a gene is crossed; one that is not passes from each
             parent to its child unchanged (Deb and Agrawal cross half of them).
-        bounds: lowest and highest value of a gene; children are clamped to them. Without
-            bounds the children's mean is the parents'.
 
     Returns:
         Children, each [..., G].
@@ -93,10 +90,7 @@ def sbx(
     # As a shift from each parent, not about their mean: equal parents have exactly equal
     # children, however large the numbers.
     shift = 0.5 * (1.0 - beta) * (b - a) * (crossed < gene_probability)
-    first, second = a + shift, b - shift
-    if bounds is not None:
-        first, second = _clamp(first, bounds), _clamp(second, bounds)
-    return first, second
+    return a + shift, b - shift
 
 
 def gaussian_mutation(
@@ -104,8 +98,6 @@ def gaussian_mutation(
     probability: float,
     scale: Tensor | float,
     generator: torch.Generator,
-    *,
-    bounds: tuple[Tensor | float, Tensor | float] | None = None,
 ) -> Tensor:
     """Return ``genes`` with normally distributed noise added to some of them.
 
@@ -114,14 +106,7 @@ def gaussian_mutation(
         probability: chance of each gene to be changed.
         scale: standard deviation of the change, one for all or one a gene, [G].
         generator: source of the draws.
-        bounds: lowest and highest value of a gene; what was changed is clamped to them.
     """
     draws: dict[str, Any] = {"generator": generator, "device": genes.device, "dtype": genes.dtype}
     changed = torch.rand(genes.shape, **draws) < probability
-    mutated = genes + torch.randn(genes.shape, **draws) * scale * changed
-    return mutated if bounds is None else _clamp(mutated, bounds)
-
-
-def _clamp(genes: Tensor, bounds: tuple[Tensor | float, Tensor | float]) -> Tensor:
-    low, high = (torch.as_tensor(b, dtype=genes.dtype, device=genes.device) for b in bounds)
-    return torch.minimum(torch.maximum(genes, low), high)
+    return genes + torch.randn(genes.shape, **draws) * scale * changed

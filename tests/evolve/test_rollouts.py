@@ -10,11 +10,11 @@ from neurosim.loop.rollouts import RUN_DOWN, CompiledRollouts, SteppedRollouts, 
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
+from neurosim.simulators.motion.network import COORDINATES
 from neurosim.simulators.motion.noise import NoiseModel
 
 START = (-0.8, 0.0, 1.5)
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
-OUTPUTS = {"displacement": 3, "twist": 3, "twist-offset": 5}
 
 
 def normal(seed, *shape):
@@ -27,7 +27,7 @@ def simulator(
 ):
     inputs = 5 + len(derived or ())
     network = ProductSummationNetwork(inputs=inputs, products=7, summations=2, ceilings=True)
-    genes = 2.5 / inputs * normal(1, members + central, OUTPUTS[coordinates], network.genes)
+    genes = 2.5 / inputs * normal(1, members + central, COORDINATES[coordinates], network.genes)
     if shared:  # networks with the same exponents, as read-outs of one search have
         genes[:, :, : 7 * inputs] = genes[:1, :1, : 7 * inputs]
         genes[:, :, -7:] = genes[:1, :1, -7:]
@@ -46,7 +46,7 @@ def simulator(
         network,
         genes,
         torch.tensor(scale),
-        torch.full((OUTPUTS[coordinates],), 0.1),
+        torch.full((COORDINATES[coordinates],), 0.1),
         coordinates,
         noise=noise,
         dead_zone=torch.tensor([0.06 if name != "duration" else 0.0 for name in names]),
@@ -92,8 +92,8 @@ def test_expected_paths_are_those_of_single_steps(
 @pytest.mark.parametrize(
     ("members", "coordinates", "noisy", "central"),
     [
-        (1, "twist", True, False),
-        (4, "twist", False, False),
+        (1, "displacement", True, False),
+        (4, "twist-offset", False, False),
         (4, "twist-offset", True, False),
         (4, "twist-offset", True, True),
     ],
@@ -131,7 +131,7 @@ def obvious(sim, commands, given, draws, r):
 
 
 def test_outcomes_spread_as_the_steps_of_the_protocol_do():
-    sim = simulator(3, "twist")
+    sim = simulator(3, "displacement")
     commands, given = plans(8, 3)
     commands, given = commands[4:5], np.ones((1, 3), bool)
     fast = rollouts(sim, START)
@@ -144,7 +144,7 @@ def test_outcomes_spread_as_the_steps_of_the_protocol_do():
 
 
 def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
-    fast = rollouts(simulator(4, "twist"), START)
+    fast = rollouts(simulator(4, "displacement"), START)
     a, b, c = (fast.draw(40, 3, seed, (0.003, 0.01)) for seed in (1, 1, 2))
     assert np.array_equal(a.kept, b.kept)
     assert not np.array_equal(a.kept, c.kept)
@@ -154,7 +154,7 @@ def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
 
 
 def test_other_activations_go_through_the_protocol():
-    sim = simulator(1, "twist", noisy=False)
+    sim = simulator(1, "displacement", noisy=False)
     curved = replace(sim.network, hidden_activation="tanh")
     sim = MotionNetwork(
         sim.inputs, curved, sim.genes, sim.input_scale, sim.output_scale, sim.coordinates

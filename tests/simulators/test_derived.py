@@ -10,7 +10,7 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.kernels import displacement, network_inputs
+from neurosim.simulators.motion.kernels import network_inputs
 from neurosim.simulators.motion.noise import CommandFeatures
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -64,13 +64,10 @@ def test_the_compiled_form_agrees(derived):
     rows = [[*speeds, 0.5] for speeds, _ in CHANGES]
     rows += np.random.default_rng(0).uniform(-50, 50, (50, 5)).tolist()
     inputs = torch.tensor(rows, dtype=torch.float64)
-    expected, moved = sim.network_inputs(inputs).numpy(), sim.displacement(inputs).numpy()
-    found, out = np.empty(5 + len(derived)), np.empty(3)
+    expected, found = sim.network_inputs(inputs).numpy(), np.empty(5 + len(derived))
     for n, row in enumerate(inputs.numpy()):
         network_inputs(arrays, row, found)
         assert found == pytest.approx(expected[n], abs=1e-12)
-        displacement(arrays, -1, row, out)
-        assert out == pytest.approx(moved[n], rel=1e-9)
 
 
 def test_written_and_read(tmp_path):

@@ -10,6 +10,7 @@ from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork, Simulator, read_simulator
 from neurosim.simulators.motion.files import write_motion
+from neurosim.simulators.motion.network import COORDINATES
 
 MOTORS = [
     {"name": name, "unit": unit}
@@ -24,11 +25,13 @@ MOTORS = [
 SMALL = ProductSummationNetwork(5, 2, 1)
 
 
-def random_network(seed=0, **more):
+def random_network(seed=0, coordinates="displacement", **more):
     g = torch.Generator().manual_seed(seed)
-    genes = 0.3 * torch.randn(3, SMALL.genes, generator=g, dtype=torch.float64)
+    count = COORDINATES[coordinates]
+    genes = 0.3 * torch.randn(count, SMALL.genes, generator=g, dtype=torch.float64)
     scale = torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0])
-    return MotionNetwork(MOTORS, SMALL, genes, scale, torch.tensor([0.2, 0.1, 1.0]), **more)
+    outputs = torch.tensor([0.2, 0.1, 1.0, 0.03, 0.02])[:count]
+    return MotionNetwork(MOTORS, SMALL, genes, scale, outputs, coordinates, **more)
 
 
 def straight_ahead():
@@ -103,21 +106,23 @@ def test_inputs_may_stand_in_any_order():
     torch.testing.assert_close(a, b)
 
 
-def test_twist_coordinates_are_carried_round_the_arc():
-    plain, twist = random_network(), random_network(coordinates="twist")
+def test_a_twist_is_carried_round_the_arc_and_the_offset_is_added():
+    simulator = random_network(coordinates="twist-offset")
     inputs = torch.tensor([[10.0, -20.0, 30.0, 40.0, 2.0]], dtype=torch.float64)
-    expected = se2.exp(plain.displacement(inputs).numpy())
-    np.testing.assert_allclose(twist.displacement(inputs), expected, atol=1e-12)
+    outputs = simulator.outputs(inputs)[0, 0].numpy()
+    expected = se2.exp(outputs[:3])
+    expected[:2] += outputs[3:]
+    np.testing.assert_allclose(simulator.displacement(inputs)[0], expected, atol=1e-12)
 
 
 @pytest.fixture
 def folder(tmp_path):
-    write_motion(random_network(coordinates="twist", meta={"training": {"seed": 7}}), tmp_path)
+    write_motion(random_network(meta={"training": {"seed": 7}}), tmp_path)
     return tmp_path
 
 
 def test_what_was_written_is_read(folder):
-    written, read = random_network(coordinates="twist"), read_simulator(folder)
+    written, read = random_network(), read_simulator(folder)
     assert isinstance(read, MotionNetwork)
     inputs = torch.tensor([[10.0, -20.0, 30.0, 40.0, 2.0]], dtype=torch.float64)
     assert torch.equal(written.displacement(inputs), read.displacement(inputs))
@@ -140,6 +145,8 @@ def edit(folder, **changes):
         ({"inputs": [*MOTORS, {"name": "gear"}]}, "expected shape"),
         ({"inputs": [{"name": "prev_gear"}, *MOTORS[1:]]}, "prev_gear"),
         ({"coordinates": "polar"}, "coordinates"),
+        # Of simulators from before there were offsets.
+        ({"coordinates": "twist"}, "'coordinates': expected .*'twist': train the simulator anew"),
         ({"network": {"neurons": 3}}, "network"),
         ({"network": {"hidden_activation": "relu"}}, "relu"),
         ({"network": {"products": 2, "summations": 3}}, "expected shape"),

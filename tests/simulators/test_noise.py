@@ -196,7 +196,7 @@ def test_tails_have_a_limit():
 
 
 @pytest.mark.parametrize("central", [False, True])
-def test_compiled_functions_are_the_steps_of_the_protocol(central):
+def test_compiled_noise_is_that_of_tensors(central):
     noisy = simulator(central=central, noise=noise_model())
     arrays, before = noisy.arrays(), normal(5, 12, 2) * 30.0
     x = torch.cat([before, commands(3, 12)], 1)
@@ -207,10 +207,9 @@ def test_compiled_functions_are_the_steps_of_the_protocol(central):
         per_row = noisy.displacement(x, torch.full((12,), member))
         assert torch.allclose(mean, per_row, rtol=1e-12, atol=1e-12)
         for n in range(12):
-            moved = np.empty(3)
-            kernels.displacement(arrays, member, x[n].numpy(), moved)
-            assert moved == pytest.approx(mean[n].numpy(), rel=1e-9, abs=1e-12)
-            kernels.disturb(arrays, x[n].numpy(), moved, z[n].numpy(), moved)
+            size, moved = np.empty(kernels.SIZES), np.empty(3)
+            kernels.spread(arrays, x[n].numpy(), mean[n].numpy(), size)
+            kernels.shake(mean[n].numpy(), size, z[n].numpy(), moved)
             assert moved == pytest.approx(expected[n], rel=1e-9, abs=1e-12)
 
 

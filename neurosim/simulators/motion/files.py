@@ -92,7 +92,12 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         raise FileError(path, f"is no network ({error})", field="network") from None
     members, noisy = _members_and_noise(path, content)
     if content["coordinates"] not in COORDINATES:
-        raise FileError(path, f"expected one of {', '.join(COORDINATES)}", field="coordinates")
+        raise FileError(
+            path,
+            f"expected one of {', '.join(COORDINATES)}, found {content['coordinates']!r}: train "
+            "the simulator anew",
+            field="coordinates",
+        )
     central = content.get("central", False) is True
     outputs = COORDINATES[content["coordinates"]]
     expected = _tensors(network, len(inputs), members + central, outputs)

@@ -1,6 +1,6 @@
-"""A motion network and its noise as compiled functions of one robot, for loops of one's own.
+"""What a motion network's rollouts share: its inputs and its noise, compiled, of one robot.
 
-They compute what :meth:`MotionNetwork.displacement` and
+They compute what :meth:`MotionNetwork.network_inputs` and
 :func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. Call them from functions
 compiled by Numba.
 """
@@ -14,7 +14,6 @@ import numpy as np
 from numba import njit
 
 from neurosim.base.se2 import compiled as se2
-from neurosim.networks.product_units import LOG_LIMIT
 from neurosim.simulators.motion.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
@@ -32,7 +31,7 @@ class Arrays(NamedTuple):
     input_scale: np.ndarray  #: [I]
     dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
     floor: float  #: the smallest magnitude of a scaled input in a product unit
-    twist: bool  #: whether the first three outputs are a body twist; two more: an offset
+    twist: bool  #: whether the outputs are a body twist and an offset
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
     noise_unit: np.ndarray  #: [3], this and the next four as in NoiseModel
@@ -84,76 +83,13 @@ def network_inputs(a, inputs, x):
 
 
 @njit(cache=True, error_model="numpy")
-def displacement(a, member, inputs, out):
-    """Write the mean displacement (m, m, rad) of a command.
-
-    Args:
-        a: :class:`Arrays`.
-        member: of the ensemble; below 0 for the mean of all of them.
-        inputs: [I], in the dataset's units.
-        out: [3], written.
-    """
-    members, outputs, units, count = a.exponents.shape
-    if member < 0 and not a.central:
-        first, end = 0, members
-    else:
-        first = max(member, -1) + a.central
-        end = first + 1
-    given = np.empty(count)
-    network_inputs(a, inputs, given)
-    pattern = 0
-    for i in range(count):
-        if given[i] < 0.0:
-            pattern += 1 << i
-    offset = (0.0, 0.0)
-    for o in range(outputs):
-        total = 0.0
-        for m in range(first, end):
-            total += a.bias[m, o]
-            for i in range(count):
-                total += a.linear[m, o, i] * given[i]
-            for k in range(units):
-                power = 0.0
-                for i in range(count):
-                    x = max(abs(given[i]), a.floor)
-                    power += a.exponents[m, o, k, i] * math.log(x)
-                power = max(min(power, a.ceiling[m, o, k]), -LOG_LIMIT)
-                total += a.signed[m, o, pattern, k] * math.exp(power)
-        total /= end - first
-        if o < 3:
-            out[o] = total
-        elif o == 3:
-            offset = (total, offset[1])
-        else:
-            offset = (offset[0], total)
-    if a.twist:
-        out[0], out[1], out[2] = se2.exp(out[0], out[1], out[2])
-    out[0] += offset[0]
-    out[1] += offset[1]
-
-
-@njit(cache=True, error_model="numpy")
-def disturb(a, inputs, mean, z, out):
-    """Write a displacement with noise; see :mod:`neurosim.simulators.motion.noise`.
-
-    Args:
-        a: :class:`Arrays` of a simulator with a noise model.
-        inputs: [I], in the dataset's units.
-        mean: [3], of :func:`displacement`.
-        z: [4], of :meth:`NoiseModel.draw`.
-        out: [3], written; may be ``mean``.
-    """
-    size = np.empty(SIZES)
-    spread(a, inputs, mean, size)
-    shake(mean, size, z, out)
-
-
-@njit(cache=True, error_model="numpy")
 def spread(a, inputs, mean, out):
     """Write the size of the noise on a command, the same for all draws of it.
 
     Args:
-        a, inputs, mean: as in :func:`disturb`.
+        a: :class:`Arrays` of a simulator with a noise model.
+        inputs: [I], in the dataset's units.
+        mean: [3] displacement (m, m, rad) without noise.
         out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the couplings c_1, c_2, c_3,
             r^2 of the three, and tau.
     """
@@ -204,7 +140,7 @@ def shake(mean, size, z, out):
     """Write a displacement with noise of a size that is known.
 
     Args:
-        mean: [3], of :func:`displacement`.
+        mean: [3] displacement (m, m, rad) without noise.
         size: [SIZES], of :func:`spread`.
         z: [4], of :meth:`NoiseModel.draw`.
         out: [3], written; may be ``mean``.

@@ -31,11 +31,11 @@ from neurosim.simulators.motion.plans import MotionPlans
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
-#: What the networks' outputs are, and how many networks that takes: the displacement itself; the
-#: constant body twist whose exponential it is (see :mod:`neurosim.base.se2`), the duration taken
-#: as unit time; or such a twist and an offset (x, y), added in the frame at the command's start,
-#: where the speed changes.
-COORDINATES = {"displacement": 3, "twist": 3, "twist-offset": 5}
+#: What the networks' outputs are, and how many networks that takes: the displacement itself; or
+#: the constant body twist whose exponential it nearly is (see :mod:`neurosim.base.se2`), the
+#: duration taken as unit time, and what is added: an offset (x, y) in the frame at the command's
+#: start, where the speed changes.
+COORDINATES = {"displacement": 3, "twist-offset": 5}
 
 
 class MotionNetwork(Simulator):
@@ -254,8 +254,6 @@ class MotionNetwork(Simulator):
         if self.coordinates == "displacement":
             return outputs
         moved = se2.exp(outputs[:, :3])
-        if self.coordinates == "twist":
-            return moved
         return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
 
     def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:

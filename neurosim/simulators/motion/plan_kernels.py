@@ -209,7 +209,6 @@ def displacements(e, inputs, x, log2, units, rows, out):
         dx, dy, turn = rows[first], rows[first + 1], rows[first + 2]
         if e.twist:
             dx, dy, turn = se2.exp(dx, dy, turn)
-        if e.outputs == 5:
             dx += rows[first + 3]
             dy += rows[first + 4]
         out[m, 0], out[m, 1], out[m, 2] = dx, dy, turn

@@ -131,9 +131,6 @@ def _equations(y: Tensor, coordinates: str) -> tuple[Tensor, list[_System]]:
     one = torch.ones_like(y[:, 0])
     if coordinates == "displacement":
         return y.T, [((o,), (o,), [[one]]) for o in range(3)]
-    targets, chord = se2.mid_turn(y), se2.chord(y[:, 2])
     turn = ((2,), (2,), [[one]])
-    if coordinates == "twist":
-        return targets.T, [((0,), (0,), [[chord]]), ((1,), (1,), [[chord]]), turn]
     position = translation_factors(y[:, 2]).unbind(0)
-    return targets.T, [((0, 1, 3, 4), (0, 1), [list(p) for p in position]), turn]
+    return se2.mid_turn(y).T, [((0, 1, 3, 4), (0, 1), [list(p) for p in position]), turn]
