@@ -151,7 +151,7 @@ def _spread(
     after = np.arange(poses.shape[1])
     if not blind:
         after = np.unique(np.linspace(0, poses.shape[1] - 1, _TIMES + 1).round().astype(int)[1:])
-    poses = poses[:, after]
+        poses = poses[:, after]
     away = np.linalg.norm(poses[..., :2] - poses[..., :2].mean(axis=0), axis=-1)
     radius, turn = np.quantile(away, 0.95, axis=0), poses[..., 2].std(axis=0)
     return tuple((after + 1).tolist()), tuple(radius.tolist()), tuple(turn.tolist())
