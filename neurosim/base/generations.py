@@ -14,6 +14,10 @@ from neurosim.base.progress import Progress
 
 #: Seconds between checkpoints: a kill loses no more than this.
 CHECKPOINT_EVERY = 5.0
+#: What asks a program to end.
+SIGNALS = [
+    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
+]
 
 
 class Stage(Protocol):
@@ -35,10 +39,10 @@ class Stage(Protocol):
 
 
 class Interrupt:
-    """Whether Ctrl-C was pressed.
+    """Whether the program was asked to end.
 
     Attributes:
-        pending: it was, and is to be answered.
+        pending: it was, and has not been answered yet.
     """
 
     def __init__(self) -> None:
@@ -50,27 +54,33 @@ def deferred_interrupt() -> Iterator[Interrupt]:
     """Let a generation end before Ctrl-C is answered; the second Ctrl-C is answered at once.
 
     Compiled code that runs on several cores does not survive an exception that is raised in the
-    middle of it. Where Ctrl-C is ignored (``nohup``, a shell's background) it stays ignored.
+    middle of it. SIGTERM and SIGHUP are deferred likewise, where Python handles them. What is
+    ignored (``nohup``, a shell's background) stays ignored.
+
+    Raises:
+        KeyboardInterrupt: at the second one, also where it came out of compiled code wrapped.
     """
-    interrupt, before = Interrupt(), signal.getsignal(signal.SIGINT)
-    if (
-        threading.current_thread() is not threading.main_thread()
-        or before is signal.SIG_IGN
-        or not callable(before)
-    ):
-        yield interrupt
-        return
+    interrupt, before = Interrupt(), {}
+    if threading.current_thread() is threading.main_thread():
+        handlers = {number: signal.getsignal(number) for number in SIGNALS}
+        before = {number: found for number, found in handlers.items() if callable(found)}
 
     def answer(number: int, frame: FrameType | None) -> None:
         if interrupt.pending:
-            before(number, frame)
+            before[number](number, frame)
         interrupt.pending = True
 
-    signal.signal(signal.SIGINT, answer)
+    for number in before:
+        signal.signal(number, answer)
     try:
         yield interrupt
+    except SystemError as error:
+        if not isinstance(error.__cause__, KeyboardInterrupt):
+            raise
+        raise error.__cause__ from None
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def run_generations(
@@ -82,7 +92,7 @@ def run_generations(
     every: float = CHECKPOINT_EVERY,
     progress: bool = True,
 ) -> bool:
-    """Run a stage up to ``total`` generations; return whether Ctrl-C ended it early.
+    """Run a stage up to ``total`` generations; return whether Ctrl-C (or a kill) ended it early.
 
     Args:
         stage: what runs; one that was resumed goes on from ``stage.done``.
@@ -93,7 +103,7 @@ def run_generations(
         progress: whether to show progress on stderr.
 
     Raises:
-        KeyboardInterrupt: if Ctrl-C came before the first generation had ended.
+        KeyboardInterrupt: at a second Ctrl-C, in the middle of a generation.
     """
     bar = Progress(label, total, "generations") if progress else nullcontext()
     with bar as shown, deferred_interrupt() as interrupt:

@@ -282,9 +282,9 @@ def _say(
         text += next_step("run", paths[0], "--calibration", "calibration.json", "-o", "TRIAL")
     emit(result, as_json, text)
     if best.evolution["interrupted"]:
-        click.echo(
-            "neurosim: interrupted; the best so far is kept, continue with --resume", err=True
-        )
+        resumable = Checkpoint(out, "evolution").begun
+        how = ", continue with --resume" if resumable else ""
+        click.echo(f"neurosim: interrupted; the best so far is kept{how}", err=True)
         click.get_current_context().exit(130)
 
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Draws, Trajectory
+from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, repeats_of
@@ -70,8 +70,7 @@ class Evaluator:
                 f"the task {task.name} needs the readings of sensors, and this simulator "
                 f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
             )
-        compiled = None if stepped else simulator.rollouts(controller, self.episode)
-        self.rollouts: Rollouts = compiled or SteppedRollouts(simulator, controller, self.episode)
+        self.rollouts = rollouts_of(simulator, controller, self.episode, stepped=stepped)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
         """Return start poses [count, 3], and whether they were drawn by the task."""
@@ -174,6 +173,14 @@ class Evaluator:
         assert poses is not None
         assert active is not None
         return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
+
+
+def rollouts_of(
+    simulator: Simulator, controller: Controller, episode: Episode, *, stepped: bool = False
+) -> Rollouts:
+    """Return the simulator's own compiled rollouts, else those that go step by step."""
+    compiled = None if stepped else simulator.rollouts(controller, episode)
+    return compiled or SteppedRollouts(simulator, controller, episode)
 
 
 def _check_columns(simulator: Simulator, controller: Controller) -> None:

@@ -118,6 +118,7 @@ class Evolution:
         self._reality, self._real_generations = reality, real_generations
         self._checkpoint: Checkpoint | None = None
         self._saved = time.monotonic()
+        self._latest: dict[str, Any] | None = None
         self.real: RealSearch | None = None
         if reality is not None and (settings.runs > 1 or settings.robust is not None):
             raise UserError("generations on a robot go on after one run, which is not made robust")
@@ -134,10 +135,15 @@ class Evolution:
             )
         ]
 
+    @property
+    def resumable(self) -> bool:
+        """Whether the optimiser can be interrupted and resumed."""
+        return hasattr(self.stages[0].optimiser, "state")
+
     def run(self, checkpoint: Checkpoint | None = None, progress: bool = True) -> bool:
         """Run all stages; return whether Ctrl-C ended them early."""
         first, settings = self.stages[0], self.settings
-        self._checkpoint = checkpoint if hasattr(first.optimiser, "state") else None
+        self._checkpoint = checkpoint if self.resumable else None
         if len(self.stages) == 1 and self._run(first, settings.generations, "evolving", progress):
             return True
         if self._reality is not None and self._real_generations:
@@ -159,14 +165,23 @@ class Evolution:
         self._saved = time.monotonic()
 
     def _keep(self) -> None:
-        """Write a trial down; no more than one in five seconds, as they may be short."""
+        """Remember how far it has come; write it down every few seconds, as trials may be short."""
+        if self.resumable:
+            self._latest = self.state()
         if time.monotonic() - self._saved >= CHECKPOINT_EVERY:
             self._save()
+
+    def _rewind(self) -> None:
+        """Go back to the end of the last trial, whatever was going on since; write that down."""
+        if self._latest is not None:
+            self.load(self._latest)
+        self._save()
 
     def _run_real(self, reality: Reality, progress: bool) -> bool:
         """Run the generations on the robot; Ctrl-C is answered at once, trial by trial."""
         if self.real is None:
             self.real = RealSearch(self.stages[0], reality, self._keep)
+        self._keep()
         total = self._real_generations
         try:
             with (
@@ -179,12 +194,12 @@ class Evolution:
                     if bar is not None:
                         bar.advance(note=note)
             self.real.choose(self._seed)
-        except KeyboardInterrupt:
-            self._save()
+        except (KeyboardInterrupt, RobotError) as error:
+            self._rewind()
+            if isinstance(error, RobotError):
+                raise
             return True
-        except RobotError:
-            self._save()
-            raise
+        self._save()
         return False
 
     def robust_stage(self, best: NDArray, population: NDArray) -> Search:
@@ -347,8 +362,12 @@ class Evolution:
         ]
         self.stages[0].load(parts[0])
         if parts[1]:
-            self.stages.append(self.robust_from(parts[1]["optimiser.genes"]))
-            self.stages[1].load(parts[1])
+            robust = self.settings.robust
+            assert robust is not None
+            size = robust.genetic.population, self.evaluator.controller.genes
+            stage = self.robust_from(np.zeros((self.settings.runs, *size)))
+            stage.load(parts[1])
+            self.stages[1:] = [stage]
         if parts[2] and self._reality is not None:
             self.real = RealSearch(self.stages[0], self._reality, self._keep)
             self.real.load(parts[2])
@@ -526,13 +545,18 @@ def evolve(
     for folder in folders:
         check_new_folder(folder, overwrite=resume and _unfinished(folder))
     if resume:
+        if not evolution.resumable:
+            raise UserError(
+                f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has no "
+                "state(); start the evolution anew"
+            )
         state = checkpoint.resume(begun)
         if state is not None:
             try:
                 evolution.load(state)
             except (KeyError, ValueError, RuntimeError, TypeError):
                 raise checkpoint.damaged() from None
-    else:
+    elif evolution.resumable:
         checkpoint.begin(begun, options)
     interrupted = False
     try:
@@ -545,10 +569,18 @@ def evolve(
         raise type(error)(
             f"{error}; the best controller so far is in {out}, go on with --resume"
         ) from None
+    except KeyboardInterrupt:
+        if evolution.real is None:
+            raise
+        # While the simulator and the robot were compared: all else is done.
+        interrupted, found = True, saved(evolution.results(True))
     finally:
         if not evolution.stages[0].done and not resume:
             checkpoint.remove()  # nothing came of it
     if controller.blind and not found[0].given:
+        if interrupted:
+            raise UserError("so far no plan gives any command; continue with --resume")
+        checkpoint.remove()
         raise UserError("no plan that gives any command came of this; use more generations")
     for folder, one in zip(folders, found, strict=False):
         one.write(folder, overwrite=resume)

@@ -14,7 +14,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import observe
 from neurosim.lab import LabArena, VirtualKheperaRig
-from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
 from neurosim.robots.base import Proximity, Robot
 from neurosim.robots.khepera.dialects import dialect_named
@@ -111,8 +111,7 @@ class RobotTrials:
         steps = round(SECONDS / evaluator.episode.step)
         starts, _ = evaluator.starts(STARTS, rng)
         episode = Episode(evaluator.episode.step, steps, readings=True)
-        rollouts = evaluator.simulator.rollouts(evaluator.controller, episode)
-        assert rollouts is not None
+        rollouts = rollouts_of(evaluator.simulator, evaluator.controller, episode)
         paths = rollouts.run(genes[None], Draws(starts)).poses
         assert paths is not None
         drives = []

@@ -29,3 +29,17 @@ class IdealWheels(Simulator):
             ],
             dim=1,
         )
+
+
+class SlippingWheels(IdealWheels):
+    """Wheels whose speed is off by a few percent, drawn for every command."""
+
+    has_noise = True
+
+    def step(self, state, command, generator=None):
+        if generator is None:
+            return super().step(state, command)
+        scale = torch.ones_like(command)
+        slip = torch.randn(len(command), 2, generator=generator, dtype=command.dtype)
+        scale[:, :2] += 0.03 * slip
+        return super().step(state, command * scale)

@@ -54,10 +54,16 @@ class MotionPlans:
         commands, active = self._controller.commands(genes, self._rest)
         plans = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(active, np.bool_)
         rests = self._rest > 0
-        if draws.noise is None:
+        member, noise = draws.member, draws.noise
+        if noise is None and (member is None or (member < 0).all()):
             each = [mean_poses(self._mean, self._source, s, *plans, rests) for s in draws.starts]
             poses = each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
         else:
-            outcomes = draws.starts, draws.member, draws.noise
+            count = len(draws)
+            if member is None:
+                member = np.zeros(count, np.int64)
+            if noise is None:
+                noise = np.zeros((count, commands.shape[1], self._simulator.noise_width))
+            outcomes = draws.starts, member, noise
             poses = drawn_poses(self._members, self._arrays, self._source, *outcomes, *plans, rests)
         return planned(poses, commands, active, self._rest)

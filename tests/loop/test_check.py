@@ -7,11 +7,11 @@ import pytest
 import torch
 from click.testing import CliRunner
 from ideal_simulator import IdealWheels
-from neurosim.loop.plan_check import check_commands, check_plan, wilson
 
 from neurosim.base.errors import UserError
 from neurosim.cli.plan_check import _in_words, plan_check
-from neurosim.controllers import Plan
+from neurosim.controllers import FixedPlan, SavedController
+from neurosim.loop.check import check
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.files import write_motion
@@ -23,6 +23,8 @@ TASK = NineRectangles()
 class Gusts(IdealWheels):
     """Every command is blown away by 1 cm in x, one way or the other, but for stops."""
 
+    has_noise = True
+
     def step(self, state, command, generator=None):
         after = super().step(state, command)
         if generator is not None:
@@ -31,11 +33,12 @@ class Gusts(IdealWheels):
         return after
 
 
-def plan(*commands):
-    return Plan(
-        commands=commands,
+def plan(*commands, start=TASK.start):
+    return SavedController(
+        controller=FixedPlan(commands),
+        genes=np.empty(0),
         task=TASK.describe(),
-        start=TASK.start,
+        start=start,
         predicted={
             "poses": [list(TASK.start)] * (len([c for c in commands if c]) + 1),
             "rest": list(TASK.start),
@@ -48,35 +51,29 @@ def plan(*commands):
 def test_failures_are_counted_where_they_happen():
     # Up into rectangle 1 and no further: no outcome ends where it should.
     commands = [(48.0, 48.0, 1.0), (48.0, 48.0, 1.0)]
-    check = check_commands(commands, Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
-    assert check.probability == 0.0
-    assert check.members is None
-    assert [(f.command, f.reason, f.share) for f in check.failures] == [
-        (3, "did not end in rectangle 8", 1.0)
+    found = check(plan(*commands), Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
+    assert found.probability == 0.0
+    assert found.members is None
+    assert [(f.command, f.reason, f.share) for f in found.failures] == [
+        (3, "did not end in the last rectangle", 1.0)
     ]
     # 1 cm after one command; 0 or 2 cm after two.
-    assert check.spread[0] == pytest.approx(0.01, abs=1e-3)
-    assert check.spread[1] == pytest.approx(0.02, abs=1e-3)
-    assert check.spread[2] == check.spread[1]
-    assert check.turn == pytest.approx([0.0] * 3)
+    assert found.after == (1, 2, 3)
+    assert found.spread[0] == pytest.approx(0.01, abs=1e-3)
+    assert found.spread[1] == pytest.approx(0.02, abs=1e-3)
+    assert found.spread[2] == found.spread[1]
+    assert found.turn == pytest.approx([0.0] * 3)
     # On the border of the grid one gust of two carries the robot out.
-    edge = (-1.195, 0.0, math.pi / 2)
-    check = check_commands(commands, Gusts(), TASK, start=edge, draws=4000, placing=(0.0, 0.0))
-    shares = {(f.command, f.reason): f.share for f in check.failures}
+    edge = plan(*commands, start=(-1.195, 0.0, math.pi / 2))
+    found = check(edge, Gusts(), draws=4000, placing=(0.0, 0.0))
+    shares = {(f.command, f.reason): f.share for f in found.failures}
     assert shares.pop((1, "left the grid")) == pytest.approx(0.5, abs=0.03)
-    assert shares.pop((3, "did not end in rectangle 8")) == pytest.approx(0.5, abs=0.03)
+    assert shares.pop((3, "did not end in the last rectangle")) == pytest.approx(0.5, abs=0.03)
     assert not shares
-    words = _in_words(check)
+    words = _in_words(found)
     assert "probability of 0.0 % (4000 outcomes drawn: 0.0 % to 0.1 %)" in words
     assert "command 1: left the grid" in words
-    assert "running down: did not end in rectangle 8" in words
-
-
-def test_intervals_of_wilson():
-    # Newcombe 1998, Statistics in Medicine 17, table I: 81 of 263, 15 of 148, 0 of 20.
-    assert wilson(81, 263) == pytest.approx((0.2553, 0.3662), abs=1e-4)
-    assert wilson(15, 148) == pytest.approx((0.0624, 0.1605), abs=1e-4)
-    assert wilson(0, 20) == pytest.approx((0.0, 0.1611), abs=1e-4)
+    assert "running down: did not end in the last rectangle" in words
 
 
 def motion_network(members):
@@ -95,7 +92,7 @@ def motion_network(members):
 
 def test_a_simulator_that_knows_one_outcome_is_refused():
     with pytest.raises(UserError, match="neither noise nor an ensemble"):
-        check_plan(plan((10.0, 10.0, 1.0)), motion_network(1))
+        check(plan((10.0, 10.0, 1.0)), motion_network(1))
 
 
 def test_the_verb_reads_folders(tmp_path):
@@ -106,8 +103,8 @@ def test_the_verb_reads_folders(tmp_path):
     result = CliRunner().invoke(plan_check, words, catch_exceptions=False)
     assert result.exit_code == 0
     assert "members of the simulator's ensemble" in result.output
-    assert "at rest" in result.output
-    again = check_plan(tmp_path / "plan", tmp_path / "simulator", draws=200)
+    assert "at the end" in result.output
+    again = check(tmp_path / "plan", tmp_path / "simulator", draws=200)
     assert len(again.spread) == len(again.turn) == 3
     assert np.isclose(sum(f.share for f in again.failures), 1.0 - again.probability)
     low, high = again.members

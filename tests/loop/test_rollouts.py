@@ -5,13 +5,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from neurosim.loop.rollouts import RUN_DOWN, CompiledRollouts, SteppedRollouts, rollouts, stepped
+from given_plans import EPISODE, RUN_DOWN, GivenPlans, by_protocol, drawn, expected
 
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.stepped import SteppedRollouts
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.network import COORDINATES
 from neurosim.simulators.motion.noise import NoiseModel
+from neurosim.simulators.motion.plans import MotionPlans
+from neurosim.tasks.nine_rectangles import NineRectangles
 
 START = (-0.8, 0.0, 1.5)
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -66,7 +70,18 @@ def plans(batch, count):
     commands[-1, 1::2, :2] *= 0.5
     given = rng.random((batch, count)) < 0.75
     given[3] = False
-    return commands, given
+    return GivenPlans(commands, given)
+
+
+def both(sim, family):
+    """Return compiled and stepped rollouts."""
+    compiled = sim.rollouts(family, EPISODE)
+    assert isinstance(compiled, MotionPlans)
+    return compiled, SteppedRollouts(sim, family, EPISODE)
+
+
+def same(found, wanted):
+    np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
 @pytest.mark.parametrize("derived", [None, Derived(moving=True), Derived(True, 0.03)])
@@ -80,48 +95,52 @@ def test_expected_paths_are_those_of_single_steps(
     members, coordinates, central, shared, names, derived
 ):
     how = {"names": names, "shared": shared, "noisy": False, "derived": derived}
-    sim = simulator(members, coordinates, central=central, **how)
-    commands, given = plans(8, 6)
-    fast, slow = rollouts(sim, START), SteppedRollouts(sim, START)
-    assert isinstance(fast, CompiledRollouts)
-    expected = slow.expected(commands, given)
-    assert np.abs(expected - np.array(START)).max() > 0.1
-    assert fast.expected(commands, given) == pytest.approx(expected, rel=1e-8, abs=1e-8)
+    sim, family = simulator(members, coordinates, central=central, **how), plans(8, 6)
+    fast, slow = both(sim, family)
+    wanted = by_protocol(sim, [START] * 8, family)
+    assert np.abs(wanted - np.array(START)).max() > 0.1
+    same(expected(slow, family, START), wanted)
+    same(expected(fast, family, START), wanted)
 
 
 @pytest.mark.parametrize(
     ("members", "coordinates", "noisy", "central"),
     [
         (1, "displacement", True, False),
-        (4, "twist-offset", False, False),
+        (4, "displacement", False, False),
         (4, "twist-offset", True, False),
         (4, "twist-offset", True, True),
     ],
 )
+@pytest.mark.parametrize("stepped_draws", [False, True])
 def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
-    members, coordinates, noisy, central
+    members, coordinates, noisy, central, stepped_draws
 ):
-    sim = simulator(members, coordinates, noisy=noisy, central=central)
-    commands, given = plans(6, 5)
-    fast = rollouts(sim, START)
-    draws = fast.draw(9, 5, 3, (0.01, 0.05))
-    paths = fast.drawn(commands, given, draws)
+    sim, family = simulator(members, coordinates, noisy=noisy, central=central), plans(6, 5)
+    fast, slow = both(sim, family)
+    draws = (slow if stepped_draws else fast).draw(np.tile(START, (9, 1)), 3, (0.01, 0.05))
+    paths = drawn(fast, family, draws)
     assert paths.shape == (6, 9, 7, 3)
+    assert paths[4, :, -1].std(axis=0).min() > 1e-3
+    same(drawn(slow, family, draws), paths)
+    still = replace(draws, noise=None)
+    same(drawn(slow, family, still), drawn(fast, family, still))
     for b in range(6):
         for r in range(9):
-            assert paths[b, r] == pytest.approx(
-                obvious(sim, commands[b], given[b], draws, r), rel=1e-8, abs=1e-8
-            )
+            same(obvious(sim, family, b, draws, r), paths[b, r])
 
 
-def obvious(sim, commands, given, draws, r):
+def obvious(sim, family, b, draws, r):
     """One plan, one outcome, straight from the simulator's displacement and noise."""
     pose, before, poses, sent = draws.starts[r], (0.0, 0.0), [draws.starts[r]], 0
-    for command, is_given in [*zip(commands, given, strict=True), ((0.0, 0.0, RUN_DOWN), True)]:
+    each = zip(family.all_commands[b], family.given[b], strict=True)
+    for command, is_given in [*each, ((0.0, 0.0, RUN_DOWN), True)]:
         if is_given:
             inputs = torch.tensor([[*before, *command]], dtype=torch.float64)
-            moved = sim.displacement(inputs, int(draws.member[r]))
-            moved = sim.disturbed(inputs, moved, torch.from_numpy(draws.kept[r, sent])[None])
+            member = -1 if draws.member is None else int(draws.member[r])
+            moved = sim.displacement(inputs, member)
+            if draws.noise is not None:
+                moved = sim.disturbed(inputs, moved, torch.from_numpy(draws.noise[r, sent])[None])
             dx, dy, turn = moved[0].tolist()
             cos, sin = np.cos(pose[2]), np.sin(pose[2])
             pose = pose + np.array([cos * dx - sin * dy, sin * dx + cos * dy, turn])
@@ -131,37 +150,44 @@ def obvious(sim, commands, given, draws, r):
 
 
 def test_outcomes_spread_as_the_steps_of_the_protocol_do():
-    sim = simulator(3, "displacement")
-    commands, given = plans(8, 3)
-    commands, given = commands[4:5], np.ones((1, 3), bool)
-    fast = rollouts(sim, START)
-    fast = fast.drawn(commands, given, fast.draw(24_000, 3, 1, (0.003, 0.01)))[0]
-    slow = SteppedRollouts(sim, START)
-    slow = slow.drawn(commands, given, slow.draw(24_000, 3, 2, (0.003, 0.01)))[0]
-    for quantile in (0.1, 0.5, 0.9):
-        a, b = (np.quantile(paths[:, 1:], quantile, axis=0) for paths in (fast, slow))
-        assert np.abs(a - b).max() < 0.1 * slow[:, 1:].std(axis=0).max() + 1e-3
+    sim, family = simulator(3, "displacement"), plans(8, 3)
+    family = GivenPlans(family.all_commands[4:5], np.ones((1, 3), bool))
+    fast, slow = both(sim, family)
+    starts, placing = np.tile(START, (24_000, 1)), (0.003, 0.01)
+    paths = {
+        "compiled": drawn(fast, family, fast.draw(starts, 1, placing))[0],
+        "stepped": drawn(slow, family, slow.draw(starts, 2, placing))[0],
+    }
+    # Noise and members that the simulator draws for itself.
+    put_down = slow.draw(starts, 3, placing).starts
+    many = GivenPlans(np.repeat(family.all_commands, 24_000, 0), np.ones((24_000, 3), bool))
+    own = by_protocol(sim, put_down, many, torch.Generator().manual_seed(4))
+    for found in paths.values():
+        for quantile in (0.1, 0.5, 0.9):
+            a, b = (np.quantile(each[:, 1:], quantile, axis=0) for each in (found, own))
+            assert np.abs(a - b).max() < 0.1 * own[:, 1:].std(axis=0).max() + 1e-3
 
 
 def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
-    fast = rollouts(simulator(4, "displacement"), START)
-    a, b, c = (fast.draw(40, 3, seed, (0.003, 0.01)) for seed in (1, 1, 2))
-    assert np.array_equal(a.kept, b.kept)
-    assert not np.array_equal(a.kept, c.kept)
-    assert np.bincount(a.member).tolist() == [10] * 4
-    still = fast.draw(5, 3, 1, (0.0, 0.0))
-    assert np.array_equal(still.starts, np.tile(START, (5, 1)))
+    for driver in both(simulator(4, "displacement"), plans(6, 3)):
+        starts = np.tile(START, (40, 1))
+        a, b, c = (driver.draw(starts, seed, (0.003, 0.01)) for seed in (1, 1, 2))
+        assert np.array_equal(a.noise, b.noise)
+        assert not np.array_equal(a.noise, c.noise)
+        assert np.bincount(a.member).tolist() == [10] * 4
+        still = driver.draw(starts[:5], 1, (0.0, 0.0))
+        assert np.array_equal(still.starts, starts[:5])
+        assert np.array_equal(driver.draw(starts[:5], 1, None).starts, starts[:5])
 
 
 def test_other_activations_go_through_the_protocol():
-    sim = simulator(1, "displacement", noisy=False)
+    sim, family = simulator(1, "displacement", noisy=False), plans(4, 3)
     curved = replace(sim.network, hidden_activation="tanh")
     sim = MotionNetwork(
         sim.inputs, curved, sim.genes, sim.input_scale, sim.output_scale, sim.coordinates
     )
-    drives = rollouts(sim, START)
+    assert sim.rollouts(family, EPISODE) is None
+    drives = Evaluator(sim, NineRectangles(), family).rollouts
     assert isinstance(drives, SteppedRollouts)
-    commands, given = plans(4, 3)
-    starts = torch.tensor([START] * 4, dtype=torch.float64)
-    expected = stepped(sim, starts, torch.from_numpy(commands), torch.from_numpy(given))
-    assert drives.expected(commands, given) == pytest.approx(expected.numpy())
+    found = expected(drives, family, START)
+    assert found == pytest.approx(by_protocol(sim, [START] * 4, family))

@@ -1,34 +1,46 @@
 """Plans are evolved, and what is returned is what the simulator says of them."""
 
 import math
+import os
+import signal
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from ideal_simulator import IdealWheels
-from neurosim.loop.plans import PlanSettings, RobustSettings, evolve_plan, improve_plans
-from neurosim.loop.rollouts import SteppedRollouts
+from given_plans import EPISODE, GivenPlans, expected
+from ideal_simulator import IdealWheels, SlippingWheels
 
 from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Trajectory
+from neurosim.controllers import FixedPlan, Plan
 from neurosim.evolution.genetic import GeneticSettings
-from neurosim.loop import plans as planning
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import evolve_in, improve
+from neurosim.loop.search import Search
+from neurosim.loop.settings import PLAN_GENETIC, EvolveSettings, RobustSettings
+from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Evaluation
+from neurosim.tasks.base import Judgement
 from neurosim.tasks.nine_rectangles import NineRectangles
 
 TASK = NineRectangles()
-SMALL = PlanSettings(
+FAMILY = Plan(slots=4)
+SMALL = EvolveSettings(
     generations=12,
     runs=3,
-    commands=4,
     genetic=GeneticSettings(population=40, tournament=5),
     final_draws=64,
 )
 
 
 def rollout(simulator, commands, given):
-    return SteppedRollouts(simulator, TASK.start).expected(np.array(commands), np.array(given))
+    plans = GivenPlans(np.array(commands, float), np.array(given))
+    return expected(SteppedRollouts(simulator, plans, EPISODE), plans, TASK.start)
+
+
+def evolved(simulator, task=TASK, family=FAMILY, settings=SMALL, seed=3):
+    return evolve_in(simulator, task, family, settings, seed=seed, progress=False)
 
 
 def test_a_rollout_by_hand():
@@ -58,7 +70,7 @@ def test_the_pose_at_rest_is_after_the_motors_ran_down():
 
 
 def test_evolution_improves_and_says_what_the_simulator_says():
-    results = evolve_plan(IdealWheels(), TASK, SMALL, seed=3, progress=False)
+    results = evolved(IdealWheels())
     assert len(results) == 3
     assert sorted(result.run for result in results) == [0, 1, 2]
     assert [r.fitness for r in results] == sorted((r.fitness for r in results), reverse=True)
@@ -80,15 +92,14 @@ def test_evolution_improves_and_says_what_the_simulator_says():
         again = rollout(IdealWheels(), np.reshape(sent, (1, -1, 3)), np.ones((1, len(sent)), bool))
         assert again[0, :-1] == pytest.approx(result.poses)
         assert again[0, -1] == pytest.approx(result.rest)
-        given_ = np.array([[True] * len(sent) + [False]])
-        assert TASK.fitness(again, given_)[0] == pytest.approx(result.fitness)
+        alone = Evaluator(IdealWheels(), TASK, FixedPlan(tuple(sent)))
+        judged, _ = alone.judge(np.empty((1, 0)), alone.expectation())
+        assert judged.fitness[0, 0] == pytest.approx(result.fitness)
         assert not result.interrupted
 
 
 def test_the_same_seed_gives_the_same_plans():
-    first = evolve_plan(IdealWheels(), TASK, SMALL, seed=3, progress=False)
-    second = evolve_plan(IdealWheels(), TASK, SMALL, seed=3, progress=False)
-    other = evolve_plan(IdealWheels(), TASK, SMALL, seed=4, progress=False)
+    first, second, other = (evolved(IdealWheels(), seed=seed) for seed in (3, 3, 4))
     assert [r.commands for r in first] == [r.commands for r in second]
     assert [r.history for r in first] == [r.history for r in second]
     assert [r.commands for r in first] != [r.commands for r in other]
@@ -96,73 +107,64 @@ def test_the_same_seed_gives_the_same_plans():
 
 @pytest.mark.slow
 def test_a_course_is_found():
-    settings = PlanSettings(runs=4, generations=800, final_draws=64)
-    results = evolve_plan(IdealWheels(), TASK, settings, seed=2, progress=False)
+    settings = EvolveSettings(runs=4, generations=800, genetic=PLAN_GENETIC, final_draws=64)
+    results = evolved(IdealWheels(), TASK, Plan(), settings, seed=2)
     best = results[0]
     assert best.completes
     assert TASK.region(best.rest) == 0
     assert 63 <= best.fitness <= 64
 
 
-def test_interruption_returns_the_best_so_far(monkeypatch):
-    calls = []
-    generation = planning.Evolution.generation
+@pytest.mark.parametrize("generation", [1, 4])
+def test_interruption_returns_the_best_so_far(monkeypatch, generation):
+    whole = evolved(IdealWheels())
+    one = Search.generation
 
     def interrupted(self):
-        calls.append(1)
-        if len(calls) > 3:
-            raise KeyboardInterrupt
-        return generation(self)
+        if self.done == generation - 1:
+            os.kill(os.getpid(), signal.SIGINT)
+        return one(self)
 
-    monkeypatch.setattr(planning.Evolution, "generation", interrupted)
-    results = evolve_plan(IdealWheels(), TASK, SMALL, seed=3, progress=False)
+    monkeypatch.setattr(Search, "generation", interrupted)
+    results = evolved(IdealWheels())
     assert all(result.interrupted for result in results)
-    assert len(results[0].history["best"]) == 3
-    calls.extend([1] * 3)
-    with pytest.raises(KeyboardInterrupt):
-        evolve_plan(IdealWheels(), TASK, SMALL, seed=3, progress=False)
+    # The generation in which it came was worked to its end.
+    assert {result.run: result.history["best"] for result in results} == {
+        result.run: result.history["best"][:generation] for result in whole
+    }
 
 
 @pytest.mark.parametrize(
-    ("setting", "message"),
+    ("make", "setting", "message"),
     [
-        ({"commands": 0}, "commands must be at least 1"),
-        ({"runs": 0}, "runs must be at least 1"),
-        ({"max_speed": 120.0}, "in 0 to 100 %, not 120"),
-        ({"durations": (2.0, 1.0)}, "in order, not 2 to 1"),
+        (Plan, {"slots": 0}, "a plan has at least 1 command, not 0"),
+        (EvolveSettings, {"runs": 0}, "runs must be at least 1"),
+        (EvolveSettings, {"generations": 0}, "generations must be at least 1"),
+        (EvolveSettings, {"outcomes": -1}, "outcomes must not be negative"),
+        (EvolveSettings, {"objective": "luck"}, "no objective 'luck'; there is fitness, "),
+        (Plan, {"max_speed": 120.0}, "in 0 to 100 %, not 120"),
+        (Plan, {"durations": (2.0, 1.0)}, "in order, not 2 to 1"),
     ],
 )
-def test_settings_out_of_range_are_named(setting, message):
+def test_settings_out_of_range_are_named(make, setting, message):
     with pytest.raises(UserError, match=message):
-        PlanSettings(**setting)
+        make(**setting)
 
 
 def test_a_simulator_of_other_commands_is_refused():
     simulator = IdealWheels()
     simulator.command_names = ("v", "w", "duration")
     with pytest.raises(UserError, match="this simulator takes v, w, duration"):
-        evolve_plan(simulator, TASK, seed=0, progress=False)
-
-
-class SlippingWheels(IdealWheels):
-    """Wheels whose speed is off by a few percent, drawn for every command."""
-
-    def step(self, state, command, generator=None):
-        if generator is None:
-            return super().step(state, command)
-        scale = torch.ones_like(command)
-        slip = torch.randn(len(command), 2, generator=generator, dtype=command.dtype)
-        scale[:, :2] += 0.03 * slip
-        return super().step(state, command * scale)
+        evolved(simulator)
 
 
 class FirstRectangle(NineRectangles):
     """Done by a robot that stands in rectangle 1 at the end: a command does it."""
 
-    def evaluate(self, poses, given):
-        result = super().evaluate(poses, given)
-        there = (self.region(np.asarray(poses)[:, -1]) == 1) & (result.reason == 3)
-        return Evaluation(result.fitness, there, result.reason, result.segment, result.detail)
+    def judge(self, trajectory):
+        result = super().judge(trajectory)
+        there = (self.region(trajectory.poses[..., -1, :]) == 1) & (result.reason == 3)
+        return Judgement(result.fitness, there, result.reason, result.segment, result.detail)
 
 
 @pytest.mark.parametrize("objective", ["fitness", "probability"])
@@ -171,11 +173,12 @@ def test_robust_plans_succeed_more_often_and_say_how_often(objective):
     robust = RobustSettings(
         objective, 8, draws=16, refresh=3, selection_draws=64, genetic=SMALL.genetic
     )
-    settings = replace(SMALL, commands=2, final_draws=400, placing=(0.03, 0.2))
-    before = evolve_plan(SlippingWheels(), task, settings, seed=1, progress=False)
+    family = Plan(slots=2)
+    settings = replace(SMALL, final_draws=400, placing=(0.03, 0.2))
+    before = evolved(SlippingWheels(), task, family, settings, seed=1)
     settings = replace(settings, robust=robust)
-    after = evolve_plan(SlippingWheels(), task, settings, seed=1, progress=False)
-    again = evolve_plan(SlippingWheels(), task, settings, seed=1, progress=False)
+    after = evolved(SlippingWheels(), task, family, settings, seed=1)
+    again = evolved(SlippingWheels(), task, family, settings, seed=1)
     assert [r.commands for r in after] == [r.commands for r in again]
     for result in after:
         assert result.draws == 400
@@ -185,7 +188,8 @@ def test_robust_plans_succeed_more_often_and_say_how_often(objective):
     merit = (lambda r: r.expected_fitness) if objective == "fitness" else (lambda r: r.probability)
     assert [merit(r) for r in after] == sorted(map(merit, after), reverse=True)
     assert merit(after[0]) >= max(map(merit, before)) - 0.02
-    improved = improve_plans(SlippingWheels(), task, before, settings, seed=1, progress=False)
+    genes = [result.genes for result in before]
+    improved = improve(SlippingWheels(), task, family, genes, settings, seed=1, progress=False)
     assert len(improved) == 3
     assert list(improved[0].history) == ["robust_best", "robust_mean"]
 
@@ -193,20 +197,27 @@ def test_robust_plans_succeed_more_often_and_say_how_often(objective):
 def test_a_probability_is_that_of_drives_made_one_by_one():
     settings = replace(SMALL, runs=1, final_draws=500, placing=(0.02, 0.1))
     task = FirstRectangle()
-    (result,) = evolve_plan(SlippingWheels(), task, settings, seed=5, progress=False)
+    (result,) = evolved(SlippingWheels(), task, FAMILY, settings, seed=5)
     rng, simulator = np.random.default_rng(0), SlippingWheels()
     generator = torch.Generator().manual_seed(0)
     successes = 0
     for _ in range(500):
         pose = np.array(task.start) + rng.standard_normal(3) * (0.02, 0.02, 0.1)
         state = simulator.start(torch.from_numpy(pose[None]))
-        poses, given = [state[0, :3].numpy()], []
+        poses, commands = [state[0, :3].numpy()], []
         for command in [*(c for c in result.commands if c), (0.0, 0.0, 0.5)]:
             state = simulator.step(state, torch.tensor([command], dtype=torch.float64), generator)
             poses.append(state[0, :3].numpy())
-            given.append(command[0] != 0.0 or command[1] != 0.0)
-        successes += task.evaluate(np.array([poses]), np.array([given])).completes[0]
+            commands.append(command)
+        given = np.arange(len(commands)) < len(commands) - 1
+        driven = Trajectory(np.array(poses), np.array(commands), 1.0, active=given)
+        successes += int(task.judge(driven).success)
     assert result.probability == pytest.approx(successes / 500, abs=0.1)
+
+
+def test_robust_evolution_needs_outcomes_that_differ():
+    with pytest.raises(UserError, match="neither noise nor an ensemble"):
+        evolved(IdealWheels(), settings=replace(SMALL, robust=RobustSettings()))
 
 
 def test_robust_settings_out_of_range_are_named():
@@ -215,4 +226,4 @@ def test_robust_settings_out_of_range_are_named():
     with pytest.raises(UserError, match="draws must be at least 1"):
         RobustSettings(draws=0)
     with pytest.raises(UserError, match="must not be negative"):
-        PlanSettings(placing=(-1.0, 0.0))
+        EvolveSettings(placing=(-1.0, 0.0))
