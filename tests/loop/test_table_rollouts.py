@@ -1,7 +1,5 @@
 """Plans driven in tables by compiled code, against the simulator's own steps."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from given_plans import EPISODE, GivenPlans, by_protocol, drawn, expected
@@ -71,13 +69,8 @@ def test_drawn_paths_are_the_steps_through_the_same_noise(noise, reaction):
     found = drawn(fast, family, draws)
     assert found.shape == (BATCH, COUNT, COMMANDS + 2, 3)
     assert found[3, :, -1].std(axis=0).min() > 1e-4
-    for b, given in enumerate(family.given):
-        # Compiled, a null command's noise is left out; step by step it is the next command's.
-        order = [*np.flatnonzero(given), COMMANDS, *np.flatnonzero(~given)]
-        one = GivenPlans(family.all_commands[[b]], family.given[[b]])
-        slow = SteppedRollouts(sim, one, EPISODE)
-        slow = drawn(slow, one, replace(draws, noise=draws.noise[:, order]))
-        np.testing.assert_allclose(found[b], slow[0], atol=1e-9)
+    stepped = drawn(SteppedRollouts(sim, family, EPISODE), family, draws)
+    np.testing.assert_allclose(found, stepped, atol=1e-9)
 
 
 def test_draws_are_the_same_for_the_same_seed_and_all_plans():
