@@ -68,9 +68,8 @@ class PopulationError:
 
     def _pieces(self, genes: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return exponents [O,P,K,I], signed weights [O,P,M,K], linear map [O,P,I], bias [O,P]."""
-        w = self.network.split(genes)
-        signed = w.product_weights.unsqueeze(-2) * self._rows.signs(w.phases)
-        return w.exponents, signed, *self.network.collapsed(genes)
+        parts = self.network.expand(genes)
+        return parts.exponents, parts.signed(self._rows.patterns), parts.linear, parts.bias
 
     def _compiled(self, genes: Tensor) -> Tensor:
         from neurosim.networks import _kernels

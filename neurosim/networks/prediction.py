@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from neurosim.networks.expanded import sign_patterns
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork
 
 #: With more inputs than this a table by sign pattern would be larger than what it saves.
@@ -26,19 +27,14 @@ class Prediction:
         self._fast = network.linear and network.inputs <= _MOST_INPUTS
         if not self._fast:
             return
-        w = network.split(genes)
-        outputs, inputs = len(genes), network.inputs
-        self._exponents = w.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
-        self._ceilings = w.ceilings.flatten()
-        self._bits = 2 ** torch.arange(inputs, device=genes.device)
-        patterns = torch.arange(2**inputs, device=genes.device)
-        negative = (patterns.unsqueeze(-1) // self._bits % 2).to(genes)  # [2^I, I]
-        phases = w.phases.flatten(0, 1).T
-        signs = torch.cos(torch.pi * (negative @ phases))
-        self._signed = signs * w.product_weights.flatten()  # [2^I, O * P]
-        weights, self._bias = network.collapsed(genes)
-        self._linear = weights.T.contiguous()
-        self._groups = (outputs, network.products)
+        parts = network.expand(genes)
+        self._exponents = parts.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
+        self._ceilings = parts.ceilings.flatten()
+        signed = parts.signed(sign_patterns(network.inputs).to(genes))
+        self._signed = signed.transpose(0, 1).flatten(1)  # [2^I, O * P]
+        self._bits = 2 ** torch.arange(network.inputs, device=genes.device)
+        self._linear, self._bias = parts.linear.T.contiguous(), parts.bias
+        self._groups = (len(genes), network.products)
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return the outputs [N, O] for scaled inputs [N, I]."""

@@ -30,6 +30,9 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
+
+from neurosim.networks.expanded import Expanded
 
 #: The logarithm of a product unit's magnitude is kept between minus and plus this.
 LOG_LIMIT = 20.0
@@ -193,13 +196,42 @@ class ProductSummationNetwork:
         )
         return ACTIVATIONS[self.output_activation](net)
 
-    def collapsed(self, genes: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the linear map that linear summation units and the output's bias amount to.
+    def expand(self, genes: Tensor) -> Expanded:
+        """Return networks [..., G] with linear activations as plain sums.
 
-        Returns:
-            Weights [..., I] and bias [...], such that the summation units' part of the output
-            is ``x @ weights + bias``.
+        The summation units and the output's bias amount to one linear map and a constant.
         """
         w = self.split(genes)
-        weights = (w.summation_weights.unsqueeze(-1) * w.summation).sum(-2)
-        return weights, (w.summation_weights * w.summation_bias).sum(-1) + w.bias
+        return Expanded(
+            w.exponents,
+            w.phases,
+            w.ceilings,
+            w.product_weights,
+            linear=(w.summation_weights.unsqueeze(-1) * w.summation).sum(-2),
+            bias=(w.summation_weights * w.summation_bias).sum(-1) + w.bias,
+        )
+
+    def pack(self, expanded: Expanded) -> Tensor:
+        """Return the genes [..., G] of plain sums; :meth:`expand` gives them back.
+
+        The linear map goes into the first summation unit, if there is one; the others have
+        nothing to add, nor have product units that the sums lack.
+        """
+        missing = self.products - expanded.weights.shape[-1]
+        linear = expanded.linear
+        summation = linear.new_zeros(*linear.shape[:-1], self.summations, self.inputs)
+        summation[..., :1, :] = linear.unsqueeze(-2)
+        summation_weights = torch.zeros_like(summation[..., 0])
+        summation_weights[..., :1] = 1.0
+        return self.join(
+            Weights(
+                exponents=pad(expanded.exponents, (0, 0, 0, missing)),
+                product_weights=pad(expanded.weights, (0, missing)),
+                summation=summation,
+                summation_bias=torch.zeros_like(summation_weights),
+                summation_weights=summation_weights,
+                bias=expanded.bias,
+                phases=pad(expanded.phases, (0, 0, 0, missing)),
+                ceilings=pad(expanded.ceilings, (0, missing)),
+            )
+        )

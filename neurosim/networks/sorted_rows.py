@@ -34,10 +34,6 @@ class SortedRows:
         ends = np.cumsum(counts)
         self.spans = np.stack([ends - counts, ends], axis=1)
 
-    def signs(self, phases: Tensor) -> Tensor:
-        """Return the cosines of product units with phases [..., P, I], by pattern: [..., M, P]."""
-        return torch.cos(torch.pi * (phases @ self.patterns.T)).transpose(-1, -2)
-
     def log2(self) -> np.ndarray:
         """Return the logarithms to base 2, for the kernels."""
         return self.log.numpy() * np.float32(1.0 / np.log(2.0))

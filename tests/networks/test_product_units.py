@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -7,11 +8,13 @@ from hypothesis import strategies as st
 
 from neurosim.networks import (
     LOG_LIMIT,
+    Expanded,
     PopulationError,
     Prediction,
     ProductSummationNetwork,
     Weights,
 )
+from neurosim.networks.expanded import sign_patterns
 
 
 def tensor(*values):
@@ -214,3 +217,37 @@ def test_networks_with_phases_and_ceilings_are_the_same_by_all_ways(
     torch.testing.assert_close(
         network.forward(same, x), ordinary.forward(genes[:, : ordinary.genes], x)
     )
+
+
+@given(st.booleans(), st.booleans(), st.integers(0, 3), st.integers(0, 2**31))
+@settings(max_examples=30, deadline=None)
+def test_what_is_packed_is_the_same_function_and_is_expanded_again(phases, ceilings, more, seed):
+    g = torch.Generator().manual_seed(seed)
+    shape = {"phases": phases, "ceilings": ceilings}
+    network = ProductSummationNetwork(3, 2, 4, **shape)
+    genes = torch.randn(5, 2, network.genes, generator=g, dtype=torch.float64)
+    sums = network.expand(genes)
+    wider = ProductSummationNetwork(3, 2 + more, 1, **shape)
+    packed = wider.pack(sums)
+    x = rows_with_zeros_and_negatives(g, 20, 3)
+    torch.testing.assert_close(
+        wider.forward(packed[0], x), network.forward(genes[0], x), rtol=1e-9, atol=1e-6
+    )
+    again = wider.expand(packed)
+    assert again.weights[..., 2:].count_nonzero() == 0
+    for name in ("exponents", "phases", "ceilings", "weights"):
+        part, same = getattr(sums, name), getattr(again, name)
+        kept = same[..., :2, :] if part.ndim == 4 else same[..., :2]
+        torch.testing.assert_close(kept, part)
+    torch.testing.assert_close(again.linear, sums.linear)
+    torch.testing.assert_close(again.bias, sums.bias)
+
+
+def test_patterns_of_signs():
+    assert sign_patterns(2).tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]]
+    half = torch.tensor([[0.5, 1.0]], dtype=torch.float64)
+    none = torch.zeros(1, dtype=torch.float64)
+    sums = Expanded(half, half, none, none + 3.0, half[0], none[0])
+    # Cosines of 0, 90, 180 and 270 degrees.
+    expected = [[3.0], [0.0], [-3.0], [0.0]]
+    assert sums.signed(sign_patterns(2)).numpy() == pytest.approx(np.array(expected), abs=1e-12)

@@ -5,9 +5,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from neurosim.networks import ProductSummationNetwork
+from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.trainers.averaging import Expansion, average, widened
+from neurosim.training.trainers.averaging import average, mean, widened
 from neurosim.training.uncertainty.ensemble import searches
 
 INPUTS = [{"name": name, "unit": ""} for name in ("prev_left", "prev_right", "left", "right")]
@@ -50,26 +50,22 @@ def test_units_that_count_for_nothing_take_no_room():
     assert average(found).network.products == 3
 
 
-def test_a_chromosome_of_an_expansion_is_the_function():
+def test_the_mean_of_functions_worked_by_hand():
     exponents = torch.tensor([[2.0, 0.0], [0.0, 1.0]])
     phases = torch.tensor([[0.0, 0.0], [0.0, 1.0]])
-    product = Expansion(
-        exponents, phases, torch.tensor([3.0, 5.0]), torch.tensor([7.0, 0.0]), torch.tensor(1.0),
-        torch.tensor([-1.0, math.log(0.4)]),
+    product = Expanded(
+        exponents, phases, ceilings=torch.tensor([-1.0, math.log(0.4)]),
+        weights=torch.tensor([3.0, 5.0]), linear=torch.tensor([7.0, 0.0]), bias=torch.tensor(1.0),
     )  # fmt: skip
-    plain = Expansion(
-        exponents[:0], phases[:0], torch.zeros(0), torch.tensor([0.0, 2.0]), torch.tensor(-1.0),
-        torch.zeros(0),
+    plain = Expanded(
+        exponents[:0], phases[:0], torch.zeros(0), torch.zeros(0), torch.tensor([0.0, 2.0]),
+        bias=torch.tensor(-1.0),
     )  # fmt: skip
     network = ProductSummationNetwork(2, 3, 2, floor=0.01, phases=True, ceilings=True)
-    mean = Expansion.mean([product, plain], scales=[1.0, 4.0])
+    genes = network.pack(mean([product, plain], scales=[1.0, 4.0]))
     x = torch.tensor([[-0.5, 0.5], [0.5, -0.25]])
     # (3 x1^2 + 5 x2 + 7 x1 + 1 + 4 (2 x2 - 1)) / 2, where |x2| counts up to 0.4 in 5 x2
-    said = network.forward(mean.genes(network)[None], x)[0]
-    torch.testing.assert_close(said, torch.tensor([0.125, -1.0]))
-    again = Expansion.of(network, mean.genes(network))
-    for part, same in zip(mean, again, strict=True):
-        torch.testing.assert_close(part, same)
+    torch.testing.assert_close(network.forward(genes[None], x)[0], torch.tensor([0.125, -1.0]))
 
 
 def test_wider_networks_say_the_same():

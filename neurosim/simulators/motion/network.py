@@ -23,6 +23,7 @@ from torch import Tensor
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
+from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernels import Arrays
@@ -298,23 +299,18 @@ class MotionNetwork(Simulator):
         """
         if not self.network.linear:
             raise ValueError("compiled simulators are of networks with linear activations")
-        genes, scale = self.genes.cpu(), self.output_scale.cpu().unsqueeze(-1)
-        w, count = self.network.split(genes), self.network.inputs
-        patterns = torch.arange(2**count).unsqueeze(-1)
-        negative = (patterns // 2 ** torch.arange(count) % 2).to(genes)  # [2^I, I]
-        cosines = torch.cos(torch.pi * (negative @ w.phases.transpose(-1, -2)))
-        linear, bias = self.network.collapsed(genes)
+        parts = self.network.expand(self.genes.cpu()).times(self.output_scale.cpu())
         shapes = NoiseModel.SHAPES
         noise = {
             name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
             for name in shapes
         }
         tensors = {
-            "exponents": w.exponents,
-            "ceiling": w.ceilings,
-            "signed": cosines * (scale * w.product_weights).unsqueeze(-2),
-            "linear": scale * linear,
-            "bias": scale.squeeze(-1) * bias,
+            "exponents": parts.exponents,
+            "ceiling": parts.ceilings,
+            "signed": parts.signed(sign_patterns(self.network.inputs)),
+            "linear": parts.linear,
+            "bias": parts.bias,
             "input_scale": self.input_scale,
             "dead_zone": self.dead_zone,
             **{f"noise_{name}": value for name, value in noise.items()},

@@ -4,76 +4,27 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
 from torch.nn.functional import pad
 
-from neurosim.networks import ProductSummationNetwork, Weights
+from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 
 
-class Expansion(NamedTuple):
-    """What a network with linear activations is: product units, inputs and one, each weighed."""
-
-    exponents: Tensor  #: of the product units, [P, I]
-    phases: Tensor  #: [P, I]
-    weights: Tensor  #: of the product units, [P]
-    linear: Tensor  #: weights of the inputs, [I]
-    bias: Tensor  #: []
-    ceilings: Tensor  #: of the product units, [P]
-
-    @staticmethod
-    def of(network: ProductSummationNetwork, genes: Tensor) -> Expansion:
-        """Return what a chromosome [G] is, without units that count for nothing."""
-        w, (linear, bias) = network.split(genes), network.collapsed(genes)
-        counts = w.product_weights != 0
-        return Expansion(
-            w.exponents[counts],
-            w.phases[counts],
-            w.product_weights[counts],
-            linear,
-            bias,
-            w.ceilings[counts],
-        )
-
-    @staticmethod
-    def mean(parts: Sequence[Expansion], scales: Sequence[float] | None = None) -> Expansion:
-        """Return the average of functions, each times its scale: the units of all of them."""
-        shares = [scale / len(parts) for scale in scales or [1.0] * len(parts)]
-        pairs = list(zip(parts, shares, strict=True))
-        return Expansion(
-            exponents=torch.cat([part.exponents for part in parts]),
-            phases=torch.cat([part.phases for part in parts]),
-            weights=torch.cat([part.weights * share for part, share in pairs]),
-            linear=torch.stack([part.linear * share for part, share in pairs]).sum(0),
-            bias=torch.stack([part.bias * share for part, share in pairs]).sum(0),
-            ceilings=torch.cat([part.ceilings for part in parts]),
-        )
-
-    def genes(self, network: ProductSummationNetwork) -> Tensor:
-        """Return the function as a chromosome [G] of a network with units enough for it.
-
-        The linear map goes into the first summation unit; the others have nothing to add, nor
-        have product units that the function lacks.
-        """
-        missing = network.products - len(self.weights)
-        summation = self.linear.new_zeros(network.summations, network.inputs)
-        summation_weights = self.linear.new_zeros(network.summations)
-        summation[0], summation_weights[0] = self.linear, 1.0
-        return network.join(
-            Weights(
-                exponents=pad(self.exponents, (0, 0, 0, missing)),
-                product_weights=pad(self.weights, (0, missing)),
-                summation=summation,
-                summation_bias=self.linear.new_zeros(network.summations),
-                summation_weights=summation_weights,
-                bias=self.bias,
-                phases=pad(self.phases, (0, 0, 0, missing)),
-                ceilings=pad(self.ceilings, (0, missing)),
-            )
-        )
+def mean(parts: Sequence[Expanded], scales: Sequence[float] | None = None) -> Expanded:
+    """Return the average of functions, each times its scale: the units of all of them."""
+    scales = scales or [1.0] * len(parts)
+    parts = [part.times(s / len(parts)) for part, s in zip(parts, scales, strict=True)]
+    return Expanded(
+        exponents=torch.cat([part.exponents for part in parts]),
+        phases=torch.cat([part.phases for part in parts]),
+        ceilings=torch.cat([part.ceilings for part in parts]),
+        weights=torch.cat([part.weights for part in parts]),
+        linear=torch.stack([part.linear for part in parts]).sum(0),
+        bias=torch.stack([part.bias for part in parts]).sum(0),
+    )
 
 
 def average(found: Sequence[MotionNetwork]) -> MotionNetwork:
@@ -89,20 +40,29 @@ def average(found: Sequence[MotionNetwork]) -> MotionNetwork:
         return first
     functions = []
     for output, unit in enumerate(first.output_scale[0]):
-        parts = [Expansion.of(one.network, one.genes[0, output]) for one in found]
+        parts = [_used(one.network.expand(one.genes[0, output])) for one in found]
         scales = [(one.output_scale[0, output] / unit).item() for one in found]
-        functions.append(Expansion.mean(parts, scales))
+        functions.append(mean(parts, scales))
     products = max(first.network.products, *(len(one.weights) for one in functions))
     network = replace(first.network, products=products)
     return MotionNetwork(
         first.inputs,
         network,
-        torch.stack([function.genes(network) for function in functions]),
+        torch.stack([network.pack(function) for function in functions]),
         first.input_scale,
         first.output_scale,
         first.coordinates,
         dead_zone=first.dead_zone,
         derived=first.derived,
+    )
+
+
+def _used(function: Expanded) -> Expanded:
+    """Return a function without the product units that count for nothing."""
+    used = function.weights != 0
+    parts = function._asdict()
+    return function._replace(
+        **{name: parts[name][used] for name in ("exponents", "phases", "ceilings", "weights")}
     )
 
 

@@ -18,12 +18,12 @@ import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks import ProductSummationNetwork
+from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData, one_thread, root_mean_square
-from neurosim.training.trainers.averaging import Expansion
+from neurosim.training.trainers.averaging import mean
 from neurosim.training.trainers.dead_zone import find_dead_zone
 from neurosim.training.trainers.pursuit import Pursuit
 from neurosim.training.trainers.swing import find_swing
@@ -146,10 +146,10 @@ class ExponentsTrainer:
         for search in (*self._turns, self._shift):
             search.settle()
         vx, vy, ox, oy = expansions(self._shift)
-        omega = Expansion.mean([function for turn in self._turns for function in expansions(turn)])
+        omega = mean([function for turn in self._turns for function in expansions(turn)])
         products = max(self._network.products, len(omega.weights))
         network = replace(self._network, products=products)
-        genes = torch.stack([function.genes(network) for function in (vx, vy, omega, ox, oy)]).cpu()
+        genes = torch.stack([network.pack(part) for part in (vx, vy, omega, ox, oy)]).cpu()
         self.load(state)
         translation, turn = self._scale.tolist()
         return MotionNetwork(
@@ -186,12 +186,12 @@ class ExponentsTrainer:
         self._generator.set_state(state["generator"])
 
 
-def expansions(search: Pursuit) -> list[Expansion]:
+def expansions(search: Pursuit) -> list[Expanded]:
     """Return each function that a search has found."""
-    found = zip(search.exponents, search.phases, search.readout(), search.ceilings(), strict=True)
+    found = zip(search.exponents, search.phases, search.ceilings(), search.readout(), strict=True)
     return [
-        Expansion(exponents, phases, weights, linear[:-1], linear[-1], ceilings)
-        for exponents, phases, (weights, linear), ceilings in found
+        Expanded(*units, weights, linear=linear[:-1], bias=linear[-1])
+        for *units, (weights, linear) in found
     ]
 
 

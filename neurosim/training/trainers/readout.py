@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData, root_mean_square
 from neurosim.training.trainers.exponents import translation_factors
@@ -34,10 +33,10 @@ class Readout:
         self._ridge = ridge
         self._dead_zone, self._derived = simulator.dead_zone, simulator.derived
         x = simulator.network_inputs(data.x)
-        self._units = w = network.split(simulator.genes[0])
+        self._units = w = network.expand(simulator.genes[0])
         units = network.product_units(w.exponents, x, w.phases, w.ceilings)  # [O, P, N]
         # A unit that says nothing may be one that is not there.
-        units = units.transpose(-1, -2) * (w.product_weights != 0).unsqueeze(1)
+        units = units.transpose(-1, -2) * (w.weights != 0).unsqueeze(1)
         others = [x] if network.summations else []
         others = torch.cat([*others, torch.ones_like(x[:, :1])], dim=1)
         features = torch.cat([units, others.expand(len(units), -1, -1)], dim=-1)  # [O, N, F]
@@ -77,7 +76,11 @@ class Readout:
         for networks, columns, targets in self._systems:
             solved = self._solve(columns, targets, weights)
             readout[list(networks)] = solved.view(len(networks), -1)
-        return self._network.join(self._weights(readout / self._scale[:, None]))
+        readout, count = readout / self._scale[:, None], self._network.products
+        found = self._units._replace(weights=readout[:, :count], bias=readout[:, -1])
+        if self._network.summations:
+            found = found._replace(linear=readout[:, count:-1])
+        return self._network.pack(found)
 
     def _solve(self, columns: Tensor, targets: Tensor, weights: Tensor) -> Tensor:
         weighted = (columns * weights[:, None]).flatten(0, 1).T
@@ -87,25 +90,6 @@ class Readout:
         square = square / (size[:, None] * size)
         square.diagonal().add_(self._ridge)
         return torch.linalg.solve(square, cross / size) / size
-
-    def _weights(self, readout: Tensor) -> Weights:
-        network, outputs = self._network, len(readout)
-        p, i, s = network.products, network.inputs, network.summations
-        # The linear map goes into the first summation unit; the others have nothing to add.
-        summation = readout.new_zeros(outputs, s, i)
-        summation_weights = readout.new_zeros(outputs, s)
-        summation[:, :1] = readout[:, p:-1].view(outputs, -1, i)
-        summation_weights[:, :1] = 1.0
-        return Weights(
-            exponents=self._units.exponents,
-            phases=self._units.phases,
-            ceilings=self._units.ceilings,
-            product_weights=readout[:, :p],
-            summation=summation,
-            summation_bias=readout.new_zeros(outputs, s),
-            summation_weights=summation_weights,
-            bias=readout[:, -1],
-        )
 
     def simulator(self, genes: Tensor) -> MotionNetwork:
         """Return the simulator with these genes, [O, G] or [M, O, G]."""

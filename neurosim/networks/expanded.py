@@ -1,0 +1,46 @@
+"""Networks with linear activations as plain sums: what all fast forms of them compute with."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+
+class Expanded(NamedTuple):
+    r"""Networks with linear activations: sums of product units, a linear map and a constant.
+
+    .. math:: \sum_p w_p \min\Bigl(\prod_i |x_i|^{e_{pi}}, e^{c_p}\Bigr)
+              \cos\Bigl(\pi \sum_{i: x_i < 0} \phi_{pi}\Bigr) + \sum_i a_i x_i + b
+
+    Leading dimensions are of several networks.
+    """
+
+    exponents: Tensor  #: of the product units, [..., P, I]
+    phases: Tensor  #: of the product units, in half turns, [..., P, I]
+    ceilings: Tensor  #: of the logarithms of the product units' magnitudes, [..., P]
+    weights: Tensor  #: of the product units, [..., P]
+    linear: Tensor  #: weights of the inputs, [..., I]
+    bias: Tensor  #: [...]
+
+    def signed(self, patterns: Tensor) -> Tensor:
+        """Return the weights of the product units where some inputs are negative, [..., S, P].
+
+        Args:
+            patterns: 1 where an input is negative, else 0, [S, I].
+        """
+        signs = torch.cos(torch.pi * (self.phases @ patterns.T)).transpose(-1, -2)
+        return self.weights.unsqueeze(-2) * signs
+
+    def times(self, factor: Tensor | float) -> Expanded:
+        """Return networks whose outputs are ``factor`` ([...] or one number) times these."""
+        each = factor.unsqueeze(-1) if isinstance(factor, Tensor) else factor
+        return self._replace(
+            weights=self.weights * each, linear=self.linear * each, bias=self.bias * factor
+        )
+
+
+def sign_patterns(inputs: int) -> Tensor:
+    """Return all patterns of negative inputs, [2^I, I]: bit i of a row's index is its column i."""
+    return (torch.arange(2**inputs).unsqueeze(-1) // 2 ** torch.arange(inputs) % 2).double()
