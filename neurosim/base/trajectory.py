@@ -27,6 +27,9 @@ class Trajectory:
             null command, nor the motors running down at the end. None: all do.
         segment: [T] the index of the command that each interval belongs to, never decreasing;
             None: each is a command of its own.
+
+    Raises:
+        ValueError: if the shapes do not fit each other.
     """
 
     poses: NDArray[np.float64] | None
@@ -35,6 +38,19 @@ class Trajectory:
     readings: NDArray | None = None
     active: NDArray[np.bool_] | None = None
     segment: NDArray[np.int64] | None = None
+
+    def __post_init__(self) -> None:
+        *shape, intervals, _ = self.commands.shape
+        self._check("poses", (*shape, intervals + 1, 3))
+        if self.readings is not None:
+            self._check("readings", (*shape, intervals, self.readings.shape[-1]))
+        self._check("active", (*shape, intervals))
+        self._check("segment", (intervals,))
+
+    def _check(self, name: str, expected: tuple[int, ...]) -> None:
+        value = getattr(self, name)
+        if value is not None and tuple(value.shape) != expected:
+            raise ValueError(f"expected {name} {expected}, not {tuple(value.shape)}")
 
     @property
     def shape(self) -> tuple[int, ...]:

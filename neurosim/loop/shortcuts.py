@@ -15,9 +15,8 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
-from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.stepped import SteppedRollouts
-from neurosim.simulators.base import PLACING, Rollouts, Simulator, check_commands
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.simulators.base import PLACING, Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
@@ -102,14 +101,15 @@ def rollout(
         rollouts, rows = evaluator.rollouts, what.genes[None]
         start = what.start if start is None else start
     else:
-        given = what.detach().cpu().numpy() if isinstance(what, Tensor) else what
-        commands = np.asarray(given, np.float64)
+        commands = what.detach().cpu().numpy() if isinstance(what, Tensor) else what
+        commands = np.asarray(commands, np.float64)
         if commands.ndim not in (2, 3):
             raise UserError(f"commands must be [T, C] or [B, T, C], not of shape {commands.shape}")
         check_commands(simulator, commands)
         single = commands.ndim == 2
         commands = np.ascontiguousarray(commands[None] if single else commands)
-        rollouts = _compiled_or_stepped(simulator, _Given(commands, simulator.command_names))
+        given = _Given(commands, simulator.command_names)
+        rollouts = rollouts_of(simulator, given, Episode())
         rows = np.empty((len(commands), 0))
     pose = np.asarray((0.0, 0.0, 0.0) if start is None else start, np.float64)
     if pose.shape != (3,) or not np.isfinite(pose).all():
@@ -119,12 +119,6 @@ def rollout(
     found = rollouts.run(rows, draws)
     index = ((0,) if single else (slice(None),)) + (() if outcomes else (0,))
     return _picked(found, index, isinstance(what, Tensor))
-
-
-def _compiled_or_stepped(simulator: Simulator, controller: Controller) -> Rollouts:
-    episode = Episode()
-    compiled = simulator.rollouts(controller, episode)
-    return compiled or SteppedRollouts(simulator, controller, episode)
 
 
 def _picked(trajectory: Trajectory, index: tuple[Any, ...], tensors: bool) -> Trajectory:

@@ -1,5 +1,7 @@
 """Trajectories: their times, and how one is made of a track."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -74,6 +76,22 @@ def test_plans_rest_for_as_long_as_is_said_and_null_commands_take_no_time():
     assert made.active[0, 3].tolist() == [False, True, False]
     moving = planned(np.zeros((1, 4, 4, 3)), commands, active, 0.0)
     assert moving.times[0, 0].tolist() == [0.0, 0.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "expected"),
+    [
+        ("poses", (1, 2, 3), (1, 3, 3)),
+        ("poses", (3, 3), (1, 3, 3)),
+        ("readings", (1, 3, 8), (1, 2, 8)),
+        ("active", (1, 3), (1, 2)),
+        ("segment", (3,), (2,)),
+    ],
+)
+def test_shapes_that_do_not_fit_are_refused(name, shape, expected):
+    parts = {"poses": None, name: np.zeros(shape)}
+    with pytest.raises(ValueError, match=re.escape(f"expected {name} {expected}, not {shape}")):
+        Trajectory(commands=np.zeros((1, 2, 3)), durations=1.0, **parts)
 
 
 def test_draws_are_as_many_as_their_starts():

@@ -1,6 +1,7 @@
 """The course's rules by hand, and the kernel against an obvious implementation."""
 
 import itertools
+import json
 import math
 
 import numpy as np
@@ -10,8 +11,10 @@ from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
-from neurosim.tasks.base import Task, make_task
+from neurosim.base.trajectory import Trajectory
+from neurosim.tasks.base import Task
 from neurosim.tasks.nine_rectangles import NineRectangles
+from neurosim.tasks.registry import make_task
 
 TASK = NineRectangles()
 #: Centres of the rectangles, in the order of the course.
@@ -33,12 +36,24 @@ def straight(points, heading=0.0):
     return np.array([[(x, y, heading) for x, y in points]])
 
 
+def driven(poses, given):
+    """Return trajectories of poses (B, S + 1, 3), and given or not (B, S)."""
+    given = np.array(given)
+    return Trajectory(np.array(poses), np.zeros((*given.shape, 3)), 1.0, active=given)
+
+
+def tracked(poses, segment, given):
+    """Return the trajectory of a dense track."""
+    return Trajectory.of_track(
+        np.arange(len(poses)), poses, segment, np.zeros((len(given), 3)), given
+    )
+
+
 def judge(points, given=None, task=TASK):
-    poses = straight(points)
-    given = np.ones((1, len(points) - 1), bool) if given is None else np.array([given])
-    result = task.evaluate(poses, given)
+    given = [True] * (len(points) - 1) if given is None else given
+    result = task.judge(driven(straight(points), [given]))
     detail = {name: int(values[0]) for name, values in result.detail.items()}
-    return float(result.fitness[0]), bool(result.completes[0]), detail
+    return float(result.fitness[0]), bool(result.success[0]), detail
 
 
 def test_once_around():
@@ -54,10 +69,14 @@ def test_the_start_faces_rectangle_1_and_the_name_finds_the_task():
     task = make_task("nine-rectangles", penalty=10.0)
     assert task == NineRectangles(penalty=10.0)
     assert isinstance(task, Task)
-    assert make_task(task.describe()["name"], **task.describe()["settings"]) == task
+    assert make_task(task) is task
+    assert make_task(task.describe()) == task
+    assert make_task(task.describe(), penalty=5.0) == NineRectangles(penalty=5.0)
+    written = json.loads(json.dumps(task.describe()))
+    assert make_task(written["name"], **written["settings"]) == task
     with pytest.raises(UserError, match="no task 'ten-rectangles'; there is nine-rectangles"):
         make_task("ten-rectangles")
-    with pytest.raises(UserError, match="does not take the settings 'size'"):
+    with pytest.raises(UserError, match=r"does not take these settings \('size'\)"):
         make_task("nine-rectangles", size=1)
     with pytest.raises(UserError, match="penalty must not be negative"):
         make_task("nine-rectangles", penalty=-1.0)
@@ -119,24 +138,24 @@ def test_the_path_between_poses_is_the_arc():
     for turn, fault in ((-math.pi, 2), (math.pi, 1), (0.0, 0)):
         path = np.array([[[-0.8, 0, turn / -2], [-0.7, 0.5, turn / -2], [-0.1, 0.5, turn / 2]]])
         path[0, 0, 2] = path[0, 1, 2]
-        result = TASK.evaluate(path, np.ones((1, 2), bool))
+        result = TASK.judge(driven(path, [[True, True]]))
         assert result.detail["fault"][0] == fault
 
 
 def test_a_rectangle_that_an_arc_only_dips_into_is_reached():
     # Half a turn from 0 over the border of 1 at y = 0.25 and back again.
     path = np.array([[[-0.9, 0.2, math.pi / 2], [-0.7, 0.2, -math.pi / 2]]])
-    result = TASK.evaluate(path, [[True]])
+    result = TASK.judge(driven(path, [[True]]))
     assert (result.detail["furthest"][0], result.detail["no_gain"][0]) == (1, 1)
 
 
 def test_turning_on_the_spot_stays_and_whole_turns_are_finite():
     for turn in (2 * math.pi, -2 * math.pi, 4 * math.pi, 6.2, 6.5, 20.0):
         spot = np.array([[[-0.8, 0, 0.0], [-0.8, 0, turn]]])
-        assert TASK.evaluate(spot, [[True]]).fitness[0] == pytest.approx(-0.1)
+        assert TASK.judge(driven(spot, [[True]])).fitness[0] == pytest.approx(-0.1)
         # A little way in a whole turn is a straight line, not a circle as wide as the board.
         nudged = np.array([[[-0.8, 0, 0.0], [-0.79, 0.01, 2 * math.pi]]])
-        assert TASK.evaluate(nudged, [[True]]).fitness[0] == pytest.approx(-0.1)
+        assert TASK.judge(driven(nudged, [[True]])).fitness[0] == pytest.approx(-0.1)
 
 
 def test_a_dense_track_counts_what_happened_between_the_boundaries():
@@ -146,23 +165,100 @@ def test_a_dense_track_counts_what_happened_between_the_boundaries():
     )
     segment = np.minimum(np.maximum(np.arange(len(dense)) - 1, 0) // 10, 7)
     given = np.ones(8, bool)
-    result = TASK.evaluate_track(dense, segment, given)
-    assert (result.fitness[0], result.completes[0]) == (64.0, True)
+    result = TASK.judge(tracked(dense, segment, given))
+    assert (result.fitness, result.success) == (64.0, True)
     # A detour through the centre between two boundaries shows only in the dense track.
     detour = dense.copy()
     detour[22:29] = (0.0, 0.0, 0.0)
-    assert TASK.evaluate_track(detour, segment, given).detail["fault"][0] == 1
+    result = TASK.judge(tracked(detour, segment, given))
+    assert (result.detail["fault"], result.reason, result.segment) == (1, 0, 2)
     # Commands in which nothing was seen gained nothing.
-    few = TASK.evaluate_track(ends[:2], [0, 1], given)
-    assert few.fitness[0] == pytest.approx(1 - 0.7)
-    assert TASK.evaluate_track(ends[:1], [0], given).fitness[0] == pytest.approx(-0.8)
+    few = TASK.judge(tracked(ends[:2], [0, 1], given))
+    assert few.fitness == pytest.approx(1 - 0.7)
+    assert TASK.judge(tracked(ends[:1], [0], given)).fitness == pytest.approx(-0.8)
     with pytest.raises(ValueError, match="at least one pose"):
-        TASK.evaluate_track(np.empty((0, 3)), [], given)
+        tracked(np.empty((0, 3)), [], given)
 
 
-def test_shapes_are_checked():
-    with pytest.raises(ValueError, match=r"expected poses \(1, 3, 3\)"):
-        TASK.evaluate(np.zeros((1, 2, 3)), np.ones((1, 2), bool))
+def test_a_trajectory_without_poses_is_refused():
+    with pytest.raises(UserError, match="where the robot's poses are known"):
+        TASK.judge(Trajectory(None, np.zeros((2, 3)), 1.0))
+
+
+def test_leading_axes_are_trials():
+    once = straight(CENTRES)
+    poses = np.stack([[once[0], once[0]], [np.repeat(once[0, :1], 9, 0)] * 2])
+    result = TASK.judge(driven(poses, np.ones((2, 2, 8), bool)))
+    assert result.fitness.tolist() == [[64.0, 64.0], [-0.8, -0.8]]
+    assert result.success.tolist() == [[True, True], [False, False]]
+    assert result.reason.tolist() == [[-1, -1], [3, 3]]
+    assert result.segment.tolist() == [[7, 7], [7, 7]]
+    # Where nothing is said of null commands, all were given.
+    alone = Trajectory(once[0], np.zeros((8, 3)), 1.0)
+    assert TASK.judge(alone).fitness == 64.0
+
+
+@pytest.mark.parametrize(
+    ("points", "reason", "segment"),
+    [
+        (CENTRES[:3], "did not end in the last rectangle", 1),
+        ([*CENTRES[:3], (0, 0), (0.8, 0)], "entered a forbidden rectangle", 2),
+        ([*CENTRES[:2], (-0.8, 0.8)], "left the grid", 1),
+        ([CENTRES[0], CENTRES[7], CENTRES[0]], "skipped a rectangle", 0),
+    ],
+)
+def test_a_failure_is_said_in_words(points, reason, segment):
+    result = TASK.judge(driven(straight(points), np.ones((1, len(points) - 1), bool)))
+    assert TASK.reasons[int(result.reason[0])] == reason
+    assert result.segment[0] == segment
+
+
+def test_progress_grows_towards_the_next_rectangle_and_not_after_a_breach():
+    def progress(*points):
+        return TASK.progress(driven(straight(points), np.ones((1, len(points) - 1), bool)))[0]
+
+    # On the way from 0 to 1, whose lower border is at y = 0.25.
+    values = [progress(CENTRES[0], (-0.8, y)) for y in (0.0, 0.1, 0.2, 0.24, 0.3)]
+    assert values == sorted(values)
+    reach = math.hypot(TASK.length, TASK.width)
+    assert values[1] == pytest.approx(-0.1 + 0.9 * (1 - 0.15 / reach))
+    assert values[3] < progress(*CENTRES[:2]) < progress(*CENTRES[:3])
+    assert progress(*CENTRES) == 64.0
+    # What comes after a breach counts no more, nor does passing near the end and going on.
+    breach = [CENTRES[0], (-1.3, 0.0)]
+    assert progress(*breach, *CENTRES[:2]) == pytest.approx(progress(*breach) - 0.2)
+    near = [*CENTRES[:8], (-0.8, -0.26), CENTRES[7]]
+    assert progress(*near) == pytest.approx(progress(*CENTRES[:8], CENTRES[7], CENTRES[7]))
+
+
+def test_another_course_has_other_rectangles():
+    task = NineRectangles(length=0.4, width=0.3, course=((0, 1), (3, 2)))
+    assert task.last == 4
+    assert task.start == pytest.approx((-0.2, 0.15, 0.0))
+    around = [task.centre(number) for number in range(5)]
+    assert judge(around, task=task)[:2] == (16.0, True)
+    assert judge(around[:4], task=task)[:2] == (9.0, False)
+    assert judge([around[0], around[3]], task=task)[2]["fault"] == 3
+    assert judge([around[0], (-0.5, 0.15)], task=task)[2]["fault"] == 2
+    assert task.episode.goals[:, :2].tolist() == [list(place) for place in around[1:]]
+    assert len(task.outline()) == 8
+    assert make_task(json.loads(json.dumps(task.describe()))) == task
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"course": ((0, 1), (2,))}, "rows of equal length"),
+        ({"course": ((0, 1), (3, 5))}, "0, 1, 2, ... once each"),
+        ({"course": ((0, 1),)}, "at least 3 rectangles"),
+        ({"length": 0.0}, "must be above 0"),
+        ({"step": 0.0}, "must be above 0"),
+        ({"seconds": 0.05}, "seconds at least a step"),
+    ],
+)
+def test_a_course_that_is_none_is_refused(settings, message):
+    with pytest.raises(UserError, match=message):
+        NineRectangles(**settings)
 
 
 def slow(poses, given):
@@ -224,9 +320,9 @@ def drives(draw):
 def test_the_kernel_agrees_with_the_obvious_way(poses, data):
     commands = len(poses) - 1
     given_ = data.draw(st.lists(st.booleans(), min_size=commands, max_size=commands))
-    fast = TASK.evaluate(poses[None], np.array([given_]))
+    fast = TASK.judge(driven(poses[None], [given_]))
     assert fast.fitness[0] == pytest.approx(slow(poses, given_))
-    assert fast.completes[0] == (fast.fitness[0] > 60)
+    assert fast.success[0] == (fast.fitness[0] > 60)
     assert -TASK.penalty - commands / 10 <= fast.fitness[0] <= 64
 
 
@@ -236,8 +332,8 @@ def test_a_batch_is_judged_one_by_one_and_null_commands_do_not_matter(paths):
     length = max(map(len, paths))
     batch = np.stack([np.concatenate([p, np.repeat(p[-1:], length - len(p), 0)]) for p in paths])
     given_ = np.stack([np.arange(length - 1) < len(p) - 1 for p in paths])
-    together = TASK.evaluate(batch, given_).fitness
-    alone = [TASK.fitness(p[None], np.ones((1, len(p) - 1), bool))[0] for p in paths]
+    together = TASK.judge(driven(batch, given_)).fitness
+    alone = [TASK.judge(driven(p, np.ones(len(p) - 1, bool))).fitness for p in paths]
     assert together.tolist() == alone
 
 

@@ -1,31 +1,32 @@
 """Fitness of trajectories by hand, and networks that learn to avoid obstacles."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import torch
+from given_plans import EPISODE, GivenPlans, expected
 from khepera_data import made_up
-from neurosim.loop.evolve_networks import choose, evolve_networks
-from neurosim.loop.network_evolution import (
-    TOGETHER,
-    NetworkEvolution,
-    NetworkSettings,
-    TableTrials,
-)
-from neurosim.loop.rollouts import rollouts
-from neurosim.loop.write_plans import evolve
 
-from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import NetworkController, Plan, read_controller
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers import Network, read_controller
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.loop.evolve import Evolution, evolve
+from neurosim.loop.optimisers import OPTIMISERS, make_optimiser
+from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings, default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.sensor_table import SensorTable
-from neurosim.tasks.base import make_task
 from neurosim.tasks.obstacle_avoidance import (
     FITNESS,
     ObstacleAvoidance,
-    Trajectory,
     avoidance,
     cells_visited,
 )
+from neurosim.tasks.registry import make_task
+
+FAMILY = Network(tuple(f"sensor_{number}" for number in range(8)))
 
 
 def test_equation_1_by_hand():
@@ -34,28 +35,48 @@ def test_equation_1_by_hand():
     readings[2, [0, 7]] = 0.5, 1.0
     commands = np.array([[100, 100], [50, -100], [100, 100]])
     # 1 * 1 * 1, then V 0.75, DV 0.75, I 0.25, then against something.
-    expected = 1 + 0.75 * (1 - 0.75**2) * 0.75
-    assert avoidance(Trajectory(readings, commands)) == pytest.approx(expected)
-    both = Trajectory(readings[None, None].repeat(2, 1), commands[None, None].repeat(2, 1))
-    assert avoidance(both) == pytest.approx(np.full((1, 2), expected))
-    backwards = Trajectory(readings[:1], -commands[:1])
+    expected_ = 1 + 0.75 * (1 - 0.75**2) * 0.75
+    assert avoidance(Trajectory(None, commands, 0.1, readings)) == pytest.approx(expected_)
+    twice = [values[None, None].repeat(2, 1) for values in (commands, readings)]
+    both = Trajectory(None, twice[0], 0.1, twice[1])
+    assert avoidance(both) == pytest.approx(np.full((1, 2), expected_))
+    backwards = Trajectory(None, -commands[:1], 0.1, readings[:1])
     assert avoidance(backwards) == pytest.approx(1)  # absolute speeds: backwards counts alike
+    # A step that lasts for so many counts so often.
+    uneven = Trajectory(None, commands, np.array([0.2, 0.4, 0.1]), readings)
+    assert avoidance(uneven, 0.1) == pytest.approx(2 + 4 * (expected_ - 1))
+    with pytest.raises(UserError, match="where the sensors were read"):
+        avoidance(Trajectory(None, commands, 0.1))
 
 
 def test_cells_visited_by_hand():
     poses = np.array([[0.01, 0.01, 0], [0.04, 0.02, 0], [0.06, 0.02, 0], [-0.01, 0.01, 0]])
     still = np.zeros((4, 3))
-    trajectory = Trajectory(np.zeros((2, 3, 8)), np.zeros((2, 3, 2)), np.stack([poses, still]))
+    trajectory = Trajectory(np.stack([poses, still]), np.zeros((2, 3, 2)), 0.1)
     assert cells_visited(trajectory).tolist() == [3, 1]
     assert cells_visited(trajectory, size=0.02).tolist() == [4, 1]
     with pytest.raises(UserError, match="without the robot's poses"):
-        cells_visited(Trajectory(np.zeros((3, 8)), np.zeros((3, 2))))
+        cells_visited(Trajectory(None, np.zeros((3, 2)), 0.1))
+
+
+def test_a_trial_succeeds_where_nothing_comes_too_near():
+    readings = np.zeros((2, 4, 8))
+    readings[1, 2, 5] = 0.8
+    driven = Trajectory(None, np.full((2, 4, 2), 50.0), 0.1, readings)
+    judged = ObstacleAvoidance(too_near=0.8).judge(driven)
+    assert judged.success.tolist() == [True, False]
+    assert judged.segment.tolist() == [3, 2]
+    assert judged.fitness.tolist() == avoidance(driven).tolist()
+    assert ObstacleAvoidance().judge(driven).success.all()
+    # All starts of a trial count together.
+    assert ObstacleAvoidance(starts=2).whole(np.array([[1.0, 2.0]])).tolist() == [3.0]
 
 
 def test_task_settings():
     task = make_task("obstacle-avoidance", steps=300, starts=3)
-    assert task.steps_a_start == 100
-    assert make_task(**{"name": task.name, **task.describe()["settings"]}) == task
+    assert task.episode.steps == 100
+    assert task.trial_starts == 3
+    assert make_task(task.describe()) == task
     for settings in ({"steps": 100, "starts": 3}, {"fitness": "beauty"}, {"duration": 0.0}):
         with pytest.raises(UserError):
             make_task("obstacle-avoidance", **settings)
@@ -66,120 +87,144 @@ def test_a_network_that_only_drives_ahead_against_one_that_turns_away():
     ahead = np.array([[0] * 8 + [2.0], [0] * 8 + [2.0]])
     away = ahead.copy()
     away[1, :4], away[0, 2:6] = -6.0, -1.0  # sees something in front: turn to the right
-    trials = TableTrials(sim, ObstacleAvoidance())
+    genes = np.stack([ahead.ravel(), away.ravel()])
     start = np.array([[-0.2, -0.05, 0.3], [0.1, 0.05, 1.0]])
-    driven = trials.drive(np.stack([ahead.ravel(), away.ravel()]), start, steps=200)
+    drives = rollouts_of(sim, FAMILY, Episode(0.1, 200, readings=True))
+    driven = drives.run(genes, Draws(start))
     fitness = avoidance(driven).mean(axis=1)
     assert fitness[1] > 1.5 * fitness[0]
-    for genes, index in ((ahead, 0), (away, 1)):
-        commands = NetworkController(genes, {"name": "x"}).commands(driven.readings[index])
-        assert commands == pytest.approx(driven.commands[index], abs=1e-3)
+    for index in range(2):
+        seen = torch.from_numpy(driven.readings[index].reshape(-1, 8).astype(float))
+        rows = torch.from_numpy(genes[[index]]).expand(len(seen), -1)
+        commands, _ = FAMILY.act(rows, seen, FAMILY.start(len(seen)))
+        given = driven.commands[index].reshape(-1, 2)
+        assert commands.numpy() == pytest.approx(given, abs=1e-3)
 
 
 def test_evolution_learns_and_is_repeatable(tmp_path):
     sim = TableSimulator(made_up())
     task = ObstacleAvoidance(steps=250)
-    settings = NetworkSettings(generations=40)
-    found = evolve_networks(sim, tmp_path / "net", task, settings, seed=3, progress=False)
+    how = {"generations": 40, "seed": 3, "progress": False}
+    (found,) = evolve(sim, task, out=tmp_path / "net", **how)
     history = found.evolution["history"]
     assert len(history["best"]) == len(history["mean"]) == 40
     first, last = np.mean(history["mean"][:3]), np.mean(history["mean"][-5:])
     assert last > 1.5 * first
     assert found.predicted["fitness"] > 0.55 * task.steps
-    again = evolve_networks(sim, tmp_path / "again", task, settings, seed=3, progress=False)
-    assert (again.weights == found.weights).all()
+    # Where the task needs sensors, the controller is a network of all that there are.
+    assert found.controller.inputs == FAMILY.inputs
+    assert found.genes.shape == (FAMILY.genes,)
+    (again,) = evolve(sim, task, "network", out=tmp_path / "again", **how)
+    assert (again.genes == found.genes).all()
     read = read_controller(tmp_path / "net")
-    assert isinstance(read, NetworkController)
-    assert (read.weights == found.weights).all()
+    assert read.controller == found.controller
+    assert (read.genes == found.genes).all()
     assert read.task == task.describe()
     with pytest.raises(UserError, match="not empty"):
         found.write(tmp_path / "net")
-    with pytest.raises(FileError, match="expected 'plan', found 'network'"):
-        Plan.read(tmp_path / "net")
 
 
 def test_every_parent_has_as_many_children():
     # Without crossover and mutation the next population is copies of the best.
-    settings = NetworkSettings(population=20, parents=4, crossover=0, mutation=0)
-    evolution = NetworkEvolution(settings, seed=0)
-    first = evolution.population.copy()
-    evolution.generation(lambda genes, rng: np.arange(20.0))
-    copies = (evolution.population[:, None] == first[None]).all(-1).sum(0)
+    genetic = replace(NETWORK_GENETIC, population=20, parents=4, crossover=0, mutation=0)
+    optimiser = make_optimiser("ga", FAMILY, EvolveSettings(genetic=genetic), 0)
+    first = optimiser.ask()[0].copy()
+    optimiser.tell(np.arange(20.0)[None])
+    copies = (optimiser.ask()[0][:, None] == first[None]).all(-1).sum(0)
     assert copies.tolist() == [0] * 16 + [5] * 4
 
 
 def test_networks_driven_part_by_part_are_driven_alike():
-    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance(steps=50))
-    genes = np.random.default_rng(0).normal(0, 1, (2 * TOGETHER + 7, 18))
-    starts = trials.simulator.arena.free_poses(5, 0.0275, np.random.default_rng(1))
-    at_once = trials.task.evaluate(trials.drive(genes, starts, np.random.default_rng(2)))
-    assert (trials.fitness(genes, starts, np.random.default_rng(2)) == at_once).all()
-    fitness, merit = trials.judge(genes, starts, np.random.default_rng(2))
-    few, few_merit = trials.judge(genes[-9:], starts, np.random.default_rng(2))
-    assert (fitness[-9:] == few).all()
-    assert (merit[-9:] == few_merit).all()
-    assert (merit <= fitness).all()
-    assert (merit < fitness).any()
+    evaluator = Evaluator(TableSimulator(made_up()), ObstacleAvoidance(steps=50), FAMILY)
+    genes = np.random.default_rng(0).normal(0, 1, (407, 18))
+    # Five trials, each from five starts, all of them met twice.
+    draws = evaluator.draw(5, np.random.default_rng(1), 2)
+    assert len(draws) == 50
+    assert (draws.starts[:25] == draws.starts[25:]).all()
+    assert len(list(evaluator._parts(len(genes), len(draws)))) == 3
+    judged, _ = evaluator.judge(genes, draws)
+    at_once = judged.fitness.reshape(len(genes), 10, 5).sum(2).mean(1)
+    found, _ = evaluator.merit(genes, draws, "fitness")
+    assert (found.merit == at_once).all()
+    steady, _ = evaluator.merit(genes, draws, "steady")
+    few, _ = evaluator.merit(genes[-9:], draws, "steady")
+    assert (steady.shown == at_once).all()
+    assert (steady.shown[-9:] == few.shown).all()
+    assert (steady.merit[-9:] == few.merit).all()
+    assert (steady.merit <= steady.shown).all()
+    assert (steady.merit < steady.shown).any()
 
 
 def test_of_two_that_are_as_fit_the_steadier_has_the_better_chances(monkeypatch):
-    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance(steps=50))
+    evaluator = Evaluator(TableSimulator(made_up()), ObstacleAvoidance(steps=50), FAMILY)
     genes = np.random.default_rng(0).normal(0, 1, (20, 18))
-    starts = trials.simulator.arena.free_poses(5, 0.0275, np.random.default_rng(1))
+    draws = evaluator.draw(1, 2, 2)
     for fitness in (-1.0, 1.0):
         monkeypatch.setitem(
             FITNESS,
             "avoidance",
-            lambda driven, worth=fitness: np.full(driven.poses.shape[:2], worth),
+            lambda driven, step, worth=fitness: np.full(driven.shape, worth),
         )
-        found, merit = trials.judge(genes, starts, np.random.default_rng(2))
-        twice = [trials.drive(genes, starts, np.random.default_rng(s)).poses for s in (3, 4)]
-        assert (found == 5 * fitness).all()
-        assert (merit <= found).all()
-        apart = np.median(np.linalg.norm((twice[0] - twice[1])[..., :2], axis=-1), axis=(1, 2))
-        assert merit[apart.argmin()] > merit[apart.argmax()]
-    alone = TableTrials(trials.simulator, trials.task, apart=np.inf)
-    found, merit = alone.judge(genes, starts, np.random.default_rng(2))
-    assert (found == merit).all()
+        found, _ = evaluator.merit(genes, draws, "steady")
+        poses = evaluator.run(genes, draws).poses
+        assert (found.shown == 5 * fitness).all()
+        assert (found.merit <= found.shown).all()
+        between = (poses[:, :5] - poses[:, 5:])[..., :2]
+        apart = np.median(np.linalg.norm(between, axis=-1), axis=(1, 2))
+        assert found.merit[apart.argmin()] > found.merit[apart.argmax()]
+        assert found.merit == pytest.approx(5 * fitness - 5 * np.minimum(apart / 0.2, 1.0))
+    alone, _ = evaluator.merit(genes, draws, "fitness")
+    assert (alone.shown == alone.merit).all()
 
 
-def test_the_choice_is_not_the_lucky_one():
-    trials = TableTrials(TableSimulator(made_up()), ObstacleAvoidance())
+class Fixed:
+    """An optimiser that asks for the same two networks again and again."""
+
     away = np.array([[0, 0, -1, -1, -1, -1, 0, 0, 2], [-6, -6, -6, -6, 0, 0, 0, 0, 2.0]]).ravel()
-    still = np.zeros(18)
-    genes, fitness, spread = choose(trials, np.stack([still, away]), 0)
-    assert (genes == away).all()
-    assert fitness > 200
-    assert 0 < spread < fitness
+
+    def __init__(self, controller, settings, seed, first):
+        pass
+
+    def ask(self):
+        return np.stack([np.zeros(18), self.away])[None]
+
+    def tell(self, fitness):
+        assert fitness.shape == (1, 2)
+
+
+def test_the_choice_is_not_the_lucky_one(monkeypatch):
+    monkeypatch.setitem(OPTIMISERS._registered, "fixed", Fixed)
+    evaluator = Evaluator(TableSimulator(made_up()), ObstacleAvoidance(), FAMILY)
+    settings = default_settings(FAMILY, evaluator.task, optimiser="fixed", generations=1)
+    evolution = Evolution(evaluator, settings, 0)
+    evolution.run(progress=False)
+    # In its generation the one that stands still had luck.
+    evolution.stages[0].top[:] = 0.0
+    evolution.stages[0]._merit[:] = [[500.0, 0.0]]
+    (found,) = evolution.results(False)
+    assert (found.genes == Fixed.away).all()
+    assert found.fitness > 200
+    assert 0 < found.spread < found.fitness
 
 
 def test_a_plan_runs_in_tables_as_in_any_simulator():
     sim = TableSimulator(made_up(), noise="none", arena=Arena.rectangle(2, 2))
-    commands = np.array([[[100.0, 100.0, 2.0], [50.0, -50.0, 0.5]]])
-    path = rollouts(sim, (0, 0, 0)).expected(commands, np.ones((1, 2), bool))
+    plans = GivenPlans(np.array([[[100.0, 100.0, 2.0], [50.0, -50.0, 0.5]]]), np.ones((1, 2), bool))
+    path = expected(sim.rollouts(plans, EPISODE), plans, (0, 0, 0))
     assert path[0, 1] == pytest.approx([0.2, 0, 0])
     assert path[0, 2] == pytest.approx([0.2, 0, -0.1 / 0.053 * 0.5])
 
 
-def test_plans_are_not_evolved_for_it(tmp_path):
-    (tmp_path / "sim").mkdir()
-    TableSimulator(made_up()).write(tmp_path / "sim")
-    with pytest.raises(UserError, match="takes a network"):
-        evolve(tmp_path / "sim", tmp_path / "out", "obstacle-avoidance")
-
-
 def test_obstacle_avoidance_in_the_samples_of_a_real_robot(shared_data):
     files = sorted((shared_data / "khepera").glob("*.sample"))
-    trials = TableTrials(TableSimulator(SensorTable.from_files(files)), ObstacleAvoidance())
-    evolution = NetworkEvolution(NetworkSettings(), seed=0)
-    for _ in range(40):
-        evolution.generation(trials)
-    genes, fitness, _ = choose(trials, evolution.population, 0)
-    assert evolution.mean[0] < 150
-    assert fitness > 300
+    sim = TableSimulator(SensorTable.from_files(files))
+    (found,) = evolve(sim, ObstacleAvoidance(), generations=40, seed=0, progress=False)
+    assert found.evolution["history"]["mean"][0] < 150
+    assert found.predicted["fitness"] > 300
     # It keeps off: from most starts it never stands against anything for long.
-    starts = trials.simulator.arena.free_poses(20, 0.0275, np.random.default_rng(5))
-    driven = trials.drive(genes[None], starts, np.random.default_rng(6), steps=300)
-    touching = trials.simulator.arena.clearance(driven.poses[0, :, :, :2]) < 0.0275 + 1e-4
+    drives = rollouts_of(sim, FAMILY, Episode(0.1, 300, readings=True))
+    starts = sim.arena.free_poses(20, 0.0275, np.random.default_rng(5))
+    driven = drives.run(found.genes[None], drives.draw(starts, np.random.default_rng(6)))
+    touching = sim.arena.clearance(driven.poses[0, :, :, :2]) < 0.0275 + 1e-4
     assert np.median(touching.mean(axis=1)) < 0.05
     assert np.median(cells_visited(driven)[0]) > 15

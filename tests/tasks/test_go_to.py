@@ -1,0 +1,124 @@
+"""Going to poses, by hand."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Trajectory
+from neurosim.tasks.go_to import GoTo
+from neurosim.tasks.registry import make_task
+
+TASK = GoTo(goals=((0.5, 0.0, 0.0), (0.5, 0.5, math.pi / 2)), within=0.08, tolerance=0.05)
+WALLED = GoTo(goals=((0.5, 0.0, 0.0),), walls=((0.3, -0.2, 0.3, 0.2),), radius=0.1)
+
+
+def drive(*points, task=TASK, heading=0.0):
+    poses = np.array([(x, y, heading) for x, y in points])
+    return task.judge(Trajectory(poses, np.zeros((len(points) - 1, 3)), 1.0))
+
+
+def reason(judged, task=TASK):
+    return task.reasons[int(judged.reason)]
+
+
+def test_goals_are_passed_in_turn_and_the_last_is_stopped_at():
+    there = drive((0, 0), (0.5, 0.0), (0.5, 0.5))
+    assert (bool(there.success), int(there.reason), int(there.segment)) == (True, -1, 1)
+    # Both passed, and the last one hit exactly.
+    assert there.fitness == pytest.approx(2 + 1)
+    # The second first: it counts only after the first.
+    wrong = drive((0, 0), (0.5, 0.5), (0.5, 0.0))
+    assert not wrong.success
+    assert reason(wrong) == "did not pass all goals"
+    assert int(wrong.detail["passed"]) == 1
+    # On the way: half of the leg to the first goal, then all of it and half of the second.
+    assert drive((0, 0), (0.25, 0.0)).fitness == pytest.approx(0.5)
+    assert drive((0, 0), (0.5, 0.0), (0.5, 0.25)).fitness == pytest.approx(1.5)
+
+
+def test_between_two_poses_the_robot_passes_what_is_on_the_way():
+    # A single command leads past the first goal at 7 cm.
+    assert int(drive((0, 0.07), (1.0, 0.07)).detail["passed"]) == 1
+    assert int(drive((0, 0.09), (1.0, 0.09)).detail["passed"]) == 0
+
+
+def test_a_robot_that_drives_past_the_last_goal_did_not_stop_there():
+    past = drive((0, 0), (0.5, 0.0), (0.5, 0.6))
+    assert reason(past) == "did not stop at the last goal"
+    assert past.detail["distance"] == pytest.approx(0.1)
+    assert 2 < past.fitness < drive((0, 0), (0.5, 0.0), (0.5, 0.53)).fitness < 3
+
+
+def test_the_heading_counts_where_it_is_asked_for():
+    task = GoTo(goals=TASK.goals, heading_tolerance=0.2)
+    for heading, good in ((math.pi / 2, True), (math.pi / 2 + 2 * math.pi, True), (0.0, False)):
+        judged = drive((0, 0), (0.5, 0.0), (0.5, 0.5), task=task, heading=heading)
+        assert bool(judged.success) is good
+    assert reason(judged, task) == "stopped at the last goal, turned wrongly"
+    assert drive((0, 0), (0.5, 0.0), (0.5, 0.5), heading=3.0).success
+
+
+@pytest.mark.parametrize(
+    ("points", "segment"),
+    [
+        ([(0, 0), (0.5, 0.0)], 0),  # through the wall
+        ([(0, 0), (0.1, 0.0), (0.21, 0.0)], 1),  # its rim touches
+        ([(0, 0), (0.1, 0.29), (0.4, 0.29), (0.5, 0.0)], 1),  # round its end, too narrowly
+    ],
+)
+def test_a_robot_that_touches_a_wall_gets_nothing_for_what_follows(points, segment):
+    judged = drive(*points, task=WALLED)
+    assert not judged.success
+    assert (reason(judged, WALLED), int(judged.segment)) == ("touched a wall", segment)
+    assert judged.fitness <= 1.0
+
+
+def test_a_robot_that_keeps_off_the_wall_gets_there():
+    judged = drive((0, 0), (0.1, 0.35), (0.5, 0.35), (0.5, 0.0), task=WALLED)
+    assert judged.success
+    # Whoever touches it after having passed the goal is not paid for having hit it.
+    later = drive((0, 0), (0.1, 0.35), (0.5, 0.35), (0.5, 0.0), (0.2, 0.0), task=WALLED)
+    assert (reason(later, WALLED), float(later.fitness)) == ("touched a wall", 1.0)
+
+
+def test_leading_axes_and_poses_that_are_no_numbers():
+    poses = np.zeros((2, 3, 3, 3))
+    poses[0, :, 1:] = (0.5, 0.0, 0.0)
+    poses[1, 0, 1:] = math.nan
+    judged = TASK.judge(Trajectory(poses, np.zeros((2, 3, 2, 2)), 1.0))
+    assert judged.fitness.shape == (2, 3)
+    assert np.isfinite(judged.fitness).all()
+    assert judged.detail["passed"].tolist() == [[1, 1, 1], [0, 0, 0]]
+    with pytest.raises(UserError, match="where the robot's poses are known"):
+        TASK.judge(Trajectory(None, np.zeros((2, 2)), 1.0))
+
+
+def test_a_task_is_made_from_its_description():
+    made = make_task(json.loads(json.dumps(WALLED.describe())))
+    assert made == WALLED
+    assert made.start == (0.0, 0.0, 0.0)
+    assert made.episode.steps == 150
+    assert made.episode.goals.tolist() == [[0.5, 0.0, 0.0]]
+    shapes = made.outline()
+    assert sum("circle" in shape for shape in shapes) == 1
+    assert sum(shape.get("forbidden", False) for shape in shapes) == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"goals": ()}, "at least one goal"),
+        ({"goals": ((0.0, 1.0),)}, "each of goals must be 3 finite numbers"),
+        ({"goals": ((0.0, 1.0, math.nan),)}, "finite"),
+        ({"walls": ((0.0, 1.0, 2.0),)}, "each of walls must be 4 finite numbers"),
+        ({"begin": (0.0, 1.0)}, "a start pose"),
+        ({"tolerance": 0.0}, "must be above 0"),
+        ({"radius": -1.0}, "radius not below"),
+    ],
+)
+def test_settings_that_cannot_be_are_named(settings, message):
+    with pytest.raises(UserError, match=message):
+        GoTo(**settings)
