@@ -32,10 +32,11 @@ import numba
 import numpy as np
 import torch
 
+from neurosim.base.threads import one_thread
 from neurosim.evolution import GeneticAlgorithm
 from neurosim.networks import PopulationError, ProductSummationNetwork
 from neurosim.networks._kernels import _exp2
-from neurosim.training.base import TrainingData, one_thread
+from neurosim.training.base import TrainingData
 from neurosim.training.trainers.ga import GaSettings, GaTrainer
 
 POPULATION, ROWS, OUTPUTS = 250, 5_000, 3

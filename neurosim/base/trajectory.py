@@ -7,6 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+#: The motors are stopped for so long after the last command before a robot is at rest, s.
+RUN_DOWN = 0.5
+
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.threads import one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
@@ -156,15 +157,14 @@ class Evaluator:
         the scheduler, more than the whole work. Where a simulator is stepped in PyTorch there is
         too little in a step to be shared out.
         """
-        compiled, tensors = numba.get_num_threads(), torch.get_num_threads()
+        threads = numba.get_num_threads()
         if individuals * (self.steps - (self.episode.rest > 0)) < _WORTH_SHARING:
             numba.set_num_threads(1)
-        torch.set_num_threads(1)
         try:
-            yield
+            with one_thread():
+                yield
         finally:
-            numba.set_num_threads(compiled)
-            torch.set_num_threads(tensors)
+            numba.set_num_threads(threads)
 
     def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
         """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""

@@ -10,8 +10,8 @@ import numpy as np
 from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
-from neurosim.reports.predictions import READABLE, UNITS, HeldOut, dataset_of, held_out
-from neurosim.training.evaluate import PAPER
+from neurosim.reports.predictions import HeldOut, dataset_of, held_out
+from neurosim.training.evaluate import PAPER, READABLE, UNITS
 
 #: Outputs in the paper's order, with the paper's words for them.
 OUTPUTS = {

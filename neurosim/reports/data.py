@@ -11,7 +11,7 @@ from neurosim.reports import charts
 from neurosim.reports.accuracy import AXES
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
-from neurosim.reports.predictions import READABLE, UNITS
+from neurosim.training.evaluate import READABLE, UNITS
 from tracking.datasets.dataset import Dataset
 
 _MARKERS = ("front", "rear")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.files import sha256
@@ -15,10 +14,6 @@ from neurosim.training.coverage import central_ranks
 from neurosim.training.evaluate import errors, predict
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
-
-#: From metres and radians to what people read: centimetres and degrees.
-READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
-UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.statistics import wilson
 from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
 from neurosim.reports.course import course
@@ -85,14 +86,6 @@ def label(trial: Trial) -> str:
     """Return what to call a trial: its folder's name, with its parent's if that says more."""
     parent = trial.path.resolve().parent.name
     return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
-
-
-def wilson(successes: int, trials: int, z: float = 1.959964) -> tuple[float, float]:
-    """Return the 95 % interval of a rate (Wilson 1927)."""
-    rate, square = successes / trials, z * z / trials
-    middle = (rate + square / 2) / (1 + square)
-    half = z * math.sqrt(rate * (1 - rate) / trials + square / (4 * trials)) / (1 + square)
-    return max(0.0, middle - half), min(1.0, middle + half)
 
 
 def _course(trial: Trial, prefix: str, small: bool) -> Picture:

@@ -15,7 +15,8 @@ from neurosim.base.files import write_text
 from neurosim.reports import accuracy, certainty, data, plans, provenance, reality, tables
 from neurosim.reports.artefacts import Artefacts, gather
 from neurosim.reports.page import Page
-from neurosim.reports.predictions import UNITS, HeldOut
+from neurosim.reports.predictions import HeldOut
+from neurosim.training.evaluate import UNITS
 
 
 def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, Any]:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.nine_rectangles import RUN_DOWN
 
 Pose = tuple[float, float, float]
 

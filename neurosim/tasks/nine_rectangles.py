@@ -42,13 +42,11 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
-from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
 
 #: The centre is checked at least this often, m.
 SPACING = 0.02
-#: The motors run down for this long after the last command before the robot is at rest, s.
-RUN_DOWN = 0.5
 
 #: What a robot can do wrong; 0 is nothing.
 FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}

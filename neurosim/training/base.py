@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -46,22 +45,6 @@ def root_mean_square(values: Tensor) -> Tensor:
 
 def _not_zero(scale: Tensor) -> Tensor:
     return torch.where(scale > 0, scale, 1.0)
-
-
-@contextmanager
-def one_thread(device: str) -> Iterator[None]:
-    """Let PyTorch work in one thread where more do not pay.
-
-    The tensors of a search are small; and PyTorch's second thread, between two of its tasks, keeps
-    busy on a core that compiled kernels, or other programs, want.
-    """
-    threads = torch.get_num_threads()
-    if torch.device(device).type == "cpu":
-        torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
 
 
 @dataclass(frozen=True)

@@ -24,8 +24,9 @@ PAPER = {
     "dtheta": {"mse": 26.412, "mean_absolute_error": 3.585},
 }
 
-#: What a person reads: centimetres and degrees.
-_FACTORS = {"dx": (100.0, "cm"), "dy": (100.0, "cm"), "dtheta": (180.0 / np.pi, "deg")}
+#: From metres and radians to what people read, centimetres and degrees; and their names.
+READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
+UNITS = {"dx": "cm", "dy": "cm", "dtheta": "deg"}
 
 
 def evaluate(
@@ -82,7 +83,7 @@ def evaluate(
         "held_out": own and held_out_only,
         "errors": table_of_errors(network, used),
         "coverage": coverage(network, used),
-        "paper": {name: {**PAPER[name], "unit": _FACTORS[name][1]} for name in PAPER},
+        "paper": {name: {**PAPER[name], "unit": UNITS[name]} for name in PAPER},
         "baseline": baseline,
     }
 
@@ -114,11 +115,11 @@ def errors(predicted: NDArray, actual: NDArray) -> dict[str, dict[str, Any]]:
     In cm and deg, as the paper has them; the key ``unit`` says which.
     """
     table = {}
-    for place, (name, (factor, unit)) in enumerate(_FACTORS.items()):
+    for place, (name, factor) in enumerate(READABLE.items()):
         difference = factor * (predicted[:, place] - actual[:, place])
         table[name] = {
             "mse": float(np.mean(difference**2)),
             "mean_absolute_error": float(np.mean(np.abs(difference))),
-            "unit": unit,
+            "unit": UNITS[name],
         }
     return table

@@ -25,6 +25,7 @@ from neurosim.recording.commands import Command, CommandSource
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
 from neurosim.training.base import TrainingData
+from neurosim.training.error_size import size_features, size_weights
 from neurosim.training.trainers.exponents import ExponentsSettings, ExponentsTrainer
 from neurosim.training.uncertainty.ensemble import Share
 from tracking.datasets.dataset import MOTOR_INPUTS
@@ -119,27 +120,19 @@ def _learned(
 
 
 class _ErrorSize:
-    """How large an error is to be expected of a command: a product of powers of its inputs.
-
-    The logarithm of the errors is regressed on those of the inputs' magnitudes (Harvey 1976).
-    """
+    """How large an error is expected of a command; see :mod:`neurosim.training.error_size`."""
 
     def __init__(self, simulator: MotionNetwork, x: Tensor, errors: Tensor):
         self._simulator = simulator
         features = self._features(x)
-        square = features.T @ features
-        square.diagonal().add_(1e-2 * square.diagonal().mean())
-        size = errors.abs()
-        log = (size + 0.1 * size.mean(0)).clamp(min=1e-12).log()
-        self._weights = torch.linalg.solve(square, features.T @ log)
+        self._weights = size_weights(features, errors, ridge=1e-2)
         fitted = features @ self._weights
         self._least, self._most = fitted.quantile(_QUIETEST, 0), fitted.amax(0)
         fitted = fitted.clamp(min=self._least)
         self._factor = (errors.square().mean(0) / (2.0 * fitted).exp().mean(0)).sqrt()
 
     def _features(self, x: Tensor) -> Tensor:
-        size = self._simulator.scaled(x).abs()
-        return torch.cat([size.clamp(min=0.05).log(), size, torch.ones_like(size[:, :1])], dim=1)
+        return size_features(self._simulator.scaled(x))
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return standard deviations [N, 3] of inputs [N, I]."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.files import sha256, write_json
 from neurosim.base.provenance import is_virtual
-from neurosim.base.trajectory import Trajectory
+from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import read_controller
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.record import Guard, RecordSettings, record
@@ -38,9 +38,6 @@ FORMAT, VERSION = "neurosim-trial", 1
 
 #: x (m), y (m), heading (rad), or None where nobody knows.
 Pose = list[float] | None
-
-#: The motors have run down this long after the last command, s.
-AT_REST = 0.5
 
 
 def run_trial(
@@ -247,7 +244,7 @@ class _Drive:
             durations = np.append(np.diff(self.boundaries), [0.0] * stops)
             return Trajectory(None, commands, durations, readings, active)
         times = self.path[:, 0]
-        until = self.boundaries[-1] + (2 * AT_REST if stops else 0.0)
+        until = self.boundaries[-1] + (2 * RUN_DOWN if stops else 0.0)
         path = self.path[times <= until]
         segment = np.searchsorted(self.boundaries, path[:, 0], side="right") - 1
         segment = np.clip(segment, 0, len(commands) - 1)
@@ -270,9 +267,9 @@ def _by_camera(poses: Poses, boundaries: list[float]) -> tuple[list[Pose], Pose,
     track, end = Track(poses.time, poses.pose, poses.quality), boundaries[-1]
     at = [_pose_at(track, time) for time in boundaries]
     seen = np.isfinite(poses.pose).all(axis=1)
-    seen &= (poses.time >= boundaries[0]) & (poses.time <= end + 2 * AT_REST)
+    seen &= (poses.time >= boundaries[0]) & (poses.time <= end + 2 * RUN_DOWN)
     path = np.column_stack([poses.time[seen], poses.pose[seen]])
-    resting = path[path[:, 0] >= end + AT_REST, 1:]
+    resting = path[path[:, 0] >= end + RUN_DOWN, 1:]
     return at, np.median(resting, axis=0).tolist() if len(resting) else None, path
 
 

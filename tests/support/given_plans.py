@@ -8,12 +8,10 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from neurosim.base.trajectory import Draws, Episode
+from neurosim.base.trajectory import RUN_DOWN, Draws, Episode
 from neurosim.controllers import Controller
 from neurosim.controllers.plan import COMMAND_NAMES, with_rest
 
-#: How long the motors run down, s.
-RUN_DOWN = 0.5
 EPISODE = Episode(rest=RUN_DOWN)
 
 

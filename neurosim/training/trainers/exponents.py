@@ -18,11 +18,12 @@ import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
+from neurosim.base.threads import one_thread
 from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.noise import CommandFeatures
-from neurosim.training.base import PursuitSettings, TrainingData, one_thread, root_mean_square
+from neurosim.training.base import PursuitSettings, TrainingData, root_mean_square
 from neurosim.training.trainers.averaging import mean
 from neurosim.training.trainers.dead_zone import find_dead_zone
 from neurosim.training.trainers.pursuit import Pursuit

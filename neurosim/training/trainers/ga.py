@@ -9,10 +9,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurosim.base.threads import one_thread
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings
 from neurosim.networks import PopulationError, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.base import TrainingData, one_thread, root_mean_square
+from neurosim.training.base import TrainingData, root_mean_square
 
 
 @dataclass(frozen=True)

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from neurosim.networks import LOG_LIMIT
 from neurosim.training.base import PursuitSettings
+from neurosim.training.error_size import size_features, size_weights
 
 #: A candidate whose square is orthogonal to the units there by less than this share says nothing
 #: new, only what rounding left.
@@ -331,9 +332,8 @@ class Pursuit:
 def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
     """Return weights of rows whose errors differ in size, for a fit that they spoil less.
 
-    The size of an error is taken to be a product of powers of the inputs' magnitudes: the
-    logarithm of the residuals is regressed on those of the inputs (Harvey 1976). The weight is
-    the reciprocal of its square root, half way between rows that weigh alike, which suits the
+    The size of an error is what :mod:`neurosim.training.error_size` expects. The weight is the
+    reciprocal of its square root, half way between rows that weigh alike, which suits the
     mean squared error, and the full correction, which trusts the smallest errors most. Rows whose
     errors are large even so weigh as Huber's estimator has it (Huber 1964), corner at 1.35
     standard deviations.
@@ -345,17 +345,11 @@ def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
     Returns:
         [E, N], with a mean square of one.
     """
-    log = x.abs().clamp(min=0.05).log()
-    features = torch.cat([log, x.abs(), torch.ones_like(log[:, :1])], dim=1)
-    square = features.T @ features
-    square.diagonal().add_(1e-3 * square.diagonal().mean())
-    size = residuals.abs()
-    log_size = (size + 0.1 * size.mean(1, keepdim=True)).clamp(min=1e-12).log()
-    fitted = torch.linalg.solve(square, features.T @ log_size.T)
-    scale = (features @ fitted).T
+    features = size_features(x)
+    scale = (features @ size_weights(features, residuals.T, ridge=1e-3)).T
     scale = scale - scale.mean(1, keepdim=True)
     weights = torch.exp(-0.5 * scale.clamp(-3.0, 3.0))
-    size = size * weights
+    size = residuals.abs() * weights
     # Twice the median of normal errors' magnitudes is 1.35 standard deviations.
     corner = (2.0 * size.median(1, keepdim=True).values).clamp(min=1e-300)
     weights = weights * (corner / torch.maximum(size, corner)).sqrt()

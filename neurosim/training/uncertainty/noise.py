@@ -11,6 +11,7 @@ import torch
 from numpy.polynomial.hermite_e import hermegauss
 from torch import Tensor
 
+from neurosim.base.threads import one_thread
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.noise import (
     COUPLING_FEATURES,
@@ -25,7 +26,7 @@ from neurosim.simulators.motion.noise import (
     motion_features,
     residual,
 )
-from neurosim.training.base import TrainingData, one_thread, root_mean_square
+from neurosim.training.base import TrainingData, root_mean_square
 
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
@@ -136,7 +137,7 @@ def _most_likely(
         return value
 
     optimiser = torch.optim.LBFGS([w, c, h, v], max_iter=100, line_search_fn="strong_wolfe")
-    with one_thread("cpu"):
+    with one_thread():
         optimiser.step(loss)
     w, c = w.detach(), c.detach()
     w[:, 0] += size.log()
