@@ -38,8 +38,7 @@ class Network(Controller):
     scale: float | tuple[float, ...] = 100.0
 
     def __post_init__(self) -> None:
-        for name in ("inputs", "hidden", "outputs"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        _freeze(self, "inputs", "hidden", "outputs", "scale")
         if not self.inputs or not self.outputs or any(units < 1 for units in self.hidden):
             raise UserError("a network has inputs, outputs and at least 1 unit in a hidden layer")
 
@@ -96,8 +95,7 @@ class Recurrent(Controller):
     scale: float | tuple[float, ...] = 100.0
 
     def __post_init__(self) -> None:
-        for name in ("inputs", "outputs"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+        _freeze(self, "inputs", "outputs", "scale")
         if not self.inputs or not self.outputs or self.units < 1:
             raise UserError("a recurrent network has inputs, outputs and at least 1 hidden unit")
         if self.dynamics not in ("elman", "ctrnn"):
@@ -142,6 +140,14 @@ class Recurrent(Controller):
             "outputs": list(self.outputs),
             "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
         }
+
+
+def _freeze(family: Network | Recurrent, *names: str) -> None:
+    """Make tuples of lists, as files have them."""
+    for name in names:
+        value = getattr(family, name)
+        if not isinstance(value, int | float):
+            object.__setattr__(family, name, tuple(value))
 
 
 def _scale(scale: float | tuple[float, ...], like: Tensor) -> Tensor:
