@@ -2,16 +2,24 @@
 
 import re
 import shlex
+import sys
+import types
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from khepera_data import made_up
-from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
 from neurosim.cli.main import cli
+from neurosim.controllers import CONTROLLERS, make_controller
+from neurosim.loop.evolve import evolve_in
+from neurosim.loop.optimisers import OPTIMISERS
+from neurosim.loop.settings import default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.obstacle_avoidance import FITNESS
+from neurosim.tasks.registry import TASKS
+from neurosim.training.train import train
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -59,8 +67,43 @@ def _same_fitness():
 
 @pytest.mark.usefixtures("_same_fitness")
 @pytest.mark.parametrize(("page", "block"), PYTHON, ids=lambda x: x if ".md" in x else "")
-def test_python_runs(page, block):
-    exec(compile(block, page, "exec"), {})
+def test_python_runs(page, block, made, tmp_path, monkeypatch):
+    for folder in made.iterdir():
+        (tmp_path / folder.name).symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    if "import cma" in block:
+        pytest.importorskip("cma")
+    # As a module, so that its dataclasses find themselves.
+    module = types.ModuleType("block_of_docs")
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(block, page, "exec"), module.__dict__)
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Make what the pages' blocks start from: data, a simulator, tables."""
+    folder = tmp_path_factory.mktemp("made")
+    (folder / "data").symlink_to(ROOT / "data")
+    train(
+        ROOT / "data" / "reference",
+        folder / "simulator",
+        trainer="ga",
+        generations=100,
+        noise=True,
+        progress=False,
+    )
+    (folder / "tables").mkdir()
+    TableSimulator(made_up()).write(folder / "tables")
+    return folder
+
+
+@pytest.fixture(autouse=True)
+def _nothing_stays_registered():
+    registries = (TASKS, CONTROLLERS, OPTIMISERS)
+    before = [dict(registry._registered) for registry in registries]
+    yield
+    for registry, names in zip(registries, before, strict=True):
+        registry._registered = names
 
 
 @pytest.mark.slow
@@ -69,12 +112,14 @@ def test_networks_are_evolved_for_the_distance_to_a_path():
     (block,) = (block for page, block in PYTHON if page == "tables.md" and "near_a_line" in block)
     shown: dict = {}
     exec(compile(block, "tables.md", "exec"), shown)
-    evolution = NetworkEvolution(NetworkSettings(generations=1, population=40, parents=8), 0)
-    trials = TableTrials(TableSimulator(made_up()), shown["task"])
-    for _ in range(25):
-        evolution.generation(trials)
-    assert np.mean(evolution.mean[-5:]) > np.mean(evolution.mean[:3]) + 0.01
-    assert max(evolution.best) < 0
+    tables, task = TableSimulator(made_up()), shown["task"]
+    family = make_controller("network", tables, task)
+    settings = default_settings(family, task, generations=25)
+    genetic = replace(settings.genetic, population=40, parents=8)
+    found = evolve_in(tables, task, family, replace(settings, genetic=genetic), progress=False)
+    history = found[0].history
+    assert np.mean(history["mean"][-5:]) > np.mean(history["mean"][:3]) + 0.01
+    assert max(history["best"]) < 0
 
 
 def test_there_is_something_to_test():

@@ -258,7 +258,9 @@ class Evolution:
     def _selection(self) -> tuple[Any, Any]:
         """Return outcomes on which the best is chosen, and others from the same starts."""
         evaluator, rng = self.evaluator, np.random.default_rng([self._seed, 1])
-        starts, drawn = evaluator.starts(self.settings.selection, rng)
+        each = evaluator.task.trial_starts
+        count = -(-self.settings.selection // each) * each  # of whole trials
+        starts, drawn = evaluator.starts(count, rng)
         repeats = repeats_of(self.settings.objective) if evaluator.simulator.uncertain else 1
         placing = None if drawn else evaluator.placing
         chosen = evaluator.rollouts.draw(np.tile(starts, (repeats, 1)), rng, placing)
@@ -524,6 +526,7 @@ def evolve(
 
     def saved(results: list[Result]) -> list[SavedController]:
         about: dict[str, Any] = {"settings": asdict(settings), "seed": seed}
+        about |= simulator.conditions()
         if robot is not None:
             about["robot"] = robot
         if evolution.real is not None:
@@ -536,6 +539,7 @@ def evolve(
     checkpoint = Checkpoint(out, "evolution")
     begun = {
         **asdict(settings),
+        **simulator.conditions(),
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},

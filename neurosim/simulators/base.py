@@ -68,6 +68,9 @@ class Simulator:
             made of, ``z`` [B, noise_width], in place of a generator; see :meth:`draw_noise`.
         domain: lowest and highest value of the command's columns that it was made from, by name;
             a column that is not named has no limits.
+        radius: of the robot, m; None: its size is not known.
+        bearings: where each sensor looks, [S] rad to the left of straight ahead, NaN where one
+            sees nothing; None: it is not known.
     """
 
     kind: str = "simulator"
@@ -77,6 +80,12 @@ class Simulator:
     members: int = 1
     has_noise: bool = False
     noise_width: int = 0
+    radius: float | None = None
+
+    @property
+    def bearings(self) -> NDArray[np.float64] | None:
+        """Return where the sensors look; see the class."""
+        return None
 
     @property
     def domain(self) -> Mapping[str, tuple[float, float]]:
@@ -126,6 +135,17 @@ class Simulator:
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64] | None:
         """Return random poses [count, 3] where the robot fits; None: it knows of no place."""
         return None
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return what a picture of the place shows, shapes as of a task's outline; [] for none."""
+        return []
+
+    def conditions(self) -> dict[str, Any]:
+        """Return what may have been changed since the simulator was read, such as its noise.
+
+        It is written beside what was evolved in it, and is the same when that is resumed.
+        """
+        return {}
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.

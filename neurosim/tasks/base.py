@@ -59,12 +59,14 @@ class Task:
         reasons: the ways in which a trial can fail, in words that follow "the robot".
         start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
         trial_starts: a trial is made from so many starts.
+        highest_fitness: no trial is worth more; None: nothing is known of that.
     """
 
     name: ClassVar[str]
     reasons: ClassVar[tuple[str, ...]] = ("did not complete the task",)
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     trial_starts: int = 1
+    highest_fitness: float | None = None
 
     @property
     def episode(self) -> Episode:
@@ -115,8 +117,9 @@ class Task:
     def outline(self) -> list[dict[str, Any]]:
         """Return what a picture of the task shows, in m: a list of shapes.
 
-        Each is ``{"polygon": [[x, y], ...]}``, ``{"circle": [x, y, radius]}`` or ``{"text": str,
-        "at": [x, y]}``; a shape may have ``"forbidden": True``.
+        Each is ``{"polygon": [[x, y], ...]}`` (of two points, a line), ``{"circle": [x, y,
+        radius]}`` or ``{"text": str, "at": [x, y]}``; what the robot must not touch or enter has
+        ``"forbidden": True``.
         """
         return []
 

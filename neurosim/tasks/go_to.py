@@ -73,6 +73,11 @@ class GoTo(Task):
         return self.begin
 
     @property
+    def highest_fitness(self) -> float:  # type: ignore[override]
+        """All goals passed and the last one hit exactly, with its heading where that counts."""
+        return float(len(self.goals) + 1 + (self.heading_tolerance is not None))
+
+    @property
     def episode(self) -> Episode:
         """Steps for ``seconds``, then the motors run down."""
         steps = max(round(self.seconds / self.step), 1)

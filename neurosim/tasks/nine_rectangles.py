@@ -117,6 +117,11 @@ class NineRectangles(Task):
         return float(x), float(y), math.atan2(to_y - y, to_x - x)
 
     @property
+    def highest_fitness(self) -> float:  # type: ignore[override]
+        """Equation 2 of the last goal, reached by commands that all gain something."""
+        return float(self.last**2)
+
+    @property
     def episode(self) -> Episode:
         """Steps for ``seconds``, then the motors run down; goals are the rectangles' centres."""
         places = [self.centre(number) for number in range(1, self.last + 1)]
@@ -201,9 +206,10 @@ class NineRectangles(Task):
         for (row, column), number in np.ndenumerate(course):
             x, y = (column - columns / 2) * length, (rows / 2 - row - 1) * width
             corners = [[x, y], [x + length, y], [x + length, y + width], [x, y + width]]
-            label = "" if number < 0 else f"{self.last}" if number == 0 else f"{number}"
+            label = "forbidden" if number < 0 else str(number or self.last)
+            where = {"at": [x + length / 2, y + width / 2], "forbidden": bool(number < 0)}
             shapes.append({"polygon": corners, "forbidden": bool(number < 0)})
-            shapes.append({"text": label, "at": [x + length / 2, y + width / 2]})
+            shapes.append({"text": label, **where})
         return shapes
 
 

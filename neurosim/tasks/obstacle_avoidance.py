@@ -101,6 +101,11 @@ class ObstacleAvoidance(Task):
         return self.starts
 
     @property
+    def highest_fitness(self) -> float | None:  # type: ignore[override]
+        """Of equation (1): a step is worth at most 1."""
+        return float(self.steps) if FITNESS[self.fitness] is avoidance else None
+
+    @property
     def episode(self) -> Episode:
         """From each start an equal share of the steps; the robot is not stopped at the end."""
         return Episode(self.duration, self.steps // self.starts, readings=True)

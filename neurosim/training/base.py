@@ -9,7 +9,7 @@ from typing import Protocol
 import torch
 from torch import Tensor
 
-from neurosim.networks import ProductSummationNetwork
+from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 
 
@@ -112,6 +112,22 @@ class Trainer(Protocol):
         seed: int,
         device: str,
     ) -> None: ...
+
+    @staticmethod
+    def make_network(
+        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
+    ) -> ProductSummationNetwork | Perceptron:
+        """Return the shape of the networks that it trains.
+
+        Args:
+            inputs: of a network.
+            hidden: units of both kinds, or of both layers.
+            activations: of the hidden units and of the output.
+
+        Raises:
+            ValueError: if there is no such network.
+        """
+        ...
 
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""

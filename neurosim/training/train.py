@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,12 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
-from neurosim.base.progress import Progress
-from neurosim.networks import Perceptron, ProductSummationNetwork
+from neurosim.base.generations import run_generations
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.files import write_motion
-from neurosim.training.base import Trainer, TrainingData
+from neurosim.training.base import TrainingData
 from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
-from neurosim.training.trainers.gradient import GradientTrainer
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
 from neurosim.training.uncertainty.ensemble import EnsembleTrainer
 from tracking.datasets.dataset import Dataset
@@ -128,10 +126,7 @@ def train(
         "virtual": bool(rows.meta.get("virtual", False)),
     }
     try:
-        if kind is GradientTrainer:
-            network = Perceptron(len(rows.inputs), *hidden)
-        else:
-            network = ProductSummationNetwork(len(rows.inputs), *hidden, *activations)
+        network = kind.make_network(len(rows.inputs), hidden, activations)
         learner = EnsembleTrainer(
             kind,
             data,
@@ -148,12 +143,20 @@ def train(
 
     checkpoint = Checkpoint(out, "training")
     settings_now = {**begun, "dataset_sha256": source["sha256"]}
+    run = _Training(learner)
     if resume:
-        run = _resumed(learner, checkpoint, settings_now)
+        run.resume(checkpoint, settings_now)
     else:
         checkpoint.begin(settings_now, options)
-        run = _Run()
-    _advance(learner, checkpoint, learner.generations, run, checkpoint_every, progress)
+    if run_generations(
+        run,
+        learner.generations,
+        "training",
+        save=checkpoint.save,
+        every=checkpoint_every,
+        progress=progress,
+    ):
+        raise KeyboardInterrupt
     began = time.monotonic()
     simulator = learner.result()
     run.seconds += time.monotonic() - began
@@ -182,82 +185,69 @@ def training_data(dataset: Dataset) -> TrainingData:
     )
 
 
-@dataclass
-class _Run:
-    """How far a training has come."""
+class _Training:
+    """A training under way: a :class:`~neurosim.base.generations.Stage`.
 
-    generation: int = 0
-    history: list[list[float]] = field(default_factory=list)  # [generation, three MSE]
-    seconds: float = 0.0
+    Attributes:
+        done: generations so far.
+        history: of some generations [generation, three mean squared errors].
+        seconds: worked so far.
+    """
 
+    def __init__(self, learner: EnsembleTrainer):
+        self._learner = learner
+        self._stride = max(1, learner.generations // _HISTORY)
+        self.done = 0
+        self.history: list[list[float]] = []
+        self.seconds = 0.0
 
-def _advance(
-    learner: Trainer,
-    checkpoint: Checkpoint,
-    generations: int,
-    run: _Run,
-    checkpoint_every: float,
-    progress: bool,
-) -> None:
-    stride = max(1, generations // _HISTORY)
-    began, saved, before = time.monotonic(), time.monotonic(), run.seconds
-    with Progress("training", generations, "generations") if progress else _Silent() as bar:
-        bar.advance(run.generation)
-        while run.generation < generations:
-            mse = learner.advance().tolist()
-            run.generation += 1
-            now = time.monotonic()
-            run.seconds = before + now - began
-            if run.generation in (1, generations) or run.generation % stride == 0:
-                run.history.append([run.generation, *mse])
-            if now - saved >= checkpoint_every:
-                _save(learner, checkpoint, run)
-                saved = now
-            bar.advance(1, note=_figures(mse))
+    def generation(self) -> str:
+        """Work one generation; return the errors so far."""
+        began = time.monotonic()
+        mse = self._learner.advance().tolist()
+        self.done += 1
+        if self.done in (1, self._learner.generations) or self.done % self._stride == 0:
+            self.history.append([self.done, *mse])
+        self.seconds += time.monotonic() - began
+        return _figures(mse)
 
+    def state(self) -> dict[str, Tensor]:
+        """Return all that the next generations depend on."""
+        state: dict[str, Tensor] = {f"trainer.{k}": v for k, v in self._learner.state().items()}
+        state["run.generation"] = torch.tensor([self.done])
+        state["run.history"] = torch.tensor(self.history, dtype=torch.float64)
+        state["run.seconds"] = torch.tensor([self.seconds], dtype=torch.float64)
+        return state
 
-class _Silent:
-    """A progress bar that shows nothing."""
+    def resume(self, checkpoint: Checkpoint, settings: Mapping[str, Any]) -> None:
+        """Go on from a checkpoint of a training that was begun with the same settings.
 
-    def __enter__(self) -> _Silent:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        pass
-
-    def advance(self, amount: float = 1.0, note: str = "") -> None:
-        pass
+        Raises:
+            UserError: if there is none, or it was begun with others.
+            FileError: if it is damaged.
+        """
+        state = checkpoint.resume(settings)
+        if state is None:
+            return
+        tensors = {name: torch.from_numpy(value) for name, value in state.items()}
+        try:
+            self._learner.load(
+                {
+                    k.removeprefix("trainer."): v
+                    for k, v in tensors.items()
+                    if k.startswith("trainer.")
+                }
+            )
+            self.done = int(tensors["run.generation"])
+            self.history = tensors["run.history"].tolist()
+            self.seconds = float(tensors["run.seconds"])
+        except (KeyError, ValueError, RuntimeError):
+            raise checkpoint.damaged() from None
 
 
 def _figures(mse: list[float]) -> str:
     dx, dy, dtheta = (math.sqrt(value) for value in mse)
     return f"rms {100 * dx:.2f} cm, {100 * dy:.2f} cm, {math.degrees(dtheta):.2f} deg"
-
-
-def _save(learner: Trainer, checkpoint: Checkpoint, run: _Run) -> None:
-    state: dict[str, Tensor] = {f"trainer.{k}": v for k, v in learner.state().items()}
-    state["run.generation"] = torch.tensor([run.generation])
-    state["run.history"] = torch.tensor(run.history, dtype=torch.float64)
-    state["run.seconds"] = torch.tensor([run.seconds], dtype=torch.float64)
-    checkpoint.save(state)
-
-
-def _resumed(learner: Trainer, checkpoint: Checkpoint, settings: Mapping[str, Any]) -> _Run:
-    state = checkpoint.resume(settings)
-    if state is None:
-        return _Run()
-    tensors = {name: torch.from_numpy(value) for name, value in state.items()}
-    try:
-        learner.load(
-            {k.removeprefix("trainer."): v for k, v in tensors.items() if k.startswith("trainer.")}
-        )
-        return _Run(
-            int(tensors["run.generation"]),
-            tensors["run.history"].tolist(),
-            float(tensors["run.seconds"]),
-        )
-    except (KeyError, ValueError, RuntimeError):
-        raise checkpoint.damaged() from None
 
 
 def _check_device(device: str) -> None:

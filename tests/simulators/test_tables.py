@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from khepera_data import made_up
+from khepera_data import BEARINGS, made_up
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
@@ -312,3 +312,22 @@ def test_a_start_in_something_solid_is_no_start(simulator):
     arena = replace(simulator.arena, start=(0.0, 0.0, 0.0), obstacles=((0.0, 0.0, 0.02),))
     with pytest.raises(UserError, match="would stand in a wall or an obstacle"):
         simulator.changed(arena=arena)
+
+
+def test_where_its_sensors_look_is_in_its_tables():
+    simulator = TableSimulator(made_up())
+    assert simulator.bearings == pytest.approx(BEARINGS, abs=1e-6)
+    blind = simulator.sensors.mean.copy()
+    blind[..., 3] = 0.25
+    simulator = TableSimulator(replace(simulator.sensors, mean=blind))
+    assert np.isnan(simulator.bearings[3])
+    assert np.isfinite(np.delete(simulator.bearings, 3)).all()
+
+
+def test_a_picture_shows_walls_and_obstacles():
+    arena = Arena(Arena.rectangle(2, 2).outline, ((0.4, 0.0, 0.1),), ((0.0, -0.5, 0.0, 0.5),))
+    assert TableSimulator(made_up(), arena=arena).outline() == [
+        {"polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]},
+        {"polygon": [[0, -0.5], [0, 0.5]], "forbidden": True},
+        {"circle": [0.4, 0, 0.1], "forbidden": True},
+    ]

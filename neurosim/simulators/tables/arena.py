@@ -99,6 +99,12 @@ class Arena:
         """Write the arena's file, whole or not at all."""
         files.write_json(path, FORMAT, VERSION, self.to_json())
 
+    def shapes(self) -> list[dict[str, Any]]:
+        """Return what a picture of it shows, as of a task's outline."""
+        floor = {"polygon": [list(wall[:2]) for wall in self.outline]}
+        inner = [{"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.inner]
+        return [floor, *inner, *({"circle": list(o), "forbidden": True} for o in self.obstacles)]
+
     @property
     def walls(self) -> NDArray[np.float64]:
         """All walls, [W, 4]: x1, y1, x2, y2, the outline first."""

@@ -64,6 +64,20 @@ class SensorTable:
             return np.zeros(self.mean.shape[-1])
         return np.median(self.spread[:, -1], axis=(0, 1))
 
+    def bearings(self, kind: int = 0) -> NDArray[np.float64]:
+        """Return where each sensor looks, [S] rad to the left; NaN where it sees nothing.
+
+        The mean bearing at which it sees an object at the first distance, each weighted with the
+        reading above ambient: a near object saturates a sensor over a wide angle.
+
+        Args:
+            kind: the class of object, an index into :data:`OBJECTS`.
+        """
+        turn = 2.0 * np.pi * np.arange(self.mean.shape[2]) / self.mean.shape[2]
+        seen = np.maximum(self.mean[kind, 0] - self.ambient, 0.0)
+        to = (seen * np.exp(-1j * turn)[:, None]).sum(axis=0)
+        return np.where(np.abs(to) > 1e-9, np.angle(to), np.nan)
+
     @classmethod
     def from_samples(cls, samples: Mapping[str, Sequence[Samples]]) -> SensorTable:
         """Make a table of repeated samples of each object.

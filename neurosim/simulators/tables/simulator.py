@@ -118,6 +118,22 @@ class TableSimulator(Simulator):
         levels = float(self.motors.levels[0]), float(self.motors.levels[-1])
         return {"left": levels, "right": levels}
 
+    @property
+    def bearings(self) -> np.ndarray:
+        """Where the sensors see a wall, [S] rad to the left."""
+        return self.sensors.bearings()
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return the arena's walls and obstacles."""
+        return self.arena.shapes()
+
+    def conditions(self) -> dict[str, Any]:
+        """Return noise and arena."""
+        return {
+            "noise": {"kind": self.noise, "level": self.noise_level},
+            "arena": self.arena.to_json(),
+        }
+
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return random poses [count, 3] where the robot touches nothing."""
         return self.arena.free_poses(count, self.radius, rng)

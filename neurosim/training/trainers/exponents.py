@@ -124,6 +124,13 @@ class ExponentsTrainer:
                     )
         return derived, derived.append(columns, inputs, x)
 
+    @staticmethod
+    def make_network(
+        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
+    ) -> ProductSummationNetwork:
+        """Return the shape of the networks that it trains."""
+        return ProductSummationNetwork(inputs, *hidden, *activations)
+
     def advance(self) -> Tensor:
         """Give the turn one unit more and the translation two; return the mean squared errors.
 

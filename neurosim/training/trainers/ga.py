@@ -59,6 +59,13 @@ class GaTrainer:
         first = torch.rand(shape, generator=generator, device=device) * 2.0 - 1.0
         self._ga = GeneticAlgorithm(settings.initial * first, settings, generator)
 
+    @staticmethod
+    def make_network(
+        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
+    ) -> ProductSummationNetwork:
+        """Return the shape of the networks that it trains."""
+        return ProductSummationNetwork(inputs, *hidden, *activations)
+
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""
         with one_thread(self._device) if self._error.kernel else nullcontext():

@@ -77,6 +77,13 @@ class GradientTrainer:
         self._training_error = self._best_error.clone()
         self._epoch = 0
 
+    @staticmethod
+    def make_network(
+        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
+    ) -> Perceptron:
+        """Return the shape of the networks that it trains; its activations are its own."""
+        return Perceptron(inputs, *hidden)
+
     def advance(self) -> Tensor:
         """Work one epoch; return the training error of the epoch that is kept, [3], in SI units."""
         settings = self._settings
