@@ -74,14 +74,18 @@ class SavedController:
             overwrite: whether to replace what stands there.
 
         Raises:
-            UserError: if there is something at ``folder`` that is not to be replaced, or a
-                function was not registered by a name.
+            UserError: if there is something at ``folder`` that is not to be replaced, a plan gives
+                no command, or a function was not registered by a name.
         """
         family = self.controller
         if family.kind not in CONTROLLERS.names():
             raise UserError(
                 f"a controller of the kind {family.kind!r} cannot be read again: register its "
                 'family first, as in neurosim.register("controller", NAME, FAMILY)'
+            )
+        if isinstance(family, FixedPlan) and not self.given:
+            raise UserError(
+                "a plan that gives no command cannot be written: nothing could drive it"
             )
         about: dict[str, Any]
         if self.commands:

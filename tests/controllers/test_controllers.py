@@ -1,17 +1,36 @@
-"""Plans survive the disk, and what is wrong with a file is named."""
+"""Controllers survive the disk, and what is wrong with a file is named."""
 
 import json
+from dataclasses import asdict
 
+import numpy as np
 import pytest
+import torch
+from ideal_simulator import SlippingWheels
+from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import Plan
+from neurosim.base.files import write_tensors
+from neurosim.controllers import (
+    FixedPlan,
+    Function,
+    Network,
+    Plan,
+    Recurrent,
+    SavedController,
+    read_controller,
+)
+from neurosim.loop.check import check
+from neurosim.loop.evaluate import Evaluator
+from neurosim.simulators import TableSimulator
+from neurosim.tasks.nine_rectangles import NineRectangles
 
 
 @pytest.fixture
 def plan():
-    return Plan(
-        commands=((50.0, 42.5, 1.25), None, (-10.0, 0.1 + 0.2, 0.5)),
+    return SavedController(
+        controller=FixedPlan(((50.0, 42.5, 1.25), None, (-10.0, 0.1 + 0.2, 0.5))),
+        genes=np.empty(0),
         task={"name": "nine-rectangles", "settings": {"penalty": 32.0}},
         start=(-0.8, 0.0, 1.5707963267948966),
         predicted={
@@ -27,20 +46,28 @@ def plan():
 
 def test_round_trip(plan, tmp_path):
     plan.write(tmp_path / "plan")
-    read = Plan.read(tmp_path / "plan")
-    assert read == plan
+    read = read_controller(tmp_path / "plan")
+    same(read, plan)
     assert read.given == [(50.0, 42.5, 1.25), (-10.0, 0.1 + 0.2, 0.5)]
     with pytest.raises(UserError, match="not empty"):
         plan.write(tmp_path / "plan")
+
+
+def same(read, written):
+    assert read.controller == written.controller
+    assert read.genes.tolist() == written.genes.tolist()
+    for name in ("task", "start", "predicted", "simulator", "evolution"):
+        assert getattr(read, name) == getattr(written, name)
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         ({"version": 9}, "field 'version': this neurosim reads version 1, found 9"),
-        ({"kind": "network"}, "field 'kind': expected 'plan', found 'network'"),
+        ({"kind": "oracle"}, "field 'kind': expected one of plan, .*, found 'oracle'"),
+        ({"kind": "network"}, "field 'activation': expected 'tanh', found None"),
         ({"inputs": [{"name": "v"}]}, "field 'inputs': expected the names left, right, duration"),
-        ({"commands": "none"}, "field 'commands': expected list"),
+        ({"commands": "none"}, "field 'commands': expected a list"),
         ({"commands": [None, None]}, "gives no command at all"),
         ({"commands": [[1, 2]]}, r"field 'commands\[0\]': expected three numbers"),
         ({"commands": [None, [1, "2", 3]]}, r"field 'commands\[1\]': expected three numbers"),
@@ -57,7 +84,7 @@ def test_what_is_wrong_is_named(plan, tmp_path, change, message):
     path = tmp_path / "plan" / "controller.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(FileError, match=message):
-        Plan.read(tmp_path / "plan")
+        read_controller(tmp_path / "plan")
 
 
 @pytest.mark.parametrize(
@@ -76,14 +103,157 @@ def test_what_is_wrong_with_the_prediction_is_named(plan, tmp_path, change, mess
     content["predicted"] |= change
     path.write_text(json.dumps(content))
     with pytest.raises(FileError, match=message):
-        Plan.read(tmp_path / "plan")
+        read_controller(tmp_path / "plan")
 
 
 def test_missing_or_cut_short(plan, tmp_path):
     with pytest.raises(FileError, match="no such controller"):
-        Plan.read(tmp_path / "nowhere")
+        read_controller(tmp_path / "nowhere")
     plan.write(tmp_path / "plan")
     path = tmp_path / "plan" / "controller.json"
     path.write_text(path.read_text()[:200])
     with pytest.raises(FileError, match="cut short"):
-        Plan.read(tmp_path / "plan")
+        read_controller(tmp_path / "plan")
+
+
+SENSORS = tuple(f"sensor_{number}" for number in range(3))
+FAMILIES = [
+    Network(SENSORS),
+    Network((*SENSORS, "x", "time"), (4, 3), scale=60.0),
+    Network(("goal_x", "goal_sin"), outputs=("up",), scale=(20.0,)),
+    Recurrent(SENSORS, 4),
+    Recurrent(SENSORS, 2, "ctrnn", scale=(80.0, 90.0)),
+    Plan(slots=3, max_speed=40.0),
+]
+
+
+def saved(family, seed=0):
+    genes = family.first(1, torch.Generator().manual_seed(seed))[0].numpy()
+    return SavedController(family, genes, {"name": "obstacle-avoidance"}, predicted={"fitness": 1})
+
+
+@pytest.mark.parametrize("family", FAMILIES[:-1])
+def test_networks_survive_the_disk(family, tmp_path):
+    saved(family).write(tmp_path / "net")
+    read = read_controller(tmp_path / "net")
+    same(read, saved(family))
+    assert read.kind == family.kind
+    assert read.commands == ()
+    assert read.given == []
+
+
+def test_a_network_of_version_0_1_0_is_read(tmp_path):
+    weights = np.arange(8.0).reshape(2, 4)
+    saved(Network(SENSORS)).write(tmp_path / "net")
+    path = tmp_path / "net" / "controller.json"
+    content = json.loads(path.read_text())
+    del content["settings"]
+    path.write_text(json.dumps({**content, "activation": "tanh"}))
+    write_tensors(tmp_path / "net" / "weights.safetensors", {"weights": weights})
+    read = read_controller(tmp_path / "net")
+    assert read.controller == Network(SENSORS)
+    assert read.genes.tolist() == list(range(8))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"settings": [1]}, "field 'settings': expected settings by name"),
+        ({"settings": {"inputs": []}}, "field 'settings': is no controller of this kind"),
+        ({"settings": {"inputs": ["a"], "speed": 1}}, "field 'settings': is no controller of"),
+        ({"settings": {"inputs": ["a", "b"]}}, r"weights\.safetensors"),
+        ({"kind": "recurrent"}, "field 'settings': is no controller of this kind"),
+        ({"inputs": [3]}, r"field 'inputs': expected a list of \{name, unit\}"),
+        ({"predicted": {"probability": 1.5}}, r"field 'predicted\.probability'"),
+    ],
+)
+def test_what_is_wrong_with_a_network_is_named(tmp_path, change, message):
+    saved(Network(SENSORS, (2,))).write(tmp_path / "net")
+    path = tmp_path / "net" / "controller.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(FileError, match=message):
+        read_controller(tmp_path / "net")
+
+
+def test_a_function_without_a_name_is_not_written(tmp_path):
+    family = Function(lambda seen: (0.0, 0.0))
+    with pytest.raises(UserError, match="register its family first"):
+        saved(family).write(tmp_path / "rule")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("slots", [(), (None, None)])
+@pytest.mark.parametrize("simulator", [SlippingWheels, lambda: TableSimulator(made_up())])
+def test_a_plan_that_gives_no_command_stays_where_it_is(slots, simulator, tmp_path):
+    task, family = NineRectangles(), FixedPlan(slots)
+    for rest, steps in ((0.5, 1), (0.0, 0)):
+        commands, active = family.commands(np.empty((2, 0)), rest)
+        assert commands.shape == (2, steps, 3)
+        assert active.shape == (2, steps)
+        assert not active.any()
+    plan = SavedController(family, np.empty(0), task.describe(), task.start)
+    assert plan.given == []
+    evaluator = Evaluator(simulator(), task, family)
+    judged, driven = evaluator.judge(np.empty((1, 0)), evaluator.expectation())
+    assert driven.poses.shape == (1, 1, 2, 3)
+    assert np.isfinite(driven.poses).all()
+    assert not judged.success[0, 0]
+    found = check(plan, simulator(), task, draws=20)
+    assert (found.probability, found.after) == (0.0, (1,))
+    with pytest.raises(UserError, match="gives no command cannot be written"):
+        plan.write(tmp_path / "plan")
+
+
+def test_a_network_without_hidden_units_by_hand():
+    family = Network(("a", "b"), scale=(100.0, 50.0))
+    genes = torch.tensor([[1.0, -2.0, 0.5, 0.0, 1.0, 0.0]], dtype=torch.float64)
+    seen = torch.tensor([[0.25, 0.5]], dtype=torch.float64)
+    command, _ = family.act(genes, seen, family.start(1))
+    expected = [100 * np.tanh(0.25 - 1.0 + 0.5), 50 * np.tanh(0.5)]
+    assert command[0].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("dynamics", ["elman", "ctrnn"])
+def test_recurrent_networks_by_hand(dynamics):
+    family = Recurrent(("a",), 1, dynamics, outputs=("up",), scale=10.0)
+    own = [0.7] if dynamics == "ctrnn" else []
+    genes = torch.tensor([[*own, 2.0, -1.5, 0.3, 1.2, -0.4]], dtype=torch.float64)
+    memory, state = family.start(1), 0.0
+    share = 1 / (1 + np.exp(0.7)) if own else 1.0
+    for seen in (0.5, -0.25, 1.0):
+        row = torch.tensor([[seen]], dtype=torch.float64)
+        command, memory = family.act(genes, row, memory)
+        state += share * (2.0 * seen - 1.5 * np.tanh(state) + 0.3 - state)
+        assert memory.item() == pytest.approx(state)
+        assert command.item() == pytest.approx(10 * np.tanh(1.2 * np.tanh(state) - 0.4))
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_settings_make_the_same_family_again(family):
+    settings = json.loads(json.dumps(family.settings()))
+    again = type(family)(**settings)
+    assert again.genes == family.genes
+    assert json.loads(json.dumps(asdict(again))) == json.loads(json.dumps(asdict(family)))
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Network(()), "has inputs, outputs and"),
+        (lambda: Network(("a",), (0,)), "at least 1 unit"),
+        (lambda: Recurrent(("a",), 0), "at least 1 hidden unit"),
+        (lambda: Recurrent(("a",), 2, "spiking"), "elman or ctrnn, not 'spiking'"),
+    ],
+)
+def test_networks_that_cannot_be_are_refused(make, message):
+    with pytest.raises(UserError, match=message):
+        make()
+
+
+def test_a_plan_is_the_genes_that_it_is_encoded_in():
+    family = Plan(slots=3)
+    commands = ((50.0, -25.0, 1.25), None, (0.0, 10.0, 3.0))
+    found, active = family.commands(family.encode(commands)[None], 0.5)
+    assert active[0].tolist() == [True, False, True, False]
+    assert found[0, [0, 2]].tolist() == [list(commands[0]), list(commands[2])]
+    assert found[0, 3].tolist() == [0.0, 0.0, 0.5]
