@@ -49,7 +49,7 @@ class Network(Controller):
         return [(after, before + 1) for before, after in pairwise(sizes)]
 
     @property
-    def genes(self) -> int:
+    def genes(self) -> int:  # type: ignore[override]
         """How many weights there are."""
         return sum(rows * columns for rows, columns in self.shapes)
 
@@ -102,20 +102,21 @@ class Recurrent(Controller):
             raise UserError(f"dynamics are elman or ctrnn, not {self.dynamics!r}")
 
     @property
-    def genes(self) -> int:
+    def genes(self) -> int:  # type: ignore[override]
         """How many weights, and time constants, there are."""
         own = self.units if self.dynamics == "ctrnn" else 0
         hidden = self.units * (len(self.inputs) + self.units + 1)
         return own + hidden + len(self.outputs) * (self.units + 1)
 
     @property
-    def memory(self) -> int:
+    def memory(self) -> int:  # type: ignore[override]
         """One number for every hidden unit."""
         return self.units
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Return commands [B, C] and the hidden units' states [B, units]."""
-        units, outputs, alpha = self.units, len(self.outputs), 1.0
+        units, outputs = self.units, len(self.outputs)
+        alpha: Tensor | float = 1.0
         if self.dynamics == "ctrnn":
             alpha, genes = 1.0 / (1.0 + genes[:, :units].exp()), genes[:, units:]
         columns = len(self.inputs) + units + 1

@@ -31,8 +31,8 @@ class Plan(Controller):
     """
 
     kind: ClassVar[str] = "plan"
-    blind: ClassVar[bool] = True
-    outputs: ClassVar[tuple[str, ...]] = COMMAND_NAMES
+    blind = True
+    outputs = COMMAND_NAMES
 
     slots: int = 10
     max_speed: float = 50.0
@@ -48,7 +48,7 @@ class Plan(Controller):
             raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
 
     @property
-    def genes(self) -> int:
+    def genes(self) -> int:  # type: ignore[override]
         """Four a command: null, left, right, duration, each in 0..1."""
         return GENES * self.slots
 
@@ -59,7 +59,8 @@ class Plan(Controller):
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
         """Return commands [P, T, 3] and active [P, T]; see the base class."""
         low, high = map(float, self.durations)
-        return with_rest(*decode(np.ascontiguousarray(genes), self.max_speed, low, high), rest)
+        commands, active = decode(np.ascontiguousarray(genes), self.max_speed, low, high)
+        return with_rest(commands, active, rest)
 
     def encode(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
         """Return the genes of a command set."""
@@ -83,9 +84,9 @@ class FixedPlan(Controller):
     """
 
     kind: ClassVar[str] = "plan"
-    blind: ClassVar[bool] = True
-    outputs: ClassVar[tuple[str, ...]] = COMMAND_NAMES
-    genes: ClassVar[int] = 0
+    blind = True
+    outputs = COMMAND_NAMES
+    genes = 0
 
     slots: tuple[Command | None, ...]
 

@@ -7,7 +7,8 @@ from typing import Any
 
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
-from neurosim.controllers.base import GOAL_INPUTS, Controller
+from neurosim.controllers.base import Controller
+from neurosim.networks.control import GOAL_INPUTS
 
 #: By name: what takes settings as keywords and returns a :class:`Controller`.
 CONTROLLERS = Registry(

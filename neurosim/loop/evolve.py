@@ -211,7 +211,7 @@ class Evolution:
         assert robust is not None
         population = population.reshape(-1, *population.shape[-2:])
         judged, _ = evaluator.judge(best, evaluator.expectation())
-        completes = judged.success.all(axis=1)
+        completes = np.all(judged.success, axis=1)
         source = np.arange(len(completes))
         if completes.any():
             source[~completes] = np.resize(np.flatnonzero(completes), (~completes).sum())
@@ -437,17 +437,16 @@ def improve(
     Returns:
         As :func:`evolve_in`; the history is that of robust evolution alone.
     """
-    assert settings.robust is not None
+    robust = settings.robust
+    assert robust is not None
     settings = replace(settings, runs=len(genes))
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
     evolution = Evolution(evaluator, settings, seed)
-    size = settings.robust.genetic.population
+    size = robust.genetic.population
     first = np.repeat(np.stack(genes)[:, None], size, axis=1)
     stage = evolution.robust_stage(np.stack(genes), first)
     evolution.stages.append(stage)
-    interrupted = run_generations(
-        stage, settings.robust.generations, "making it robust", progress=progress
-    )
+    interrupted = run_generations(stage, robust.generations, "making it robust", progress=progress)
     return evolution.results(interrupted)
 
 
@@ -654,14 +653,14 @@ def as_saved(
         predicted["probability"] = result.probability
         predicted["expected_fitness"] = result.expected_fitness
         predicted["draws"] = result.draws
-    controller, genes = result.controller, result.genes
+    (x, y, heading), controller, genes = result.poses[0], result.controller, result.genes
     if controller.kind == "plan":
         controller, genes = FixedPlan(tuple(result.commands)), np.empty(0)
     return SavedController(
         controller=controller,
         genes=genes,
         task=task.describe(),
-        start=tuple(float(value) for value in result.poses[0]),
+        start=(float(x), float(y), float(heading)),
         predicted=predicted,
         simulator=dict(source),
         evolution={

@@ -30,7 +30,7 @@ class Optimiser(Protocol):
         """Return the population to evaluate: [P, G], or [N, P, G] of N runs."""
         ...
 
-    def tell(self, fitness: NDArray[np.float64], **hints: Any) -> None:
+    def tell(self, fitness: NDArray[np.float64], *args: Any, **hints: Any) -> None:
         """Take the fitness [P] or [N, P] of the population asked for, the higher the better."""
         ...
 

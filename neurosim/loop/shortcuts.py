@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,7 @@ from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
 from tracking.datasets.dataset import Dataset
 
-_READERS = {
+_READERS: dict[str, Callable[..., Any]] = {
     "simulator.json": read_simulator,
     "controller.json": read_controller,
     "dataset.json": Dataset.read,
@@ -113,7 +114,7 @@ def rollout(
         rows = np.empty((len(commands), 0))
     pose = np.asarray((0.0, 0.0, 0.0) if start is None else start, np.float64)
     if pose.shape != (3,) or not np.isfinite(pose).all():
-        raise UserError(f"start must be x (m), y (m), heading (rad), not {start}")
+        raise UserError(f"start must be x (m), y (m), heading (rad), not {start!r}")
     starts = np.tile(pose, (max(outcomes, 1), 1))
     draws = rollouts.draw(starts, seed, PLACING) if outcomes else Draws(starts)
     found = rollouts.run(rows, draws)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from neurosim.networks.expanded import sign_patterns
+from neurosim.networks.perceptron import Perceptron
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork
 
 #: With more inputs than this a table by sign pattern would be larger than what it saves.
@@ -20,13 +21,15 @@ class Prediction:
     form, and what is used for other activations.
     """
 
-    def __init__(self, network: ProductSummationNetwork, genes: Tensor):
+    def __init__(self, network: ProductSummationNetwork | Perceptron, genes: Tensor):
         """Prepare networks with ``genes`` [O, G]."""
         self._network = network
         self._genes = genes
         self._fast = network.linear and network.inputs <= _MOST_INPUTS
         if not self._fast:
             return
+        assert isinstance(network, ProductSummationNetwork)
+        self._log_magnitude = network.log_magnitude
         parts = network.expand(genes)
         self._exponents = parts.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
         self._ceilings = parts.ceilings.flatten()
@@ -40,7 +43,7 @@ class Prediction:
         """Return the outputs [N, O] for scaled inputs [N, I]."""
         if not self._fast:
             return self._network.forward(self._genes, x).T
-        magnitude = self._network.log_magnitude(x) @ self._exponents
+        magnitude = self._log_magnitude(x) @ self._exponents
         torch.minimum(magnitude, self._ceilings, out=magnitude)
         magnitude.clamp_(min=-LOG_LIMIT).exp_()
         magnitude *= self._signed[((x < 0) * self._bits).sum(-1)]

@@ -66,7 +66,8 @@ class ClosedLoop:
 
     def trajectory(self, poses: NDArray, commands: NDArray, readings: NDArray) -> Trajectory:
         """Return the trajectories [P, R, ...] of arrays that were written."""
-        durations, active, shape = self.episode.step, None, commands.shape[:-1]
+        durations: float | NDArray = self.episode.step
+        active, shape = None, commands.shape[:-1]
         if self.episode.rest > 0:
             each = np.full(self.steps, self.episode.step)
             each[-1] = self.episode.rest

@@ -125,5 +125,5 @@ class Task:
 
     def describe(self) -> dict[str, Any]:
         """Return name and settings, enough to make the same task again."""
-        settings = asdict(self) if is_dataclass(self) else {}  # type: ignore[call-overload]
+        settings: dict[str, Any] = asdict(self) if is_dataclass(self) else {}
         return {"name": self.name, "settings": settings}

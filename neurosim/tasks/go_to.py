@@ -147,7 +147,7 @@ class GoTo(Task):
             a, b = np.array(wall[:2]), np.array(wall[2:])
             distance = _between_segments(places[:, :-1], places[:, 1:], a, b)
             near[:, 1:] |= distance < self.radius
-        touched = near.any(axis=1)
+        touched = np.any(near, axis=1)
         return touched, np.where(touched, near.argmax(axis=1), last)
 
     def _passed(

@@ -136,7 +136,7 @@ class ObstacleAvoidance(Task):
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _avoidance(readings, commands, weight):
+def _avoidance(readings: NDArray, commands: NDArray, weight: NDArray) -> NDArray[np.float64]:
     """Return equation (1) [B] of readings [B, T, S], commands [B, T, 2].
 
     Steps count ``weight`` [B, T] times; where that is empty, once.
@@ -160,7 +160,7 @@ def _avoidance(readings, commands, weight):
 
 
 @njit(cache=True, parallel=True)
-def _first_near(readings, too_near):
+def _first_near(readings: NDArray, too_near: float) -> NDArray[np.int64]:
     """Return the first step [B] in which a reading [B, T, S] is ``too_near``; T if none is."""
     found = np.empty(len(readings), np.int64)
     for b in prange(len(readings)):

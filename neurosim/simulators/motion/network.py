@@ -136,17 +136,17 @@ class MotionNetwork(Simulator):
         return tuple(entry["name"] for entry in self.inputs)
 
     @property
-    def members(self) -> int:
+    def members(self) -> int:  # type: ignore[override]
         """How many networks of each output there are."""
         return len(self.genes) - self.central
 
     @property
-    def has_noise(self) -> bool:
+    def has_noise(self) -> bool:  # type: ignore[override]
         """Whether there is a noise model."""
         return self.noise is not None
 
     @property
-    def noise_width(self) -> int:
+    def noise_width(self) -> int:  # type: ignore[override]
         """How many numbers the noise of a command is made of."""
         return 0 if self.noise is None else DRAWS
 
@@ -161,6 +161,7 @@ class MotionNetwork(Simulator):
 
     def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
+        assert self.noise is not None
         return self.noise.draw(rows, steps, generator)
 
     def start(
@@ -227,7 +228,7 @@ class MotionNetwork(Simulator):
             inputs: in the dataset's units.
             member: of the ensemble, for all rows or for each [B]; -1: the mean.
         """
-        if self.central and isinstance(member, int) and member < 0:
+        if self._predict_mean is not None and isinstance(member, int) and member < 0:
             outputs = self._predict_mean(self.network_inputs(inputs)) * self.output_scale[0]
         else:
             outputs = _of_member(self._outputs(inputs), member, self.central)
@@ -299,6 +300,7 @@ class MotionNetwork(Simulator):
         """
         if not self.network.linear:
             raise ValueError("compiled simulators are of networks with linear activations")
+        assert isinstance(self.network, ProductSummationNetwork)
         parts = self.network.expand(self.genes.cpu()).times(self.output_scale.cpu())
         shapes = NoiseModel.SHAPES
         noise = {

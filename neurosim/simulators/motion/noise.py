@@ -187,7 +187,7 @@ def features(
         forward / (forward.square() + 0.05).sqrt(),
     ]
     tail = [one, log_travel, scale[SCALE_FEATURES.index("turn")]]
-    return tuple(torch.stack(part, dim=-1) for part in (scale, coupling, tail))
+    return torch.stack(scale, dim=-1), torch.stack(coupling, dim=-1), torch.stack(tail, dim=-1)
 
 
 def disturb(

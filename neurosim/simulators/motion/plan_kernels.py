@@ -41,7 +41,7 @@ class Ensemble(NamedTuple):
     ceiling: np.ndarray  #: [U] of the base-2 logarithms of their magnitudes
     row: np.ndarray  #: of each term
     unit: np.ndarray  #: first product unit of each term
-    count: np.ndarray  #: product units of each term
+    count: np.ndarray  # type: ignore[assignment]  #: product units of each term
     weight: np.ndarray  #: place of each term's first weight in ``signed``
     signed: np.ndarray  #: [2^I, W] weights times cosines by the inputs' signs
     linear: np.ndarray  #: [R, I]
@@ -68,7 +68,9 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
         names = ("exponents", "ceiling", "signed", "linear", "bias")
         a = a._replace(**{name: getattr(a, name)[own] for name in names})
     members, outputs, _, inputs = a.exponents.shape
-    units, ceilings, weights, terms, places = [], [], [], [], {}
+    units, ceilings, places = [], [], {}
+    weights: list[np.ndarray] = []
+    terms: list[tuple[int, int, int, int]] = []
     filled = written = 0
     for m in range(members):
         for o in range(outputs):

@@ -72,7 +72,7 @@ class Arena:
     @classmethod
     def from_json(cls, path: str | Path, content: dict[str, Any]) -> Arena:
         """Return the arena that a JSON object of the file ``path`` describes, checked."""
-        rows = {}
+        rows: dict[str, Any] = {}
         for name, length in (("outline", 4), ("inner", 4), ("obstacles", 3)):
             values = content.get(name, [])
             if not isinstance(values, list):
@@ -255,7 +255,7 @@ def _wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
     return np.linalg.norm(off - share[..., None] * along, axis=-1)
 
 
-def _numbers(path: str | Path, name: str, value: Any, count: int) -> tuple[float, ...]:
+def _numbers(path: str | Path, name: str, value: Any, count: int) -> Any:
     good = isinstance(value, list) and len(value) == count
     if not good or not all(
         isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST for v in value

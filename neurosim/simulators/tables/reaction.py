@@ -59,7 +59,10 @@ class Reaction:
         lag = content.get("lag")
         if not isinstance(lag, list) or len(lag) != 2:
             raise UserError("expected the lags of two wheels")
-        return cls(content.get("hold"), content.get("answer"), (lag[0], lag[1]))
+        # What is missing is refused where every value is checked.
+        hold: Any = content.get("hold")
+        answer: Any = content.get("answer")
+        return cls(hold, answer, (lag[0], lag[1]))
 
 
 def _wheels(lag: tuple[float, float]) -> list[tuple[str, float]]:

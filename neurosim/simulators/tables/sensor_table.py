@@ -39,8 +39,8 @@ class SensorTable:
         if self.spread is not None and self.spread.shape != self.mean.shape:
             raise ValueError("expected a spread for every reading")
         for name, table in (("readings", self.mean), ("spread", self.spread)):
-            holes = np.argwhere(~np.isfinite(table)) if table is not None else ()
-            if len(holes):
+            if table is not None and not np.isfinite(table).all():
+                holes = np.argwhere(~np.isfinite(table))
                 k, d, a, s = holes[0]
                 raise UserError(
                     f"the sensor table has {len(holes)} holes in its {name}, the first at the "

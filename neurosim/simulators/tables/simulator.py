@@ -98,17 +98,17 @@ class TableSimulator(Simulator):
         return replace(self, **changes)
 
     @property
-    def has_noise(self) -> bool:
+    def has_noise(self) -> bool:  # type: ignore[override]
         """Whether there is noise on sensors and motors."""
         return self.noise != "none"
 
     @property
-    def reading_names(self) -> tuple[str, ...]:
+    def reading_names(self) -> tuple[str, ...]:  # type: ignore[override]
         """Names of the sensors."""
         return tuple(f"sensor_{index}" for index in range(self.sensors.mean.shape[-1]))
 
     @property
-    def noise_width(self) -> int:
+    def noise_width(self) -> int:  # type: ignore[override]
         """Of every step: one number a sensor, and three for the motion."""
         return len(self.reading_names) + 3
 
@@ -189,7 +189,7 @@ class TableSimulator(Simulator):
         pose, speeds, last_goal = state[:, :3], state[:, 3:5], state[:, 5:7]
         noise = torch.zeros_like(pose)
         if self.noise != "none" and (generator is not None or z is not None):
-            z = self._numbers(pose, generator) if z is None else z[:, -3:].to(pose)
+            z = z[:, -3:].to(pose) if z is not None else self._numbers(pose, generator)
             if self.noise == "uniform":
                 noise = duration.sqrt() * t["twist_noise"] * z
             else:
@@ -224,7 +224,7 @@ class TableSimulator(Simulator):
         weights, rows, columns = self._place(distance, bearing)
         weights = weights * self._share(state) * ~self._hidden(state, to)
         looked_up = {
-            name: sum(
+            name: sum(  # type: ignore[union-attr]
                 weights[i, j].unsqueeze(-1) * t[name][kind, rows[i], columns[j]]
                 for i in range(2)
                 for j in range(2)
@@ -233,7 +233,7 @@ class TableSimulator(Simulator):
         }
         reading = t["ambient"] + looked_up["excess"]
         if self.noise != "none" and (generator is not None or z is not None):
-            z = self._numbers(reading, generator) if z is None else z[:, :-3].to(reading)
+            z = z[:, :-3].to(reading) if z is not None else self._numbers(reading, generator)
             if self.noise == "uniform":
                 reading = reading + self.noise_level * z
             else:
@@ -310,12 +310,12 @@ class TableSimulator(Simulator):
             if isinstance(value, np.ndarray) and name not in ("hiding", "corners")
         }
 
-    def _numbers(self, like: Tensor, generator: torch.Generator) -> Tensor:
+    def _numbers(self, like: Tensor, generator: torch.Generator | None) -> Tensor:
         """Draw numbers for noise, of the shape of something."""
-        options = {"generator": generator, "dtype": like.dtype, "device": like.device}
+        options: dict[str, Any] = {"dtype": like.dtype, "device": like.device}
         if self.noise == "uniform":
-            return 2.0 * torch.rand(like.shape, **options) - 1.0
-        return torch.randn(like.shape, **options)
+            return 2.0 * torch.rand(like.shape, generator=generator, **options) - 1.0
+        return torch.randn(like.shape, generator=generator, **options)
 
     def _objects(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Return vectors to nearest points [B, K, 2], distances [B, K] from rim and kinds [K].
@@ -454,7 +454,7 @@ class TableSimulator(Simulator):
                 version, of the wrong shape, or not a number.
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
-        fields = {
+        fields: dict[str, Any] = {
             "kind": str,
             "sensors": dict,
             "motors": dict,
