@@ -6,7 +6,7 @@ from khepera_data import made_up
 from report_page import Page
 
 from neurosim.base.errors import FileError
-from neurosim.controllers import NetworkController
+from neurosim.controllers import Network, SavedController
 from neurosim.reports import tables, write_report
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import paper_arena
@@ -22,12 +22,12 @@ def network(folder, best, mean, fitness="avoidance", **evolution):
     history = {"best": best, "mean": mean}
     if "transfer" in evolution:
         history["transfer"] = evolution.pop("transfer")
-    NetworkController(
-        np.zeros((2, 9)),
+    SavedController(
+        Network(tuple(f"sensor_{number}" for number in range(8))),
+        np.zeros(18),
         {"name": "obstacle-avoidance", "settings": {"steps": 500, "fitness": fitness}},
-        {"fitness": best[-1], "spread": 4.0, "starts": 50},
-        {},
-        {"arena": paper_arena().to_json(), "history": history, **evolution},
+        predicted={"fitness": best[-1], "spread": 4.0},
+        evolution={"arena": paper_arena().to_json(), "history": history, **evolution},
     ).write(folder)
     return folder
 

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from neurosim.base import files, se2
-from neurosim.controllers import Plan
+from neurosim.controllers import FixedPlan, SavedController
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.files import write_motion
@@ -187,8 +187,9 @@ def make_trial(
 def make_controller(folder):
     poses = predicted_poses()
     rest = se2.compose(poses[-1], (0.02, 0.0, 0.0))
-    Plan(
-        commands=(*((40.0 + k, 40.0, 2.0) for k in range(len(LEGS))), None),
+    SavedController(
+        FixedPlan((*((40.0 + k, 40.0, 2.0) for k in range(len(LEGS))), None)),
+        np.empty(0),
         task=TASK,
         start=START,
         predicted={
