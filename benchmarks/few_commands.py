@@ -21,7 +21,7 @@ from guided_recording import guided_rows, random_rows
 from neurosim.loop.plans import PlanSettings, RobustSettings, evolve_plan
 from robust_plans import TASK, drive, learned_from
 
-from neurosim.cli._guided import Rounds
+from neurosim.recording.rounds import Rounds
 from neurosim.simulators import MotionNetwork
 from neurosim.training.guided import motor_data
 

@@ -36,7 +36,6 @@ from numpy.typing import NDArray
 from robust_plans import learned_from
 
 from neurosim.base import se2
-from neurosim.cli._guided import MARGIN, Rounds
 from neurosim.lab.nxt.params import BOARD, LabParams
 from neurosim.lab.nxt.physics import (
     REGULATED,
@@ -49,7 +48,8 @@ from neurosim.lab.nxt.physics import (
     slip_field,
 )
 from neurosim.recording.commands import Command, RandomCommands
-from neurosim.training.guided import Committee, Place, choose, motor_data
+from neurosim.recording.rounds import Rounds
+from neurosim.training.guided import MARGIN, Committee, Place, choose, motor_data
 
 OUTPUTS = ("dx", "dy", "dtheta")
 #: Of a pose that is tracked: standard deviations, m, m and rad.

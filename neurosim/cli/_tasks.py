@@ -13,18 +13,39 @@ from neurosim.tasks.registry import TASKS
 FORMAT, VERSION = "neurosim-task", 1
 
 
-def read_task(text: str) -> tuple[type[Task], dict[str, Any]]:
-    """Return a task's class and the settings that a file gives it.
+class FilesAndTasks:
+    """What ``--task`` takes."""
+
+    def names(self) -> list[str]:
+        """Return the names of all tasks."""
+        return TASKS.names()
+
+    def get(self, text: str) -> type[Task] | Task:
+        """Return a task's class; of a file the task that it describes.
+
+        Raises:
+            UserError: if there is no such task.
+            FileError: if the file is not that of a task.
+        """
+        name, settings = read_task(text)
+        return TASKS.make(name, settings) if settings else TASKS.get(name)
+
+
+FILES_AND_TASKS = FilesAndTasks()
+
+
+def read_task(text: str) -> tuple[str, dict[str, Any]]:
+    """Return a task's name and the settings that a file gives it.
 
     Raises:
         UserError: if there is no such task.
         FileError: if the file is not that of a task.
     """
     if not text.endswith(".json"):
-        return TASKS.get(text), {}
+        return text, {}
     path = Path(text)
     content = read_json(path, FORMAT, VERSION, {"name": str, "settings": dict})
     if content["name"] not in TASKS.names():
         known = ", ".join(TASKS.names())
         raise FileError(path, f"expected one of {known}, found {content['name']!r}", field="name")
-    return TASKS.get(content["name"]), content["settings"]
+    return content["name"], content["settings"]

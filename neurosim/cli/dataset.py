@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, next_step
+from neurosim.cli._common import emit, json_option, next_step
+from neurosim.cli._types import PATH
 
 
 @click.command()
@@ -26,7 +27,7 @@ from neurosim.cli._common import PATH, emit, json_option, next_step
     help="Count displacements from when commands were sent, not from when the motors were seen to "
     "answer.",
 )
-@click.option("--mixed", is_flag=True, help="Recordings of different robots, knowingly.")
+@click.option("--mixed", is_flag=True, help="Allow recordings of different robots.")
 @json_option
 def dataset(
     recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, mixed: bool, as_json: bool
@@ -35,7 +36,7 @@ def dataset(
 
     A guided recording's rounds are recordings; its folder stands for all of them.
     """
-    from neurosim.cli._guided import parts_of
+    from neurosim.recording.rounds import parts_of
     from tracking.datasets.dataset import build
     from tracking.datasets.mrclam import import_mrclam
 

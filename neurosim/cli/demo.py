@@ -1,4 +1,4 @@
-"""``neurosim demo``: the whole road in the virtual lab."""
+"""``neurosim demo``: the whole pipeline in the virtual lab."""
 
 from __future__ import annotations
 
@@ -12,7 +12,8 @@ import click
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import read_json, write_json
-from neurosim.cli._common import PATH, is_given, seed_option
+from neurosim.cli._common import is_given, seed_option
+from neurosim.cli._types import PATH
 
 #: Demos of version 1 recorded random commands.
 FORMAT, VERSION = "neurosim-demo", 2
@@ -21,15 +22,19 @@ FORMAT, VERSION = "neurosim-demo", 2
 @click.command()
 @click.argument("out", type=PATH, default=Path("demo"))
 @click.option(
-    "--commands", type=click.IntRange(min=50), default=400, show_default=True, help="To record."
+    "--commands",
+    type=click.IntRange(min=50),
+    default=400,
+    show_default=True,
+    help="How many commands to record.",
 )
 @seed_option
 @click.pass_context
 def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
-    """Walk the whole road in the virtual lab, from recording to trial, into the folder OUT.
+    """Run the whole pipeline in the virtual lab, from recording to trial, into the folder OUT.
 
     Every step is printed as the command that does it alone. What is there already is kept: an
-    interrupted demo goes on where it stopped.
+    interrupted demo continues where it stopped.
     """
     began = time.monotonic()
     if out.exists() and not out.is_dir():
@@ -38,7 +43,7 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     for words in _steps(out, commands, seed):
         text = [str(word) for word in words]
         if words[0] == "report":
-            click.echo(f"The road took {time.monotonic() - began:.0f} s.\n")
+            click.echo(f"The pipeline took {time.monotonic() - began:.0f} s.\n")
         click.secho(f"$ neurosim {shlex.join(text)}", bold=True)
         ctx.find_root().command.main(text, standalone_mode=False)
         click.echo()
@@ -46,7 +51,7 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
 
 def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     """Give the commands that are still to be run, each when the ones before it are done."""
-    from neurosim.cli._guided import is_whole
+    from neurosim.recording.rounds import Rounds, is_whole
 
     photographs, calibration = out / "photographs", out / "calibration.json"
     recording, dataset, simulator = out / "recording", out / "dataset", out / "simulator"
@@ -58,7 +63,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
         points = photographs / "points.csv"
         yield ["calibrate", photographs, "--square", 40, "--points", points, "-o", calibration]
     size = min(50, commands // 3)
-    if not is_whole(recording, commands, size):
+    if not is_whole(recording, Rounds(commands, size)):
         resume = ["--resume"] if (recording / "round-01").is_dir() else []
         words = ["record", recording, "--guided", "--commands", commands, "--round", size]
         yield [*words, "--calibration", calibration, *seeded, *resume]

@@ -3,118 +3,144 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import click
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
-    PATH,
-    Resumable,
     emit,
-    given_options,
+    is_given,
     json_option,
     next_step,
-    placing_option,
+    resume_option,
     seed_option,
 )
-from neurosim.cli._settings import DynamicCommand, given_of, options_of
+from neurosim.cli._options import (
+    Chosen,
+    SettingsCommand,
+    choice_options,
+    given_options,
+    settings_options,
+)
+from neurosim.cli._types import PATH
 
-_SKIP = ("optimiser", "genetic", "robust", "placing", "insertion")
+
+def _task(chosen: Chosen) -> Any:
+    """Return the task that is chosen, with the settings of its file or its defaults."""
+    from neurosim.cli._tasks import FILES_AND_TASKS
+
+    found = FILES_AND_TASKS.get(chosen["task"])
+    try:
+        return found() if isinstance(found, type) else found
+    except TypeError:
+        return None  # one that has no defaults
 
 
-def _settings_options(values: Mapping[str, str]) -> Sequence[click.Parameter]:
-    """Return the options of the task, the controller and the algorithm that are asked for."""
-    from neurosim.cli._tasks import read_task
-    from neurosim.controllers import CONTROLLERS, Controller, FixedPlan
+def _default_controller(chosen: Chosen) -> str:
+    task = _task(chosen)
+    return "network" if task is not None and task.episode.readings else "plan"
+
+
+def _is_blind(chosen: Chosen) -> bool:
+    from neurosim.controllers import CONTROLLERS
+
+    return bool(getattr(CONTROLLERS.get(chosen["controller"]), "blind", False))
+
+
+def _defaults(chosen: Chosen) -> Any:
+    """Return the settings that an evolution has if nobody says otherwise."""
+    from neurosim.controllers import Controller, FixedPlan
     from neurosim.loop.settings import default_settings
 
-    try:
-        cls, settings = read_task(values["task"])
-        task = cls(**settings)
-        kind = values["controller"] or ("network" if task.episode.readings else "plan")
-        controller = CONTROLLERS.get(kind)
-    except (UserError, TypeError):
-        return []  # the command itself says what is wrong
-    blind = bool(getattr(controller, "blind", False))
-    how = default_settings(FixedPlan(()) if blind else Controller(), task)
-    hidden = ("parents",) if blind else ("tournament",)
-    found = [
-        *options_of(how, skip=(*_SKIP, *(("outcomes", "selection") if blind else ("runs",)))),
-        *options_of(how.genetic, skip=hidden),
-        *options_of(controller, names={"slots": "commands"}),
-        *options_of(task),
-    ]
-    if task.trial_starts == 1:
-        found.append(_placing_option())
-    if not blind:
-        found += _table_options()
-    words = values["words"]
-    if any(f"--{name}" in words for name in ("robot-generations", "then-on-robot")):
-        found += _robot_options()
-    return found
+    task = _task(chosen)
+    controller = FixedPlan(()) if _is_blind(chosen) else Controller()
+    return None if task is None else default_settings(controller, task)
 
 
-def _placing_option() -> click.Option:
-    """Return the option of how exactly the robot is put down."""
-    return _options(placing_option)[0]
+def _genetic(chosen: Chosen) -> Any:
+    settings = _defaults(chosen)
+    return None if settings is None else settings.genetic
 
 
-def _table_options() -> list[click.Option]:
-    from neurosim.cli.tables import arena_option, noise_option
-
-    return _options(arena_option, noise_option)
-
-
-def _robot_options() -> list[click.Option]:
-    from neurosim.cli._robots import khepera_or_virtual
-
-    return _options(khepera_or_virtual("Of --robot-generations.", "Which virtual robot."))
-
-
-def _options(*decorators: Any) -> list[click.Option]:
-    """Return the options that decorators of click would add."""
-
-    def nothing() -> None:
-        pass
-
-    for decorator in decorators:
-        decorator(nothing)
-    return list(reversed(nothing.__click_params__))  # type: ignore[attr-defined]
+def _not_settings(chosen: Chosen) -> Sequence[str]:
+    """Return the settings of an evolution that say nothing here, or that other options say."""
+    task = _task(chosen)
+    scattered = task is not None and task.trial_starts == 1
+    return (
+        *("optimiser", "genetic", "robust", "insertion"),
+        *(() if scattered else ("placing",)),
+        *(("outcomes", "selection") if _is_blind(chosen) else ("runs",)),
+    )
 
 
-class EvolveCommand(Resumable, DynamicCommand):
-    """Takes the options of what is asked for, and goes on with --resume."""
+def changed(
+    simulator: Any,
+    *,
+    arena: Path | None = None,
+    noise: Literal["none", "uniform", "samples"] | None = None,
+) -> Any:
+    """Return a simulator with another arena or noise.
+
+    Args:
+        simulator: one that has them.
+        arena: JSON file of an arena in place of the simulator's own.
+        noise: Noise in place of the simulator's own: none; uniform, 5 % of the range; or as wide as
+            the samples' own.
+    """
+    from neurosim.simulators.tables.arena import Arena
+
+    changes: dict[str, Any] = {} if arena is None else {"arena": Arena.read(arena)}
+    if noise is not None:
+        changes["noise"] = noise
+    if changes and not hasattr(simulator, "changed"):
+        raise UserError(f"a simulator of the kind {simulator.kind} has neither --arena nor --noise")
+    return simulator.changed(**changes) if changes else simulator
 
 
 @click.command(
-    cls=EvolveCommand,
-    begun=lambda values: Checkpoint(values["out"], "evolution").options(),
-    first={"task": "nine-rectangles", "controller": ""},
-    dynamic=_settings_options,
+    cls=SettingsCommand, begun=lambda values: Checkpoint(values["out"], "evolution").options()
 )
 @click.argument("simulator", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
-@click.option(
+@choice_options(
     "--task",
+    "neurosim.cli._tasks:FILES_AND_TASKS",
     default="nine-rectangles",
-    show_default=True,
-    help="A task's name, or a JSON file with its name and settings. Its options are listed with "
-    "--task NAME --help.",
+    help="The task, or a JSON file with its name and settings.",
 )
-@click.option(
+@choice_options(
     "--controller",
-    "kind",
-    help="plan, network, recurrent or a registered kind.  [plan; network where the task needs "
-    "sensors]",
+    "neurosim.controllers:CONTROLLERS",
+    default=_default_controller,
+    help="The kind of controller.  [default: plan, or network where the task needs sensors]",
+    names={"slots": "commands"},
+    optional=("inputs",),
 )
-@click.option(
-    "--optimiser", default="ga", show_default=True, help="ga, cma or a registered optimiser."
+@choice_options(
+    "--optimiser",
+    "neurosim.loop.optimisers:OPTIMISERS",
+    default="ga",
+    help="The optimiser; ga is the genetic algorithm of the controller's paper.",
+    of=lambda optimiser: None,  # all of them are given the settings below
+)
+@settings_options(
+    "evolution",
+    _defaults,
+    by_choice=True,
+    skip=_not_settings,
+    units={"placing": ("mm", "degrees")},
+)
+@settings_options(
+    "genetic",
+    _genetic,
+    by_choice=True,
+    skip=lambda chosen: ("parents",) if _is_blind(chosen) else ("tournament",),
 )
 @click.option(
     "--settings",
@@ -130,12 +156,20 @@ class EvolveCommand(Resumable, DynamicCommand):
     is_flag=False,
     flag_value="probability",
     type=click.Choice(["probability", "fitness"]),
-    help="Go on over drawn outcomes, for the probability of completing the task "
+    help="Continue over drawn outcomes, for the probability of completing the task "
     "(alone: --robust=probability) or for the expected fitness.",
 )
-@click.option("--robust-generations", type=click.IntRange(min=1), default=300, show_default=True)
-@click.option(
-    "--draws", type=click.IntRange(min=1), default=32, show_default=True, help="Outcomes."
+@settings_options(
+    "robust_settings",
+    "neurosim.loop.settings:RobustSettings",
+    only=("generations", "draws"),
+    names={"generations": "robust-generations"},
+)
+@settings_options(
+    "changes",
+    lambda chosen: None if _is_blind(chosen) else changed,
+    by_choice=True,
+    skip=("simulator",),
 )
 @click.option(
     "--robot-generations",
@@ -143,63 +177,73 @@ class EvolveCommand(Resumable, DynamicCommand):
     "real_generations",
     type=click.IntRange(min=0),
     default=0,
-    help="Generations on a robot after those in the simulator; it is left to itself.",
+    help="Generations on a robot after those in the simulator; nobody puts it in place.",
+)
+@choice_options(
+    "--robot",
+    "neurosim.trials.rig:RIGS",
+    default="virtual-khepera",
+    help="The robot of --robot-generations.",
 )
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
-@click.option("--resume", is_flag=True, help="Continue an interrupted evolution, same options.")
+@resume_option
 @seed_option
 @json_option
 def evolve(
     simulator: Path,
     out: Path,
     task: str,
-    kind: str | None,
+    task_options: dict[str, Any],
+    controller: str,
+    controller_options: dict[str, Any],
     optimiser: str,
+    optimiser_options: dict[str, Any],
+    evolution: dict[str, Any],
+    genetic: dict[str, Any],
     preset: str,
     robust: str | None,
-    robust_generations: int,
-    draws: int,
+    robust_settings: dict[str, Any],
+    changes: dict[str, Any],
     real_generations: int,
+    robot: str,
+    robot_options: dict[str, Any],
     keep_all: bool,
     resume: bool,
     seed: int,
     as_json: bool,
-    **given: Any,
 ) -> None:
     """Evolve a controller for a task in SIMULATOR.
 
     By default a plan of motor commands around nine rectangles (section 6.2 of Pretorius et al.
     2009). For --task obstacle-avoidance, in a simulator with sensors, a network (Lund and Miglino
-    1996). Any controller, task, simulator and optimiser can be combined.
+    1996). Any controller, task, simulator and optimiser can be combined; --help lists the options
+    of those that are named before it.
     """
     from neurosim.cli._tasks import read_task
-    from neurosim.controllers import CONTROLLERS, make_controller
+    from neurosim.controllers import make_controller
     from neurosim.evolution.genetic import GeneticSettings
     from neurosim.loop.evolve import evolve as evolve_
-    from neurosim.loop.settings import EvolveSettings, RobustSettings, default_settings
+    from neurosim.loop.settings import RobustSettings, default_settings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
 
-    cls, settings = read_task(task)
-    made = make_task(cls.name, **{**settings, **given_of(cls, given)})
-    kind = kind or ("network" if made.episode.readings else "plan")
-    found = _changed(read_simulator(simulator), given)
-    family = make_controller(kind, found, made, **given_of(CONTROLLERS.get(kind), given))
-    how = default_settings(family, made, optimiser=optimiser, **given_of(EvolveSettings, given))
-    genetic = GeneticSettings() if preset == "paper" and family.blind else how.genetic
-    changes = given_of(GeneticSettings, given)
-    if genetic.parents and "population" in changes and "parents" not in changes:
-        changes["parents"] = max(changes["population"] // 5, 1)
+    if not real_generations and (is_given("robot") or robot_options):
+        raise UserError("--robot is the robot of --robot-generations: add that, or leave it out")
+    name, settings = read_task(task)
+    made = make_task(name, **{**settings, **task_options})
+    found = changed(read_simulator(simulator), **changes)
+    family = make_controller(controller, found, made, **controller_options)
+    how = default_settings(family, made, optimiser=optimiser, **evolution)
+    breeding = GeneticSettings() if preset == "paper" and family.blind else how.genetic
+    if breeding.parents and "population" in genetic and "parents" not in genetic:
+        genetic["parents"] = max(genetic["population"] // 5, 1)
     how = replace(
         how,
-        genetic=replace(genetic, **changes),
+        genetic=replace(breeding, **genetic),
         insertion=preset != "paper",
-        robust=robust and RobustSettings(robust, robust_generations, draws),
+        robust=robust and RobustSettings(robust, **robust_settings),
     )
-    if given.get("placing") is not None:
-        millimetres, degrees = given["placing"]
-        how = replace(how, placing=(millimetres / 1000.0, math.radians(degrees)))
-    with _on_robot(found, made, family, how, real_generations, given, seed) as reality:
+    with _on_robot(found, made, family, how, real_generations, robot, robot_options, seed) as real:
         controllers = evolve_(
             found,
             made,
@@ -211,26 +255,10 @@ def evolve(
             keep_all=keep_all,
             resume=resume,
             options=given_options(),
-            reality=reality,
+            reality=real,
             real_generations=real_generations,
         )
     _say(controllers, out, simulator, made, keep_all, as_json)
-
-
-def _changed(simulator: Any, given: Mapping[str, Any]) -> Any:
-    """Return the simulator with another arena or noise, where they were given."""
-    changes: dict[str, Any] = {}
-    if given.get("arena_path") is not None:
-        from neurosim.simulators.tables.arena import Arena
-
-        changes["arena"] = Arena.read(given["arena_path"])
-    if given.get("noise") is not None:
-        changes["noise"] = given["noise"]
-    if not changes:
-        return simulator
-    if not hasattr(simulator, "changed"):
-        raise UserError(f"a simulator of the kind {simulator.kind} has neither --arena nor --noise")
-    return simulator.changed(**changes)
 
 
 def _say(
@@ -295,24 +323,24 @@ def _on_robot(
     controller: Any,
     settings: Any,
     generations: int,
-    options: Mapping[str, Any],
+    robot: str,
+    options: dict[str, Any],
     seed: int,
 ) -> Iterator[Any]:
-    """Give the robot on which evolution goes on; None where it does not."""
+    """Give the robot on which evolution continues; None where it does not."""
     if not generations:
         yield None
         return
-    from neurosim.cli._robots import khepera, virtual_khepera_baud
     from neurosim.loop.evaluate import Evaluator
+    from neurosim.robots import ROBOTS
     from neurosim.trials.reality import in_lab, on_khepera
 
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
-    if options["robot"] != "khepera":
-        baud = virtual_khepera_baud(dict(options))
-        with in_lab(evaluator, seed=seed, lab_seed=options["lab_seed"], baud=baud) as reality:
+    if robot == "virtual-khepera":
+        with in_lab(evaluator, seed=seed, **options) as reality:
             yield reality
         return
-    with on_khepera(khepera(dict(options)), evaluator, _ask) as reality:
+    with on_khepera(ROBOTS.make(robot, options), evaluator, _ask) as reality:
         hours = generations * settings.genetic.population * reality.seconds / 3600
         click.echo(
             f"{generations} generations of {settings.genetic.population} trials of "

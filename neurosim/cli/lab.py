@@ -9,26 +9,20 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import (
-    NUMBER,
-    PATH,
-    POSITIVE,
-    Size,
-    emit,
-    is_given,
-    json_option,
-    next_step,
-    seed_option,
-)
+from neurosim.cli._common import emit, is_given, json_option, next_step, seed_option
+from neurosim.cli._types import NUMBER, PATH, POSITIVE, SIZE
 
 _socket_option = click.option(
     "--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device."
 )
 _port_option = click.option(
-    "--port", type=click.IntRange(0, 65535), default=0, help="Of the socket; 0: any."
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    help="Port of the socket; 0: any that is free.",
 )
 _seconds_option = click.option(
-    "--seconds", type=POSITIVE, help="Stop by itself after so long.  [default: Ctrl-C]"
+    "--seconds", type=POSITIVE, help="Stop after so many seconds.  [default: with Ctrl-C]"
 )
 
 
@@ -75,7 +69,11 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 @_socket_option
 @_port_option
 @click.option(
-    "--baud", type=click.IntRange(min=300), default=9600, show_default=True, help="Of the line."
+    "--baud",
+    type=click.IntRange(min=300),
+    default=9600,
+    show_default=True,
+    help="Speed of the serial line.",
 )
 @_seconds_option
 @seed_option
@@ -130,7 +128,7 @@ def khepera(
 
 def _check_port(by_socket: bool) -> None:
     if is_given("port") and not by_socket:
-        raise UserError("--port is of the socket: add --socket")
+        raise UserError("--port is the port of a socket: add --socket")
 
 
 def _stay(rig: Any, seconds: float | None) -> None:
@@ -148,19 +146,19 @@ def _ways(address: dict[str, str | int]) -> tuple[dict, str]:
         name = address["filename"]
         return address, (
             f"  nxt-test --backend devfile --filename {name}\n"
-            f"  neurosim record OUT --robot nxt --device {name} --camera none"
+            f"  neurosim record OUT --robot nxt --filename {name} --camera none"
         )
     host, port = address["server_host"], address["server_port"]
     return address, (
         f"  nxt-test --backend socket --server-host {host} --server-port {port}\n"
-        f"  neurosim record OUT --robot nxt --server {host}:{port} --camera none"
+        f"  neurosim record OUT --robot nxt --server-host {host} --server-port {port} --camera none"
     )
 
 
 @lab.command()
 @click.argument("out", type=PATH)
 @click.option("--count", type=click.IntRange(min=3), default=20, show_default=True)
-@click.option("--camera-size", type=Size(), default="640x480", show_default=True)
+@click.option("--camera-size", type=SIZE, default="640x480", show_default=True)
 @click.option(
     "--over",
     type=click.Choice(["nxt", "khepera"]),

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
 import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
 
 import click
 
 import neurosim
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, UserError
+from neurosim.cli._types import PATH
+from neurosim.cli.build_tables import build_tables
 from neurosim.cli.calibrate import calibrate
 from neurosim.cli.dataset import dataset
 from neurosim.cli.demo import demo
@@ -20,29 +26,78 @@ from neurosim.cli.record import record
 from neurosim.cli.report import report
 from neurosim.cli.run import run
 from neurosim.cli.sample import sample
-from neurosim.cli.tables import tables
 from neurosim.cli.track import track
 from neurosim.cli.train import evaluate, train
 from neurosim.cli.view import view
 from neurosim.cli.watch import watch
 
+#: Names that verbs had before; they work, and are not listed.
+FORMER = {"tables": "build-tables"}
+
 
 class _InOrder(click.Group):
-    """Lists the verbs in the order of the road, not of the alphabet."""
+    """Lists the verbs in the order of the pipeline, not of the alphabet."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
 
+    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
+        return super().get_command(ctx, FORMER.get(name, name))
+
 
 @click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(neurosim.__version__, message="%(prog)s %(version)s")
-def cli() -> None:
+@click.option(
+    "--plugin",
+    "plugins",
+    type=PATH,
+    multiple=True,
+    metavar="FILE.py",
+    help="Run a Python file first: robots, tasks and others that it registers work in every verb. "
+    "Can be given several times.",
+)
+def cli(plugins: tuple[Path, ...]) -> None:
     """A robot builds its own simulator.
 
     Record what the robot does, learn a simulator from the recording, evolve a controller in the
     simulator, drive the robot with it. Every verb reads what the verb before it wrote; start
-    with "neurosim demo DEMO", which walks the whole road in the virtual lab.
+    with "neurosim demo DEMO", which runs the whole pipeline in the virtual lab.
     """
+    for path in plugins:
+        run_plugin(path)
+
+
+def run_plugin(path: Path) -> None:
+    """Run a Python file for what it registers, as ``import`` does.
+
+    Raises:
+        FileError: if it is not there or does not run to its end, with the line of the error.
+    """
+    if not path.is_file():
+        raise FileError(path, "no such file; --plugin takes a Python file")
+    # Its name is no other module's: a file may be called random.py.
+    spec = importlib.util.spec_from_file_location(f"neurosim_plugin_{path.stem}", path)
+    if spec is None or spec.loader is None:
+        raise FileError(path, "is no Python file; its name must end in .py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module
+    sys.path.append(str(path.resolve().parent))  # what it imports may stand beside it
+    try:
+        spec.loader.exec_module(module)
+    except UserError as error:
+        raise FileError(path, str(error), line=_line_of(error, path)) from None
+    except SyntaxError as error:
+        raise FileError(path, f"does not run: {error.msg}", line=error.lineno) from None
+    except Exception as error:
+        what = f"does not run: {type(error).__name__}: {error}"
+        raise FileError(path, what, line=_line_of(error, path)) from None
+
+
+def _line_of(error: Exception, path: Path) -> int | None:
+    """Return the last line of a file that an error came through."""
+    frames = traceback.extract_tb(error.__traceback__)
+    lines = [frame.lineno for frame in frames if Path(frame.filename).resolve() == path.resolve()]
+    return lines[-1] if lines else None
 
 
 for verb in (
@@ -54,7 +109,7 @@ for verb in (
     train,
     evaluate,
     sample,
-    tables,
+    build_tables,
     evolve,
     view,
     plan_check,
@@ -89,8 +144,8 @@ def main() -> None:
     except (KeyboardInterrupt, click.exceptions.Abort):
         _interrupted()
     except SystemError as error:
-        # Ctrl-C within a compiled kernel comes out of it wrapped.
-        if not isinstance(error.__cause__, KeyboardInterrupt):
+        # Ctrl-C within compiled code comes out of it wrapped, once or more often.
+        if not any(isinstance(each, KeyboardInterrupt) for each in _chain(error)):
             raise
         _interrupted()
     except MemoryError:
@@ -110,10 +165,21 @@ def main() -> None:
         sys.exit(1)
 
 
+def _chain(error: BaseException) -> Iterator[BaseException]:
+    """Give an error and all that led to it."""
+    waiting, seen = [error], set()
+    while waiting:
+        each = waiting.pop()
+        if id(each) not in seen:
+            seen.add(id(each))
+            yield each
+            waiting += [one for one in (each.__cause__, each.__context__) if one is not None]
+
+
 def _interrupted() -> None:
     click.echo(
-        "neurosim: interrupted; what was written so far can be read, "
-        "and is gone on with by --resume where there is one",
+        "neurosim: interrupted; what was written so far can be read; re-run with --resume to "
+        "continue, where supported",
         err=True,
     )
     sys.exit(130)

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option, placing_option, seed_option
+from neurosim.cli._common import emit, json_option, placing_option, seed_option
+from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
     from neurosim.loop.check import Check

@@ -10,20 +10,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from neurosim.cli._common import (
-    NUMBER,
-    PATH,
-    POSITIVE,
-    SHARE,
-    NumberIn,
-    Range,
-    Resumable,
+    calibration_option,
     emit,
-    given_options,
     json_option,
+    markers_option,
     next_step,
+    resume_option,
     seed_option,
 )
-from neurosim.cli._robots import open_rig, robot_options
+from neurosim.cli._options import SettingsCommand, given_options, settings_options
+from neurosim.cli._robots import camera_options, robot_option
+from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
     from tracking.datasets.recordings import Recording
@@ -43,139 +40,93 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     return {}
 
 
-@click.command(cls=Resumable, begun=_begun)
+@click.command(cls=SettingsCommand, begun=_begun)
 @click.argument("out", type=PATH)
-@click.option("--commands", type=int, default=500, show_default=True, help="How many to send.")
-@robot_options
-@click.option(
-    "--max-speed", type=NUMBER, default=50.0, show_default=True, help="Largest speed, in percent."
+@settings_options(
+    "settings",
+    "neurosim.recording.settings:RecordSettings",
+    only=("commands", "battery_limit", "full_speed", "track"),
+    names={"track": "wheel-track"},
 )
-@click.option(
-    "--durations",
-    type=Range(),
-    default="0.5..3",
-    show_default=True,
-    help="Shortest and longest, in s.",
+@settings_options("source", "neurosim.recording.commands:RandomCommands", skip=("seed",))
+@settings_options(
+    "guard",
+    "neurosim.recording.settings:Guard",
+    only=("at_line", "contrast"),
+    names={"contrast": "line-contrast"},
 )
-@click.option(
-    "--straight", type=SHARE, default=0.3, show_default=True, help="Share of equal speeds."
+@robot_option
+@camera_options
+@calibration_option(
+    "The camera's calibration.json, kept with the recording: with it the robot is tracked while it "
+    "is recorded."
 )
-@click.option("--stopped", type=SHARE, default=0.2, show_default=True, help="Share of stops.")
-@click.option(
-    "--at-line",
-    type=click.Choice(["return", "end", "ignore"]),
-    default="return",
-    show_default=True,
-    help="What to do where a light sensor sees a line.",
-)
-@click.option(
-    "--line-contrast", type=SHARE, default=0.12, show_default=True, help="Of a line, in 0..1."
-)
-@click.option(
-    "--full-speed", type=POSITIVE, default=0.5, show_default=True, help="Wheels at 100 %, m/s, and"
-)
-@click.option(
-    "--wheel-track",
-    type=POSITIVE,
-    default=0.13,
-    show_default=True,
-    help="between the wheels, m: to find back.",
-)
-@click.option(
-    "--battery-limit",
-    type=NumberIn(min=0),
-    default=6.5,
-    show_default=True,
-    help="Pause below it, in V.",
-)
-@click.option(
-    "--calibration",
-    type=PATH,
-    help="The camera's calibration.json, kept with the recording: with it the robot is tracked "
-    "while it is recorded.",
-)
+@markers_option
 @click.option(
     "--live/--no-live", default=True, show_default=True, help="Track while recording, or later."
 )
-@click.option("--watch", "page", is_flag=True, help="Serve a page with what is seen meanwhile.")
-@click.option(
-    "--markers",
-    default="pink,blue",
-    show_default=True,
-    help="Colours FRONT,REAR, or a markers.json that watch has written.",
-)
+@click.option("--watch", "page", is_flag=True, help="Serve a page that shows what is seen.")
 @click.option(
     "--guided",
     is_flag=True,
-    help="Choose the commands in rounds, where what was learned so far is least sure.",
+    help="Choose the commands in rounds, where what was learned so far is most uncertain.",
 )
-@click.option(
-    "--round", "size", default=50, show_default=True, help="Commands of a round of --guided."
+@settings_options(
+    "rounds", "neurosim.recording.rounds:Rounds", only=("size",), names={"size": "round"}
 )
-@click.option(
-    "--resume", is_flag=True, help="Go on with a recording that was interrupted, with its options."
-)
+@resume_option
 @seed_option
 @json_option
 def record(
     out: Path,
-    commands: int,
-    max_speed: float,
-    durations: tuple[float, float],
-    straight: float,
-    stopped: float,
-    at_line: Any,
-    line_contrast: float,
-    full_speed: float,
-    wheel_track: float,
-    battery_limit: float,
+    settings: dict[str, Any],
+    source: dict[str, Any],
+    guard: dict[str, Any],
+    robot: str,
+    robot_options: dict[str, Any],
+    camera: dict[str, Any],
     calibration: Path | None,
+    markers: str | None,
     live: bool,
     page: bool,
-    markers: str,
     guided: bool,
-    size: int,
+    rounds: dict[str, Any],
     resume: bool,
     seed: int,
     as_json: bool,
-    **robot: Any,
 ) -> None:
     """Drive a robot with random commands and film it, into the folder OUT.
 
     Put the robot in the middle of the board first. Lamp flashes at the beginning and at the end
-    join the video's clock and the robot's.
+    align the video's clock with the robot's.
 
-    With --guided OUT holds a recording for each round. Every round is tracked, and the next one's
-    commands are those that an ensemble, learned from all rounds so far, disagrees about most. That
-    needs a camera and its --calibration.
+    With --guided OUT holds a recording for each round. Every round is tracked, and the commands of
+    the next one are those that an ensemble, learned from all rounds so far, disagrees about most.
+    That needs a camera and its --calibration.
     """
     from neurosim.base.errors import UserError
     from neurosim.recording.commands import RandomCommands
-    from neurosim.recording.record import Guard, RecordSettings
+    from neurosim.recording.markers import marker_settings
     from neurosim.recording.record import record as record_
+    from neurosim.recording.settings import Guard, RecordSettings
+    from neurosim.trials.rig import Setup, open_rig
 
-    source = RandomCommands(max_speed, durations, straight, stopped, seed)
-    settings = RecordSettings(
-        commands,
-        Guard(at_line, line_contrast),
-        battery_limit,
-        full_speed,
-        wheel_track,
-        markers=marker_settings(markers, robot["robot"]),
-    )
+    commands = RandomCommands(**source, seed=seed)
+    how = RecordSettings(**settings, guard=Guard(**guard), markers=marker_settings(markers, robot))
 
     @contextmanager
-    def opened(seed: int, start: tuple[float, float, float]) -> Iterator[Any]:
+    def opened(seed: int, start: tuple[float, float, float] | None) -> Iterator[Any]:
         with (
-            open_rig(dict(robot), seed=seed, start=start) as rig,
-            _page(page, rig.camera, settings, calibration if live else None) as on_seen,
+            open_rig(robot, robot_options, Setup(**camera, seed=seed, start=start)) as rig,
+            _page(page, rig.camera, how, calibration if live else None) as on_seen,
         ):
             yield rig, on_seen
 
     if guided:
-        from neurosim.cli._guided import record_rounds
+        from neurosim.recording.rounds import Rounds, record_rounds
+        from neurosim.training.guided import choose_round
 
-        if robot["camera"] == "none" or calibration is None:
+        if camera.get("camera") == "none" or calibration is None:
             raise UserError(
                 "--guided looks at what every round did: it needs a camera, and its --calibration "
                 "calibration.json (neurosim calibrate makes one)"
@@ -183,30 +134,31 @@ def record(
         made = record_rounds(
             out,
             opened,
-            source,
-            settings,
-            size,
+            commands,
+            how,
+            Rounds(how.commands, **rounds),
+            choose_round,
             calibration,
             live=live,
             resume=resume,
             options=given_options(),
         )
-        result = {"rounds": [str(part.path) for part in made], **_summary(out, commands, made)}
+        result = {"rounds": [str(part.path) for part in made], **_summary(out, how.commands, made)}
         emit(
             result,
             as_json,
             _words(result) + next_step("dataset", out, "-o", "DATASET"),
         )
         return
-    # Each session of a resumed recording meets other chances, as it would on a real robot.
+    # Each session of a resumed recording meets other noise, as it would on a real robot.
     session = _sessions(out) if resume else 0
-    with opened(seed + 1000 * session, (0.0, 0.0, 0.0)) as (rig, on_seen):
-        made = record_(
+    with opened(seed + 1000 * session, None) as (rig, on_seen):
+        recording = record_(
             out,
             rig.robot,
             rig.camera,
-            source,
-            settings,
+            commands,
+            how,
             calibration=calibration,
             live=live,
             on_seen=on_seen,
@@ -215,11 +167,11 @@ def record(
             lab=rig.lab,
             options=given_options(),
         )
-    result = _summary(out, commands, [made])
+    result = _summary(out, how.commands, [recording])
     emit(
         result,
         as_json,
-        _words(result) + _next(out, made.is_tracked, calibration),
+        _words(result) + _next(out, recording.is_tracked, calibration),
     )
 
 
@@ -289,37 +241,6 @@ def _page(
         click.echo(f"Watch at {server.url}", err=True)
         yield viewer.show
         viewer.end("the recording has ended")
-
-
-def marker_settings(colours: str, robot: str) -> dict[str, Any]:
-    """Return the markers of a robot: a file's, or the default with these colours.
-
-    Args:
-        colours: FRONT,REAR or a markers.json.
-        robot: as ``--robot`` names it; ``virtual khepera`` for that.
-    """
-    from neurosim.base.errors import UserError
-    from tracking.datasets.recordings import DEFAULT_MARKERS, KHEPERA_MARKERS, read_markers
-    from tracking.markers.colours import parse_colour
-
-    if colours.endswith(".json"):
-        markers = read_markers(colours)
-        for which in ("front", "rear"):
-            parse_colour(str(markers[which]["colour"]))
-        return markers
-    names = [name.strip() for name in colours.split(",")]
-    if len(names) != 2 or not all(names) or names[0] == names[1]:
-        raise UserError(f"--markers {colours!r}: expected two different colours, such as pink,blue")
-    for name in names:
-        parse_colour(name)  # says what colours there are
-    if robot.startswith("virtual") and names != ["pink", "blue"]:
-        raise UserError("the virtual robot's markers are pink and blue; leave --markers out")
-    known = KHEPERA_MARKERS if robot.endswith("khepera") else DEFAULT_MARKERS
-    front, rear = (
-        {**known[which], "colour": name}
-        for which, name in zip(("front", "rear"), names, strict=True)
-    )
-    return {**known, "front": front, "rear": rear}
 
 
 def _sessions(out: Path) -> int:

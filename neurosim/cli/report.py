@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import PATH, emit, json_option
+from neurosim.cli._common import emit, json_option
+from neurosim.cli._types import PATH
 
 
 @click.command()

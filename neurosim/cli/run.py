@@ -9,52 +9,60 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, SHARE, NumberIn, emit, json_option, next_step, seed_option
-from neurosim.cli._robots import open_rig, robot_options
-from neurosim.cli.record import marker_settings
+from neurosim.cli._common import (
+    calibration_option,
+    emit,
+    json_option,
+    markers_option,
+    next_step,
+    seed_option,
+)
+from neurosim.cli._options import SettingsCommand, settings_options
+from neurosim.cli._robots import camera_options, robot_option
+from neurosim.cli._types import PATH
 
 
-@click.command()
+@click.command(cls=SettingsCommand)
 @click.argument("controller", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new trial.")
-@robot_options
-@click.option("--calibration", type=PATH, required=True, help="The camera's calibration.json.")
+@robot_option
+@camera_options
+@calibration_option(required=True)
 @click.option(
     "--at-line",
     type=click.Choice(["end", "ignore"]),
     default="end",
     show_default=True,
-    help="What to do where a light sensor sees a line.",
+    help="What happens where a light sensor sees a line.",
 )
-@click.option(
-    "--line-contrast", type=SHARE, default=0.12, show_default=True, help="Of a line, in 0..1."
+@settings_options(
+    "guard",
+    "neurosim.recording.settings:Guard",
+    only=("contrast",),
+    names={"contrast": "line-contrast"},
 )
-@click.option(
-    "--battery-limit",
-    type=NumberIn(min=0),
-    default=6.5,
-    show_default=True,
-    help="Do not start below it, V.",
+@settings_options(
+    "settings",
+    "neurosim.recording.settings:RecordSettings",
+    only=("battery_limit",),
+    helps={"battery_limit": "Voltage below which the trial does not start, V."},
 )
-@click.option(
-    "--markers",
-    default="pink,blue",
-    show_default=True,
-    help="Colours FRONT,REAR, or a markers.json that watch has written.",
-)
+@markers_option
 @seed_option
 @json_option
 def run(
     controller: Path,
     out: Path,
+    robot: str,
+    robot_options: dict[str, Any],
+    camera: dict[str, Any],
     calibration: Path,
     at_line: Any,
-    line_contrast: float,
-    battery_limit: float,
-    markers: str,
+    guard: dict[str, Any],
+    settings: dict[str, Any],
+    markers: str | None,
     seed: int,
     as_json: bool,
-    **robot: Any,
 ) -> None:
     """Drive the robot with CONTROLLER, and compare what it does with what was predicted.
 
@@ -62,15 +70,17 @@ def run(
     rectangle, facing rectangle 1, the top-left one.
     """
     from neurosim.controllers import read_controller
-    from neurosim.recording.record import Guard
+    from neurosim.recording.markers import marker_settings
+    from neurosim.recording.settings import Guard
+    from neurosim.trials.rig import Setup, open_rig
     from neurosim.trials.trial import run_trial
     from tracking.track import track
 
-    if robot["camera"] == "none":
+    if camera.get("camera") == "none":
         raise UserError("a trial is tracked as it ends, so it needs a camera")
     start = read_controller(controller).start
-    marked = marker_settings(markers, robot["robot"])
-    with open_rig(robot, seed=seed, start=start) as rig:
+    marked = marker_settings(markers, robot)
+    with open_rig(robot, robot_options, Setup(**camera, seed=seed, start=start)) as rig:
         report = run_trial(
             controller,
             out,
@@ -79,11 +89,8 @@ def run(
             track=track,
             calibration=calibration,
             # A plan may lead near the edge; it must not lead over it.
-            guard=Guard(at_line, line_contrast, margin=0.05),
-            settings={
-                "markers": marked,
-                "battery_limit": battery_limit,
-            },
+            guard=Guard(at_line, margin=0.05, **guard),
+            settings={"markers": marked, **settings},
             finish=rig.finish,
             lab=rig.lab,
         )

@@ -2,26 +2,28 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import NUMBER, PATH, emit, json_option, next_step
+from neurosim.cli._common import calibration_option, emit, json_option, next_step
+from neurosim.cli._types import NUMBER, PATH, PIXEL
 
 
 @click.command()
 @click.argument("recording", type=PATH)
-@click.option("--colours", help="Of the markers: FRONT,REAR.  [default: as recorded; pink,blue]")
-@click.option("--calibration", type=PATH, help="[default: the one kept with the recording]")
+@click.option(
+    "--colours", help="Colours FRONT,REAR of the markers.  [default: as recorded, or pink,blue]"
+)
+@calibration_option("The camera's calibration.json.  [default: the one kept with the recording]")
 @click.option("--overlay", type=PATH, help="Also write a video with what was found drawn over it.")
 @click.option(
     "--video",
     "videos",
     multiple=True,
     type=PATH,
-    help="Of a session that was filmed with something else; once for each.",
+    help="Video of a session that was filmed with something else; once for each.",
 )
 @click.option("--partial", is_flag=True, help="Use a video that was cut short as far as it goes.")
 @click.option(
@@ -29,23 +31,23 @@ from neurosim.cli._common import NUMBER, PATH, emit, json_option, next_step
     type=click.Choice(["flash", "motion"]),
     default="flash",
     show_default=True,
-    help="What ties the camera's clock to the robot's: the lamp, or the robot's answers to its "
+    help="What aligns the camera's clock with the robot's: the lamp, or the robot's answers to its "
     "commands.",
 )
 @click.option(
     "--click",
     "clicks",
+    type=PIXEL,
     multiple=True,
-    metavar="U,V",
     help="Of a video file: a pixel of the front marker in its first frame; again for the rear.",
 )
-@click.option("-o", "--out", type=PATH, help="A video file's poses go to this new folder.")
+@click.option("-o", "--out", type=PATH, help="New folder for the poses of a video file.")
 @click.option(
     "--height",
     type=NUMBER,
     default=0.0,
     show_default=True,
-    help="Of a video file's markers over the board, m.",
+    help="Of a video file: height of the markers over the board, m.",
 )
 @json_option
 def track(
@@ -56,7 +58,7 @@ def track(
     videos: tuple[Path, ...],
     partial: bool,
     sync: str,
-    clicks: tuple[str, ...],
+    clicks: tuple[tuple[float, float], ...],
     out: Path | None,
     height: float,
     as_json: bool,
@@ -66,23 +68,26 @@ def track(
     Of a recording, the poses go into its poses.csv, in metres, on the robot's clock. A video file
     needs -o; without a calibration its poses are in pixels.
     """
+    from tracking.markers.colours import colour_pair
     from tracking.markers.palette import in_words, least_sure, warning
     from tracking.track import track as track_
     from tracking.track import track_video
 
     if not recording.exists():
         raise UserError(f"{recording}: no such recording, and no such video file")
-    pair = _pair(colours) if colours else None
+    pair = colour_pair(colours) if colours else None
     if recording.is_file():
         if out is None:
             raise UserError(f"{recording} is a video file; name a folder for its poses with -o")
         if clicks and colours:
             raise UserError("--click takes the colours from the picture; leave out --colours")
-        places = _places(clicks) if clicks else None
+        if len(clicks) not in (0, 2):
+            raise UserError("--click: give it twice, for the front marker, then for the rear one")
+        pixels = [list(pixel) for pixel in clicks]
         front, rear = pair or ("pink", "blue")
         result = track_video(
             recording, front, rear, out,
-            calibration=calibration, height=height, overlay=overlay, clicks=places,
+            calibration=calibration, height=height, overlay=overlay, clicks=pixels or None,
         )  # fmt: skip
         result.pop("poses")
         where, markers, then = out, result["markers"], ""
@@ -108,21 +113,3 @@ def track(
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
         f"median quality {result['quality']:.2f}.\n{in_words(markers)}.{then}",
     )
-
-
-def _pair(colours: str) -> tuple[str, str]:
-    names = [name.strip() for name in colours.split(",")]
-    if len(names) != 2 or not all(names):
-        raise UserError(f"--colours {colours!r}: expected two colours, such as pink,blue")
-    return names[0], names[1]
-
-
-def _places(clicks: tuple[str, ...]) -> list[list[float]]:
-    try:
-        places = [[float(part) for part in text.split(",")] for text in clicks]
-    except ValueError:
-        places = []
-    finite = all(math.isfinite(part) for place in places for part in place)
-    if len(places) != 2 or any(len(place) != 2 for place in places) or not finite:
-        raise UserError("--click: expected two of them, U,V in pixels, front first, then rear")
-    return places

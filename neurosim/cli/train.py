@@ -8,98 +8,61 @@ from typing import Any
 import click
 
 from neurosim.base.checkpoint import Checkpoint
-from neurosim.cli._common import (
-    PATH,
-    SHARE,
-    Resumable,
-    emit,
+from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
+from neurosim.cli._options import (
+    SettingsCommand,
+    choice_options,
     given_options,
-    json_option,
-    next_step,
-    seed_option,
+    settings_options,
 )
+from neurosim.cli._types import PATH
 
 _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 
 
-@click.command(cls=Resumable, begun=lambda values: Checkpoint(values["out"], "training").options())
+@click.command(
+    cls=SettingsCommand, begun=lambda values: Checkpoint(values["out"], "training").options()
+)
 @click.argument("dataset", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
-@click.option(
+@choice_options(
     "--trainer",
+    "neurosim.training.trainers.registry:TRAINERS",
     default="exponents",
-    show_default=True,
-    help="exponents: the product units' exponents are searched for, the rest is solved for. "
-    "ga: the paper's, every weight a gene. gradient: perceptrons, to compare with.",
+    help="How it is trained. exponents searches for the exponents of product units and solves for "
+    "the other weights; in ga, the paper's, every weight is a gene; gradient trains perceptrons, "
+    "to compare with.",
+    of=lambda trainer: trainer.settings_type,
 )
-@click.option(
-    "--members",
-    type=click.IntRange(min=1),
-    help="Networks of each output in the ensemble.  [8; ga: 1]",
+@settings_options(
+    "options",
+    "neurosim.training.train:train",
+    only=("members", "noise", "generations", "hidden", "activations", "device"),
+    kinds={"activations": click.Tuple([_ACTIVATION, _ACTIVATION])},
 )
-@click.option(
-    "--noise/--no-noise",
-    default=None,
-    help="Learn a model of what cannot be foreseen.  [yes; ga: no]",
-)
-@click.option("--generations", type=click.IntRange(min=1), help="[default: the trainer's own]")
-@click.option(
-    "--product-units",
-    type=click.IntRange(0, 1000),
-    help="[default: the trainer's own; ga: 10]",
-)
-@click.option(
-    "--summation-units",
-    type=click.IntRange(0, 1000),
-    help="[default: the trainer's own; ga: 10]",
-)
-@click.option("--hidden-activation", type=_ACTIVATION, default="linear", show_default=True)
-@click.option("--output-activation", type=_ACTIVATION, default="linear", show_default=True)
-@click.option("--population", type=click.IntRange(min=2), help="[ga: 250]")
-@click.option("--tournament", type=click.IntRange(min=1), help="[ga: 50]")
-@click.option("--crossover", type=SHARE, help="Probability.  [ga: 0.8]")
-@click.option("--mutation", type=SHARE, help="Probability a gene.  [ga: 0.05]")
-@click.option("--device", default="cpu", show_default=True, help="As PyTorch names it.")
-@click.option(
-    "--resume", is_flag=True, help="Go on with training that was interrupted, with its options."
-)
+@resume_option
 @seed_option
 @json_option
 def train(
     dataset: Path,
     out: Path,
     trainer: str,
-    members: int | None,
-    noise: bool | None,
-    generations: int | None,
-    product_units: int | None,
-    summation_units: int | None,
-    hidden_activation: str,
-    output_activation: str,
-    device: str,
+    trainer_options: dict[str, Any],
+    options: dict[str, Any],
     resume: bool,
     seed: int,
     as_json: bool,
-    **genetic: Any,
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
     from neurosim.training.train import train as train_
-    from neurosim.training.trainers.registry import trainer_class
 
-    own = trainer_class(trainer).default_hidden
-    hidden = (product_units, summation_units)
     simulator = train_(
         dataset,
         out,
         trainer=trainer,
-        generations=generations,
+        settings=trainer_options,
+        **options,
         seed=seed,
-        members=members,
-        noise=noise,
-        hidden=tuple(b if a is None else a for a, b in zip(hidden, own, strict=True)),
-        activations=(hidden_activation, output_activation),
-        settings={name: value for name, value in genetic.items() if value is not None},
-        device=device,
         resume=resume,
         options=given_options(),
     )

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from neurosim.cli._common import NUMBER, PATH, NumberIn, emit, json_option, seed_option
+from neurosim.cli._common import emit, json_option, seed_option
+from neurosim.cli._types import NUMBER, PATH, NumberIn
 
 
 @click.command()

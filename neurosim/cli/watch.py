@@ -12,8 +12,8 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import PATH, POSITIVE, NumberIn, Size, emit, json_option
-from neurosim.cli.record import marker_settings
+from neurosim.cli._common import calibration_option, emit, json_option, markers_option
+from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
 
 
 @click.command()
@@ -23,15 +23,10 @@ from neurosim.cli.record import marker_settings
     show_default=True,
     help="A camera's number, a video file, a URL that OpenCV opens, or lab for the virtual lab's.",
 )
-@click.option("--camera-size", type=Size(), help="Frame size.  [lab default: 640x480]")
-@click.option("--fps", type=NumberIn(1, 240), help="Frame rate.  [lab default: 30]")
-@click.option(
-    "--markers",
-    default="pink,blue",
-    show_default=True,
-    help="Colours FRONT,REAR, or a markers.json.",
-)
-@click.option("--calibration", type=PATH, help="Of the camera, or of its lens alone.")
+@click.option("--camera-size", type=SIZE, help="Frame size.  [lab: 640x480]")
+@click.option("--fps", type=NumberIn(1, 240), help="Frame rate.  [lab: 30]")
+@markers_option
+@calibration_option("A calibration.json of the camera, or of its lens alone.")
 @click.option(
     "-o",
     "--out",
@@ -40,15 +35,22 @@ from neurosim.cli.record import marker_settings
     show_default=True,
     help="Where the page saves the calibration; markers.json goes beside it.",
 )
-@click.option("--port", type=click.IntRange(0, 65535), default=0, help="0: any that is free.")
+@click.option(
+    "--port",
+    type=click.IntRange(0, 65535),
+    default=0,
+    help="Port of the page; 0: any that is free.",
+)
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
-@click.option("--seconds", type=POSITIVE, help="End by itself after so long.  [default: Ctrl-C]")
+@click.option(
+    "--seconds", type=POSITIVE, help="Stop after so many seconds.  [default: with Ctrl-C]"
+)
 @json_option
 def watch(
     camera: str,
     camera_size: tuple[int, int] | None,
     fps: float | None,
-    markers: str,
+    markers: str | None,
     calibration: Path | None,
     out: Path,
     port: int,
@@ -61,6 +63,7 @@ def watch(
     On the page, one click sets a marker's colour and four set the board's corners: nothing needs
     to be printed or typed. The page is for this computer alone.
     """
+    from neurosim.recording.markers import marker_settings
     from neurosim.watch import PageServer, Viewer
     from tracking.camera.camera_model import CameraModel
     from tracking.datasets.recordings import DEFAULT_BOARD
@@ -69,7 +72,7 @@ def watch(
     from tracking.markers.pair import Geometry
     from tracking.poses import marker_geometry
 
-    known = marker_settings(markers, "camera")
+    known = marker_settings(markers)
     colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))
     model = None if calibration is None else CameraModel.read(calibration)
 
@@ -140,13 +143,12 @@ def _open_camera(name: str, size: Any, fps: float | None) -> Iterator[Any]:
         with _lab_camera(size or (640, 480), fps or 30.0) as camera:
             yield camera
         return
-    from tracking.camera.cameras import OpenCVCamera, VideoCamera
+    from tracking.camera.cameras import VideoCamera, open_camera
 
     if Path(name).is_file():
         yield VideoCamera(name)
     else:
-        source = int(name) if name.isdigit() else name
-        yield OpenCVCamera(source, time.monotonic, size, fps)
+        yield open_camera(name, time.monotonic, size, fps)
 
 
 @contextmanager

@@ -24,10 +24,10 @@ class Network(Controller):
     """Feed-forward networks.
 
     Attributes:
-        inputs: what they observe.
-        hidden: units of each hidden layer; the paper has none.
-        outputs: columns of the command.
-        scale: the largest command, % (one for all outputs), or one for each.
+        inputs: Names of what it observes: readings, and x, y, cos_heading, sin_heading or goals.
+        hidden: Units of each hidden layer; the paper has none.
+        outputs: Columns of the command.
+        scale: Largest command, percent: one number, or a list of one for each output.
     """
 
     kind: ClassVar[str] = "network"
@@ -81,9 +81,11 @@ class Recurrent(Controller):
     """Recurrent networks of one hidden layer, Elman's or continuous-time.
 
     Attributes:
-        inputs, outputs, scale: as of :class:`Network`.
-        units: hidden units.
-        dynamics: ``elman`` or ``ctrnn``.
+        inputs: Names of what it observes: readings, and x, y, cos_heading, sin_heading or goals.
+        units: Hidden units.
+        dynamics: How its hidden units change: elman, or ctrnn (in continuous time).
+        outputs: Columns of the command.
+        scale: Largest command, percent: one number, or a list of one for each output.
     """
 
     kind: ClassVar[str] = "recurrent"

@@ -25,9 +25,9 @@ class Plan(Controller):
     """Plans of a fixed number of commands, some of which may be null (not given).
 
     Attributes:
-        slots: commands in a plan, null ones included.
-        max_speed: fastest motor speed, percent.
-        durations: shortest and longest command, s.
+        slots: Commands in a plan, null ones included.
+        max_speed: Largest motor speed, percent of full speed.
+        durations: Shortest and longest command, s.
     """
 
     kind: ClassVar[str] = "plan"

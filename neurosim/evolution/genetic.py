@@ -23,15 +23,15 @@ class GeneticSettings:
     truncation selection (Lund and Miglino 1996), which it does not use.
 
     Attributes:
-        population: individuals.
-        crossover: chance that a pair of parents is crossed; the others are copied.
-        mutation: chance of each gene of a child to be changed.
-        tournament: individuals in a tournament.
-        eta: distribution index of simulated binary crossover.
-        mutation_scale: standard deviation of a change.
-        elites: the best individuals, kept unchanged: with one, the best fitness never falls.
-        parents: where above 0, only so many of the best have children, each as many as the
-            others, and there are no tournaments.
+        population: Individuals of a population.
+        crossover: Probability that a pair of parents is crossed; the others are copied.
+        mutation: Probability of each gene of a child to be changed.
+        tournament: Individuals in a tournament.
+        eta: Distribution index of simulated binary crossover.
+        mutation_scale: Standard deviation of a gene's change.
+        elites: Best individuals that are kept unchanged: with one, the best fitness never falls.
+        parents: So many of the best have children, each as many as the others, and there are no
+            tournaments; 0: tournaments.
     """
 
     population: int = 250

@@ -31,8 +31,8 @@ class RobustSettings:
     Attributes:
         objective: ``probability`` of completing the task, or ``fitness``, the expected fitness.
             The latter often prefers plans that stop halfway and are safe.
-        generations: how many, after those without noise.
-        draws: outcomes that every individual of a generation meets.
+        generations: Generations of --robust, after those without noise.
+        draws: Outcomes that every individual of a generation of --robust meets.
         refresh: new outcomes are drawn every so many generations, lest individuals be fitted to
             them.
         selection_draws: outcomes on which the individual to keep is chosen in the end.
@@ -60,21 +60,22 @@ class EvolveSettings:
 
     Attributes:
         optimiser: its name; ``ga`` is the genetic algorithm of the controller's paper.
-        generations: how many populations are evaluated.
-        runs: independent runs, evaluated together; the best of all is kept.
+        generations: How many populations are evaluated.
+        runs: Independent runs, evaluated together; the best of all is kept.
         genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a share
             of a gene's range.
         insertion: plans: whether a null command that mutation brings back comes at any position
             in the plan; False: where it is, as we read the paper.
-        outcomes: trials, drawn anew, that every individual of a generation is tried in; 0: it is
+        outcomes: Trials, drawn anew, that every individual of a generation is tried in; 0: it is
             judged by what the simulator expects.
-        objective: what is maximised; see :mod:`neurosim.loop.objectives`.
+        objective: What is maximised: fitness, probability, progress or steady. See
+            :mod:`neurosim.loop.objectives`.
         robust: how to make the result robust, or None.
-        placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
-            (rad); for drawn outcomes alone.
-        selection: where outcomes are drawn, start poses from which the best of the last
-            population is chosen.
-        final_draws: fresh outcomes from which the probability of success is estimated.
+        placing: How exactly the robot is put down, for drawn outcomes: standard deviations of its
+            position (x and y) and of its heading, m and rad.
+        selection: Start poses from which the best of the last population is chosen, where outcomes
+            are drawn.
+        final_draws: Fresh outcomes from which the probability of success is estimated.
     """
 
     optimiser: str = "ga"

@@ -7,7 +7,7 @@ argument. One that is shown what the robot sees before each command is a :class:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -94,11 +94,11 @@ class RandomCommands:
     """The paper's random commands (section 5.1).
 
     Attributes:
-        max_speed: largest speed, in percent of full speed.
-        durations: shortest and longest, in seconds.
-        straight: share of commands with equal speeds in one direction.
-        stopped: share of commands with both speeds zero; the rest is random.
-        seed: of the random numbers.
+        max_speed: Largest speed, percent of full speed.
+        durations: Shortest and longest command, s.
+        straight: Share of commands with equal speeds in one direction.
+        stopped: Share of commands with both speeds zero. The rest is random.
+        seed: Random seed.
     """
 
     max_speed: float = 50.0
@@ -141,14 +141,20 @@ class RandomCommands:
 
 @dataclass(frozen=True)
 class FixedCommands:
-    """A given list of commands, such as a controller's plan."""
+    """A given list of commands, such as a controller's plan.
+
+    Attributes:
+        commands: in the order in which they are sent.
+        how: what recording.json says of where they are from; ``kind`` is one of its keys.
+    """
 
     commands: Sequence[Command]
+    how: Mapping[str, Any] = field(default_factory=lambda: {"kind": "fixed"})
 
     def command(self, index: int) -> Command:
         """Return command ``index``."""
         return self.commands[index]
 
     def describe(self) -> dict[str, Any]:
-        """Return the commands themselves."""
-        return {"kind": "fixed", "commands": [list(asdict(c).values()) for c in self.commands]}
+        """Return where the commands are from, and the commands themselves."""
+        return {**self.how, "commands": [list(asdict(c).values()) for c in self.commands]}

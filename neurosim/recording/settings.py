@@ -14,10 +14,10 @@ class Guard:
     """How the robot is kept on the board, by light sensors and by its tracked position.
 
     Attributes:
-        at_line: what happens at the perimeter: ``return`` inside and go on, ``end`` the session,
-            or ``ignore`` it.
-        contrast: by how much of 0..1 a sensor's reading must differ from that of the bare board
-            to be a line (or the floor).
+        at_line: What happens where a light sensor sees a line or the robot reaches the board's
+            edge: return inside and continue, end the session, or ignore it.
+        contrast: Difference of a light sensor's reading (0..1) from that of the bare board at
+            which it is a line.
         retreat: metres to drive back over, away from the line: more than the longest straight
             command, so that a robot sent back has room ahead of it.
         speed: of the retreat, in percent.
@@ -44,15 +44,15 @@ class RecordSettings:
     """What a recording is made with, beside robot, camera and commands.
 
     Attributes:
-        commands: how many different commands to send.
-        guard: of the perimeter line.
-        battery_limit: volts below which the recording pauses.
-        full_speed: wheel speed at 100 %, in m/s, and
-        track: distance between the wheels, in m: both only to find back inside.
+        commands: How many commands to send.
+        guard: how the robot is kept on the board.
+        battery_limit: Voltage below which the recording pauses, V.
+        full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
+        track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
     """
 
-    commands: int
+    commands: int = 500
     guard: Guard = field(default_factory=Guard)
     battery_limit: float = 6.5
     full_speed: float = 0.5

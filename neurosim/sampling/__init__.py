@@ -10,32 +10,20 @@ Everything is written down as it is read (``sensors.csv``, ``motors.csv``, ``rea
 ``.sample`` files and the reaction in ``sampling.json`` are made of that.
 """
 
-from __future__ import annotations
-
-import math
-from collections.abc import Callable, Mapping
-from contextlib import nullcontext
-from dataclasses import asdict
-from functools import cache
-from pathlib import Path
-from typing import Any
-
-from neurosim.base import files
-from neurosim.base.errors import FileError, UserError
-from neurosim.base.progress import Progress
-from neurosim.robots.khepera.dialects import DIALECTS
+from neurosim.sampling.build import build_tables, sampled_baud, sampled_body, sampled_reaction
 from neurosim.sampling.eye import Eye
-from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
-from neurosim.sampling.reaction import read_reaction, sample_reaction
-from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
-from neurosim.sampling.settings import Sampler, SampleSettings
-from neurosim.sampling.turns import read_turns, reading_times, sample_object
-from neurosim.simulators.tables.reaction import Reaction
-from neurosim.simulators.tables.sensor_table import OBJECTS
+from neurosim.sampling.motors import interpolation_cost
+from neurosim.sampling.resampling import full_turn
+from neurosim.sampling.sampler import FORMAT, VERSION, sample
+from neurosim.sampling.settings import SampleSettings
+from neurosim.sampling.turns import read_turns
 
 __all__ = [
     "Eye",
+    "FORMAT",
     "SampleSettings",
+    "VERSION",
+    "build_tables",
     "full_turn",
     "interpolation_cost",
     "read_turns",
@@ -44,190 +32,3 @@ __all__ = [
     "sampled_body",
     "sampled_reaction",
 ]
-
-FORMAT, VERSION = "neurosim-sampling", 2
-
-#: Asks a person to put the robot down, at an object ("wall", "cylinder") or in the open ("open").
-Place = Callable[[str], None]
-
-
-def sample(
-    out: str | Path,
-    robot: Sampler,
-    settings: SampleSettings,
-    place: Place,
-    *,
-    resume: bool = False,
-    seed: int = 0,
-    progress: bool = True,
-    eye: Eye | None = None,
-    lab: Mapping[str, Any] | None = None,
-    options: Mapping[str, Any] | None = None,
-) -> dict[str, Any]:
-    """Sample both objects and the motors into a folder.
-
-    Args:
-        out: folder with ``sampling.json``, ``sensors.csv``, ``motors.csv`` and, for every object
-            and repeat, a ``.sample`` file (``wall.sample``, ``wall-2.sample``, ...).
-        robot: connected.
-        settings: what to sample.
-        place: asks a person to put the robot down: at an object facing it and touching it.
-        resume: go on where an earlier call was interrupted, with the same settings.
-        seed: of the choice of settings held out.
-        progress: whether to show progress on stderr.
-        eye: a camera that measures the motors' settings; without it the counters do.
-        lab: what makes the same virtual lab again, of a virtual robot.
-        options: kept in ``sampling.json``, for whoever resumes.
-
-    Returns:
-        ``samples`` (files), ``wheel_base`` (m, measured), ``wheel_sizes`` (left and right
-        over their mean, measured), ``motor_settings``, ``reaction``
-        (:class:`~neurosim.simulators.tables.reaction.Reaction`), and, with a grid,
-        ``interpolation``: median and largest error at the held-out settings, in m/s (``forward``)
-        and rad/s (``turn``).
-
-    Raises:
-        UserError: if something stands at ``out``, or what is resumed was begun with other settings
-            or another robot.
-        RobotError: if the robot is lost or stuck; what was sampled is kept.
-    """
-    out = Path(out)
-    levels = settings.levels(robot.full_speed)
-    about = {
-        "settings": asdict(settings),
-        "seed": seed,
-        "robot": robot.describe(),
-        **({} if lab is None else {"virtual_lab": dict(lab)}),
-        "motors": "counters" if eye is None else "camera",
-    }
-    _begin(out, {**about, "options": dict(options or {})}, resume)
-    total = settings.repeats * settings.distances * len(OBJECTS)
-    bar = Progress("sample", total, "turns") if progress else None
-    try:
-        for name in OBJECTS:
-            for repeat in range(1, settings.repeats + 1):
-                sample_object(out, robot, settings, name, repeat, place, bar)
-    finally:
-        robot.stop()
-        if bar is not None:
-            bar.close()
-    turns = read_turns(out)
-    pulses = full_turn(turns)
-    wheel_base = pulses / robot.pulses_per_metre / math.pi
-    sizes = wheel_sizes(turns)
-    made = write_samples(out, settings, turns, robot, pulses, sizes)
-    in_the_open = _once(place, "open")
-    try:
-        with eye or nullcontext():
-            measure = (eye or Counters(robot, wheel_base, sizes)).measure
-            sample_motors(out, robot, settings, levels, measure, in_the_open, seed)
-        sample_reaction(out, robot, in_the_open)
-    finally:
-        robot.stop()
-    reaction = read_reaction(out, reading_times(out), robot.scan)
-    result = {
-        "samples": [path.name for path in made],
-        "wheel_base": wheel_base,
-        "wheel_sizes": list(sizes),
-        "motor_settings": len(levels) ** 2,
-        "reaction": reaction.to_json(),
-    }
-    cost = interpolation_cost(out)
-    if cost is not None:
-        result["interpolation"] = cost
-    content = files.read_json(out / "sampling.json", FORMAT, VERSION)
-    described = {
-        key: content[key]
-        for key in ("settings", "seed", "robot", "virtual_lab", "motors", "options")
-        if key in content
-    }
-    files.write_json(out / "sampling.json", FORMAT, VERSION, {**described, "result": result})
-    return result
-
-
-def sampled_reaction(folder: str | Path) -> Reaction:
-    """Return the reaction that was measured in a sampling; none where a folder is not one.
-
-    Raises:
-        FileError: if ``sampling.json`` is not what it should be.
-    """
-    path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return Reaction()
-    result = files.read_json(path, FORMAT, VERSION).get("result")
-    try:
-        return Reaction.from_json(result["reaction"]) if result else Reaction()
-    except (UserError, KeyError, TypeError, AttributeError) as error:
-        raise FileError(path, f"expected times ({error})", field="result.reaction") from None
-
-
-def sampled_baud(folder: str | Path) -> int | None:
-    """Return the speed of the line over which a sampling was made; None where it is not known.
-
-    Raises:
-        FileError: if ``sampling.json`` is not what it should be.
-    """
-    path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return None
-    baud = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"].get("baud")
-    if baud is not None and (isinstance(baud, bool) or not isinstance(baud, int) or baud <= 0):
-        raise FileError(path, f"expected a baud rate, found {baud!r:.60}", field="robot.baud")
-    return baud
-
-
-def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
-    """Return full speed in whole speeds of the robot that sampled itself, and its radius (m).
-
-    None each where it is not known.
-
-    Raises:
-        FileError: if ``sampling.json`` is not what it should be.
-    """
-    path = Path(folder) / "sampling.json"
-    if not path.exists():
-        return None, None
-    robot = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"]
-    full = robot.get("full_speed")
-    if full is not None and (isinstance(full, bool) or not isinstance(full, int) or full < 1):
-        raise FileError(
-            path, f"expected whole speeds, found {full!r:.60}", field="robot.full_speed"
-        )
-    dialect = DIALECTS.get(str(robot.get("dialect")))
-    return full, None if dialect is None else dialect.geometry.radius
-
-
-def _once(place: Place, where: str) -> Callable[[], None]:
-    """Return what asks for a place the first time that it is called."""
-    return cache(lambda: place(where))
-
-
-def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
-    path = out / "sampling.json"
-    if not resume:
-        files.check_new_folder(out)
-        files.write_json(path, FORMAT, VERSION, about)
-        return
-    found = files.read_json(path, FORMAT, VERSION, {"settings": dict, "seed": int, "robot": dict})
-    if any(found[name] != about[name] for name in ("settings", "seed")):
-        raise FileError(
-            path, "was begun with other settings; give the same to go on", field="settings"
-        )
-    then, now = found.get("motors", "counters"), about["motors"]
-    if then != now:
-        raise FileError(
-            path, f"was begun with motors measured by {then}, not {now}", field="motors"
-        )
-    for part, names in _SAME.items():
-        then, now = (side.get(part) or {} for side in (found, about))
-        for name in names:
-            if then.get(name) not in (None, now.get(name)):
-                raise FileError(
-                    path,
-                    f"was begun with {name} = {then[name]}, not {now.get(name)}",
-                    field=f"{part}.{name}",
-                )
-
-
-#: What tells one robot, and its line, from another when sampling is resumed.
-_SAME = {"robot": ("virtual", "dialect", "baud"), "virtual_lab": ("robot_seed",)}

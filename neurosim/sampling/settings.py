@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from neurosim.robots.base import Counters, Proximity, Robot, WholeSpeeds
 MOST_SPEEDS = 101
 
 
+@runtime_checkable
 class Sampler(Robot, Proximity, Counters, WholeSpeeds, Protocol):
     """A robot that can sample itself."""
 
@@ -24,15 +25,16 @@ class SampleSettings:
     """What to sample.
 
     Attributes:
-        angles: of a full turn in the ``.sample`` files.
-        distances: from the object.
-        first: distance, from rim to surface, m.
-        step: from distance to distance, m.
-        repeats: of everything; two or more give the spread.
-        grid: speeds of each motor, evenly from full speed back to full speed forward; 0: every
-            whole speed of the robot.
-        held_out: settings beside a grid that are driven to see what interpolation costs.
-        duration: of a motor sample, s.
+        angles: Angles of a full turn in the .sample files.
+        distances: Distances from the object.
+        first: First distance, from the robot's rim to the object's surface, m.
+        step: From distance to distance, m.
+        repeats: Repetitions; at least two to estimate sensor noise.
+        grid: Drive a grid of so many speeds of each motor, and some settings beside it that show
+            what interpolation costs; 0: every whole speed of the robot. Evenly from full speed
+            backward to full speed forward.
+        held_out: Settings beside a grid that are driven to see what interpolation costs.
+        duration: Duration of a motor sample, s.
     """
 
     angles: int = 180

@@ -25,15 +25,17 @@ class GoTo(Task):
     what it does afterwards.
 
     Attributes:
-        goals: x (m), y (m), heading (rad) of each; the heading counts at the last one only.
-        begin: where the robot starts, likewise.
-        walls: [x1, y1, x2, y2] of each wall, m.
-        radius: of the robot, m: its centre keeps so far away from walls.
-        within: a goal is passed within this distance, m.
-        tolerance: at the end the robot must be so near to the last goal, m.
-        heading_tolerance: and turned so well, rad; None: its heading does not matter.
-        step: a controller that sees is asked for a command so often, s.
-        seconds: how long it has.
+        goals: List of poses to pass: x (m), y (m), heading (rad) of each; the heading counts at the
+            last one only.
+        begin: Start pose: x (m), y (m), heading (rad).
+        walls: List of walls: [x1, y1, x2, y2] of each, m.
+        radius: Radius of the robot, m: its centre keeps so far away from walls.
+        within: Distance within which a goal is passed, m.
+        tolerance: Distance from the last goal within which the robot must stop, m.
+        heading_tolerance: Difference from the last goal's heading within which the robot must stop,
+            rad; by default its heading does not matter.
+        step: Time between two commands of a controller that sees, s.
+        seconds: Time that a controller that sees has, s.
     """
 
     name: ClassVar[str] = "go-to"

@@ -59,13 +59,14 @@ class NineRectangles(Task):
     """The course around nine rectangles; other grids by other settings.
 
     Attributes:
-        penalty: what a breach of the rules takes off the fitness.
-        longest_arc: no robot drives farther than this in one command, m.
-        length, width: of a rectangle, along x and along y, m.
-        course: the number of each rectangle, rows from the top (largest y) down; -1 is forbidden.
+        penalty: What a breach of the rules takes off the fitness.
+        longest_arc: Farther than a robot drives in one command, m.
+        length: Length of a rectangle along x, m.
+        width: Width of a rectangle along y, m.
+        course: Number of each rectangle, rows from the top (largest y) down; -1 is forbidden.
             The numbers from 0 are passed in turn, and the last goal is 0 again.
-        step: a controller that sees is asked for a command so often, s.
-        seconds: how long it has.
+        step: Time between two commands of a controller that sees, s.
+        seconds: Time that a controller that sees has, s.
     """
 
     penalty: float = 32.0

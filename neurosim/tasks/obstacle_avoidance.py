@@ -69,11 +69,12 @@ class ObstacleAvoidance(Task):
     A trial succeeds if nothing ever comes so near that a sensor reads ``too_near``.
 
     Attributes:
-        fitness: one of :data:`FITNESS`.
-        steps: of a trial, over all its starts together.
-        starts: random poses from which a trial starts, each for an equal share of the steps.
-        duration: of a step, s.
-        too_near: reading, 0..1, of a sensor that nearly touches something.
+        fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, how many
+            different squares of 5 cm were visited. One of :data:`FITNESS`.
+        steps: Steps of a trial, over all its starts together.
+        starts: Random poses from which a trial starts, each for an equal share of the steps.
+        duration: Duration of a step, s.
+        too_near: Reading (0..1) of a sensor that nearly touches something.
     """
 
     name: ClassVar[str] = "obstacle-avoidance"

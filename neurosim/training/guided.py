@@ -20,18 +20,28 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base import se2
+from neurosim.base.errors import UserError
+from neurosim.base.files import sha256
 from neurosim.networks import ProductSummationNetwork
-from neurosim.recording.commands import Command, CommandSource
+from neurosim.recording.commands import Command, CommandSource, RandomCommands
+from neurosim.recording.rounds import Pose
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
 from neurosim.training.base import TrainingData
 from neurosim.training.error_size import size_features, size_weights
+from neurosim.training.train import MIN_ROWS
 from neurosim.training.trainers.exponents import ExponentsSettings, ExponentsTrainer
 from neurosim.training.uncertainty.ensemble import Share
-from tracking.datasets.dataset import MOTOR_INPUTS
+from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
+from tracking.datasets.displacements import displacements
+from tracking.datasets.recordings import Recording
 
 #: The least size of an expected error, as a quantile of those expected of the rows.
 _QUIETEST = 0.02
+
+#: How far inside the board's edge a chosen command is to end, m: the perimeter line lies about
+#: half as far in, and the light sensors ahead of the axle.
+MARGIN = 0.25
 
 #: Parts of a command after which its predicted path is looked at.
 _PARTS = (0.25, 0.5, 0.75, 1.0)
@@ -213,22 +223,49 @@ def motor_data(x: NDArray, y: NDArray) -> TrainingData:
     return TrainingData(inputs, torch.tensor(x), torch.tensor(y))
 
 
-class GuidedCommands:
-    """Chosen commands, as a source for the recorder.
+def choose_round(
+    made: Sequence[Recording], source: RandomCommands, numbers: range, pose: Pose
+) -> tuple[list[Command], dict[str, Any]]:
+    """Choose the commands of a round of a guided recording by what was recorded before.
 
     Args:
-        commands: in the order in which they are given.
-        how: what chose them, for recording.json.
+        made: the rounds so far, tracked.
+        source: of candidates; its seed is that of all that is drawn here, too.
+        numbers: of the commands to choose.
+        pose: where the robot stands.
+
+    Returns:
+        The commands, and what the recording says of how they were chosen.
+
+    Raises:
+        UserError: if too few commands were tracked so far.
     """
+    x, y = _rows(made)
+    settings = GuidedSettings()
+    committee = Committee(motor_data(x, y), source.seed, settings)
+    board = made[-1].meta["board"]
+    place = Place(pose, board["length"] - 2 * MARGIN, board["width"] - 2 * MARGIN)
+    return choose(committee, source, numbers, place, settings), {
+        "chosen_by": "disagreement",
+        "choice": asdict(settings),
+        "rows": len(x),
+        "learned_from": {
+            f"{recording.path.name}/poses.csv": sha256(recording.path / "poses.csv")
+            for recording in made
+        },
+    }
 
-    def __init__(self, commands: Sequence[Command], how: dict[str, Any]):
-        self._commands, self._how = list(commands), how
 
-    def command(self, index: int) -> Command:
-        """Return command ``index``."""
-        return self._commands[index]
-
-    def describe(self) -> dict[str, Any]:
-        """Return what chose the commands, and the commands themselves."""
-        commands = [list(asdict(command).values()) for command in self._commands]
-        return {"kind": "guided", **self._how, "commands": commands}
+def _rows(made: Sequence[Recording]) -> tuple[NDArray, NDArray]:
+    """Return inputs [N, 5] and displacements [N, 3] of what was recorded so far."""
+    rows = [row for recording in made for row in displacements(recording).rows]
+    if len(rows) < MIN_ROWS:
+        raise UserError(
+            f"only {len(rows)} commands could be tracked so far, too few to learn from; "
+            f"look at {made[-1].path} with neurosim report, or check the camera"
+        )
+    inputs, outputs = (
+        np.array([[row[name] for name in names] for row in rows], float)
+        for names in (MOTOR_INPUTS, OUTPUTS)
+    )
+    return inputs, outputs

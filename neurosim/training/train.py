@@ -68,15 +68,16 @@ def train(
         dataset: a dataset folder.
         out: the simulator folder to write.
         trainer: a name in :data:`neurosim.training.trainers.registry.TRAINERS`.
-        members: networks of each output; by default :data:`MEMBERS`, and 1 of the paper's.
-        noise: whether to learn a noise model; by default yes, and no for the paper's.
-        generations: how long each search is; by default as long as the trainer says.
-        seed: of all random numbers.
-        hidden: number of product units and of summation units; by default the trainer's own.
-        activations: of the hidden units and of the output: linear, tanh or sigmoid; a perceptron
-            has its own.
+        members: Networks of each output in the ensemble; by default 8, and 1 of the paper's trainer
+            ga.
+        noise: Fit a noise model; by default yes, and no for the paper's trainer ga.
+        generations: Generations of each search; by default as many as the trainer needs.
+        seed: random seed.
+        hidden: Numbers of product units and of summation units; by default the trainer's own.
+        activations: Activations of the hidden units and of the output: linear, tanh or sigmoid. A
+            perceptron has its own.
         settings: the trainer's own settings that are not to be its defaults.
-        device: where to compute, as PyTorch names it.
+        device: Where to compute, as PyTorch names it.
         resume: go on with the interrupted training of ``out``.
         options: kept in the checkpoint, for whoever resumes.
         checkpoint_every: seconds between checkpoints; no more than this is lost.

@@ -9,12 +9,11 @@ import pytest
 from click.testing import CliRunner
 from khepera_data import made_up
 from matplotlib.image import imread
-from neurosim.loop.network_evolution import NetworkSettings
 
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
 from neurosim.cli.main import cli
-from neurosim.controllers import Plan, read_controller
+from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion
@@ -37,7 +36,7 @@ def folder(tmp_path_factory):
     for index, name in enumerate(("wall", "cylinder")):
         Samples(np.clip(table.mean[index], 0, 1), 0.005, 0.005).write(folder / f"{name}.sample")
     Arena.rectangle(0.5, 0.4, [(0, 0, 0.0275)]).write(folder / "arena.json")
-    call("tables", folder / "wall.sample", folder / "cylinder.sample", "-o", folder / "sim")
+    call("build-tables", folder / "wall.sample", folder / "cylinder.sample", "-o", folder / "sim")
     call(
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "net",
         "--generations", 15, "--arena", folder / "arena.json", "--steps", 250, "--noise", "none",
@@ -50,7 +49,7 @@ def test_simulator_and_network(folder):
     assert simulator.noise == "uniform"
     assert len(json.loads((folder / "sim" / "simulator.json").read_text())["source"]) == 2
     network = read_controller(folder / "net")
-    assert network.weights.shape == (2, 9)
+    assert network.genes.shape == (18,)
     assert network.task["settings"]["steps"] == 250
     assert network.evolution["noise"]["kind"] == "none"
     assert network.evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
@@ -60,7 +59,7 @@ def test_generations_on_a_robot(folder):
     done = call(
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "driven",
         "--generations", 3, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
-        "--starts", 2, "--then-on-robot", 2, "--lab-seed", 1, "--json",
+        "--starts", 2, "--robot-generations", 2, "--lab-seed", 1, "--json",
     )  # fmt: skip
     result = json.loads(done.stdout)
     assert result["transfer"] == 3
@@ -87,7 +86,13 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
     if virtual is not None:
         robot = {"robot": "khepera", "virtual": virtual}
         write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": robot})
-    call("tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", tmp_path / "sim")
+    call(
+        "build-tables",
+        tmp_path / "wall.sample",
+        tmp_path / "cylinder.sample",
+        "-o",
+        tmp_path / "sim",
+    )
     call(
         "evolve", tmp_path / "sim", "--task", "obstacle-avoidance", "-o", tmp_path / "net",
         "--generations", 1, "--population", 20, "--steps", 5,
@@ -101,12 +106,11 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
 @pytest.mark.parametrize(
     ("task", "words", "message"),
     [
-        ("obstacle-avoidance", ["--commands", 13], "--commands is for --task nine-rectangles"),
-        ("obstacle-avoidance", ["--robust"], "--robust is for --task nine-rectangles"),
-        ("obstacle-avoidance", ["--port", "COM3"], "add --then-on-robot GENERATIONS"),
-        ("nine-rectangles", ["--steps", 10], "--steps is for --task obstacle-avoidance, not for"),
-        ("nine-rectangles", ["--then-on-robot", 2], "--then-on-robot is for --task obstacle-av"),
-        ("nine-rectangles", ["--resume"], "--resume is for --task obstacle-avoidance"),
+        ("obstacle-avoidance", ["--commands", 13], "network has no option --commands: leave it ou"),
+        ("obstacle-avoidance", ["--longest-arc", 2], "or choose --task nine-rectangles"),
+        ("obstacle-avoidance", ["--port", "COM3"], "--port: leave it out, or choose --robot khep"),
+        ("obstacle-avoidance", ["--lab-seed", 2], "--robot is the robot of --robot-generations"),
+        ("nine-rectangles", ["--steps", 10], "or choose --task obstacle-avoidance"),
     ],
 )
 def test_options_of_another_task_are_refused(folder, task, words, message):
@@ -118,21 +122,17 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
     begun = [
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "resumed",
         "--generations", 2, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
-        "--starts", 2, "--then-on-robot", 1, "--noise", "none", "--seed", 3,
+        "--starts", 2, "--robot-generations", 1, "--noise", "none", "--seed", 3,
     ]  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RobotTrials, "__call__", lost)
+        patch.setattr(RobotTrials, "fitness", lost)
         with pytest.raises(LinkLost, match="go on with --resume"):
             call(*begun)
     with pytest.raises(UserError, match="begun with generations = 2, not 3"):
-        call(
-            "evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3,
-            "--robot", "khepera", "--port", "/dev/no-such-port",
-        )  # fmt: skip
+        call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3)
     for words, message in (
         (["--lab-seed", 1], "begun with lab_seed = 0, not 1;"),
         (["--baud", 19200], "begun with baud = 9600, not 19200;"),
-        (["--robot", "khepera", "--port", "COM3"], "begun with robot = 'virtual', not 'khepera';"),
     ):
         with pytest.raises(UserError, match=message):
             call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", *words)
@@ -148,19 +148,19 @@ def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
         shutil.copy(folder / f"{name}.sample", tmp_path)
     write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": {"baud": 38400}})
     sim = tmp_path / "sim"
-    call("tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", sim)
+    call("build-tables", tmp_path / "wall.sample", tmp_path / "cylinder.sample", "-o", sim)
     words = [
         "evolve", sim, "--task", "obstacle-avoidance", "-o", tmp_path / "net", "--generations", 1,
-        "--population", 20, "--steps", 10, "--starts", 1, "--then-on-robot", 1,
+        "--population", 20, "--steps", 10, "--starts", 1, "--robot-generations", 1,
     ]  # fmt: skip
     for line in ([], ["--robot", "khepera", "--port", "/dev/no-such-port"]):
         with pytest.raises(UserError, match=r"measured at 38400 baud.*is at 9600: give --baud 384"):
             call(*words, *line)
-    with pytest.raises(UserError, match="--port is for a real robot"):
+    with pytest.raises(UserError, match="virtual-khepera has no option --port"):
         call(*words, "--port", "COM3")
     assert not (tmp_path / "net").exists()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RobotTrials, "__call__", lambda trials, genes, rng: np.ones(len(genes)))
+        patch.setattr(RobotTrials, "fitness", lambda trials, genes, rng: np.ones(len(genes)))
         call(*words, "--baud", 38400)
     assert read_controller(tmp_path / "net").evolution["robot"]["baud"] == 38400
 
@@ -181,13 +181,13 @@ def test_speeds_and_radius_are_those_of_the_robot_that_sampled_itself(folder, tm
         ("said", ["--motors", tmp_path / "motors.csv", "--units", 20], 5.0),
         ("ideal", [], 10.0),
     ):
-        call("tables", *samples, *words, "-o", tmp_path / name)
+        call("build-tables", *samples, *words, "-o", tmp_path / name)
         simulator = read_simulator(tmp_path / name)
         assert simulator.motors.resolution == pytest.approx(resolution)
         assert simulator.radius == 0.035
     write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": {"full_speed": "fast"}})
     with pytest.raises(FileError, match=r"'robot\.full_speed': expected whole speeds"):
-        call("tables", *samples, "-o", tmp_path / "x")
+        call("build-tables", *samples, "-o", tmp_path / "x")
 
 
 def test_a_small_population_has_parents_and_children(folder, tmp_path):
@@ -196,10 +196,7 @@ def test_a_small_population_has_parents_and_children(folder, tmp_path):
         "--generations", 2, "--population", 7, "--steps", 10,
     )  # fmt: skip
     assert "the population's mean went from" in done.output
-    assert read_controller(tmp_path / "net").evolution["settings"]["parents"] == 1
-    assert [NetworkSettings(population=n).parents for n in (2, 20, 100)] == [1, 4, 20]
-    with pytest.raises(UserError, match="a population of 10 cannot have 20 parents"):
-        NetworkSettings(population=10, parents=20)
+    assert read_controller(tmp_path / "net").evolution["settings"]["genetic"]["parents"] == 1
 
 
 def lost(trials, genes, rng):
@@ -242,8 +239,9 @@ def test_view_counts_what_the_network_was_evolved_for(folder, tmp_path):
 
 
 def test_view_of_a_plan(folder):
-    plan = Plan(
-        commands=((50.0, 50.0, 1.0),),
+    plan = SavedController(
+        FixedPlan(((50.0, 50.0, 1.0),)),
+        np.zeros(0),
         task={"name": "x"},
         start=(0.0, 0.0, 0.0),
         predicted={
@@ -268,11 +266,11 @@ def test_view_of_a_plan(folder):
         (["view", "arena.json", "-o", "x.png", "--pose", 0, 0, 0], "in a wall or an obstacle"),
         (["view", "arena.json", "-o", "x.png", "--controller", "net"], "give --simulator"),
         (["view", "none", "-o", "x.png"], "no such file"),
-        (["tables", "wall.sample", "-o", "x"], "no samples of the cylinder"),
-        (["tables", "wall.sample", "cut-cylinder.sample", "-o", "x"], "is cut short"),
+        (["build-tables", "wall.sample", "-o", "x"], "no samples of the cylinder"),
+        (["build-tables", "wall.sample", "cut-cylinder.sample", "-o", "x"], "is cut short"),
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--tournament", 5],
-            "--tournament is for --task nine-rectangles, not for obstacle-avoidance",
+            "--tournament: leave it out, or choose --controller plan",
         ),
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--steps", 7],
@@ -288,23 +286,25 @@ def test_view_of_a_plan(folder):
                 "x",
                 "--fitness",
                 "cells",
-                "--then-on-robot",
+                "--robot-generations",
                 1,
             ],
-            "needs the robot's poses",
+            "without the robot's poses",
         ),
         (
-            ["tables", "wall.sample", "-o", "x", "--motors", "m.csv", "--wheel-base", 50],
-            "--wheel-base is of an ideal robot",
+            ["build-tables", "wall.sample", "-o", "x", "--motors", "m.csv", "--wheel-base", 50],
+            "the wheel base is that of an ideal robot",
         ),
         (
             ["lab", "khepera", "--port", 5, "--seconds", 0.1],
-            "--port is of the socket: add --socket",
+            "--port is the port of a socket: add --socket",
         ),
-        (["lab", "nxt", "--port", 5, "--seconds", 0.1], "--port is of the socket: add --socket"),
+        (
+            ["lab", "nxt", "--port", 5, "--seconds", 0.1],
+            "--port is the port of a socket: add --socket",
+        ),
         (["evolve", "sim", "--task", "flying", "-o", "x"], "there is no task 'flying'"),
         (["evaluate", "sim", "dataset"], "is no motion network"),
-        (["plan-check", "net", "sim"], "expected 'plan', found 'network'"),
     ],
 )
 def test_refusals(folder, words, message):

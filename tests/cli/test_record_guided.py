@@ -9,10 +9,10 @@ import pytest
 from cli_pipeline import neurosim
 from patience import ended_by
 
-from neurosim.cli._guided import Rounds
 from neurosim.lab import read_truth
 from neurosim.lab.nxt.params import BOARD
 from neurosim.recording.commands import RandomCommands
+from neurosim.recording.rounds import Rounds
 from tracking.datasets.recordings import Recording
 
 WORDS = ["record", "r", "--guided", "--commands", "45", "--round", "15", "--seed", "4"]

@@ -10,12 +10,14 @@ import click
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from patience import PATIENCE, wait_until
 
 from neurosim.base.files import write_csv, write_json
-from neurosim.cli._common import Range
-from neurosim.cli.main import cli, main
+from neurosim.cli._types import Numbers, Quantity
+from neurosim.cli.main import cli, main, run_plugin
 from neurosim.lab import VirtualRig
+from neurosim.robots.registry import ROBOTS
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device files")
 
@@ -80,7 +82,7 @@ def test_no_brick_is_found(refused, monkeypatch):
 
 @posix
 def test_a_device_file_that_is_no_brick(refused):
-    said = refused("record", "r", "--robot", "nxt", "--device", "/dev/null", "--camera", "none")
+    said = refused("record", "r", "--robot", "nxt", "--filename", "/dev/null", "--camera", "none")
     assert "/dev/null" in said
 
 
@@ -95,7 +97,7 @@ def test_a_camera_that_is_not_there(refused):
     from neurosim.lab import Pacer
 
     with VirtualRig(0, camera=False, device="pty", real_time=True) as rig, Pacer(rig.lab):
-        words = ["--robot", "nxt", "--device", rig.address["filename"]]
+        words = ["--robot", "nxt", "--filename", rig.address["filename"]]
         assert "nowhere.mp4" in refused("record", "r", *words, "--camera", "nowhere.mp4")
 
 
@@ -116,7 +118,7 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
             self.radio._unheard = unheard
 
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("neurosim.lab.VirtualRig", Dying)
+    monkeypatch.setattr("neurosim.trials.rig.VirtualRig", Dying)
     assert rig_module.VirtualRig is not Dying
     monkeypatch.setattr(sys, "argv", ["neurosim", "record", "r", "--commands", "50"])
     with pytest.raises(SystemExit) as stop:
@@ -140,21 +142,21 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
 
 def test_a_real_robots_option_without_a_real_robot(refused):
     said = refused("record", "r", "--host", "00:16:53:01:02:03", "--commands", 1)
-    assert "--host is for a real robot" in said
+    assert "--robot virtual has no option --host: leave it out, or choose --robot nxt" in said
     assert "--camera" in refused("record", "r", "--camera", "0")
 
 
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        ("--robot khepera", "give --port"),
+        ("--robot khepera", "--robot khepera needs --port"),
         ("--robot khepera --port /dev/no-such-port", "there is no such port"),
         pytest.param("--robot khepera --port /dev/null", "it is not a serial port", marks=posix),
         ("--robot khepera --port socket://127.0.0.1:1", "nothing listens there"),
-        ("--robot khepera --port x --lamp A", "--lamp is for --robot nxt"),
-        ("--robot khepera --port x --host 00", "--host is for --robot nxt"),
-        ("--robot nxt --baud 9600", "--baud is for --robot khepera"),
-        ("--port x", "--port is for a real robot"),
+        ("--robot khepera --port x --invert", "khepera has no option --invert"),
+        ("--robot khepera --port x --host 00", "choose --robot nxt"),
+        ("--robot nxt --baud 9600", "choose --robot virtual-khepera or khepera"),
+        ("--port x", "choose --robot khepera"),
     ],
 )
 def test_a_khepera_that_is_not_reached(refused, options, why):
@@ -210,7 +212,7 @@ def test_a_closed_terminal_stops_the_motors(tmp_path, name):
     from neurosim.lab import Pacer
 
     with VirtualRig(0, camera=False, device="pty", real_time=True) as rig, Pacer(rig.lab):
-        words = ["record", "r", "--robot", "nxt", "--device", rig.address["filename"]]
+        words = ["record", "r", "--robot", "nxt", "--filename", rig.address["filename"]]
         words += ["--camera", "none", "--stopped", "0", "--durations", "2..3", "--commands", "20"]
         child = subprocess.Popen(
             [sys.executable, "-m", "neurosim", *words],
@@ -240,21 +242,73 @@ def turned(rig):
         return tuple(rig.lab.body.output(port).rotation_count for port in (1, 2))
 
 
-class OtherRobot:
-    """A driver from another package, with options of its own."""
+PLUGIN = """
+import neurosim
+from neurosim.base.errors import RobotError
 
-    def __init__(self, filename=None):
-        from neurosim.base.errors import RobotError
+class Other:
+    \"\"\"A robot of somebody's own.
 
-        raise RobotError(f"nothing on {filename}")
+    Args:
+        channel: radio channel. Any.
+        gain: of its radio.
+    \"\"\"
+
+    def __init__(self, channel: str, gain: float = 1.5):
+        self.where = f"{channel} at {gain:g}"
+
+    def connect(self):
+        raise RobotError(f"nothing on channel {self.where}")
+
+    def close(self):
+        pass
+
+neurosim.register("robot", "other", Other)
+"""
 
 
-def test_a_driver_from_elsewhere_gets_only_what_was_given(refused, monkeypatch):
-    monkeypatch.setattr("neurosim.robots.robot_factory", lambda name: OtherRobot)
-    words = ["record", "r", "--robot", "other", "--camera", "none"]
-    assert "nothing on None" in refused(*words)
-    assert "nothing on /dev/x" in refused(*words, "--device", "/dev/x")
-    assert "does not take these options" in refused(*words, "--host", "00:16")
+def test_a_robot_of_a_plug_in_has_options_of_its_own(refused, tmp_path, monkeypatch):
+    monkeypatch.setattr(ROBOTS, "_registered", dict(ROBOTS._registered))
+    (tmp_path / "mine.py").write_text(PLUGIN)
+    words = ["--plugin", "mine.py", "record", "r", "--robot", "other", "--camera", "none"]
+    assert "--robot other needs --channel: radio channel" in refused(*words)
+    assert "nothing on channel 7 at 1.5" in refused(*words, "--channel", "7")
+    assert "nothing on channel 7 at 2" in refused(*words, "--channel", "7", "--gain", "2")
+    assert "choose --robot nxt" in refused(*words, "--channel", "7", "--host", "00:16")
+    shown = CliRunner().invoke(cli, [*words, "--help"]).stdout
+    assert "--gain FLOAT    Of its radio.  [default: 1.5]" in shown
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        (None, "p.py: no such file; --plugin takes a Python file"),
+        ("x = 1\ny = = 2\n", "p.py, line 2: does not run: invalid syntax"),
+        ("x = 1\n\nx / 0\n", "p.py, line 3: does not run: ZeroDivisionError: division by zero"),
+        ("import nothing_like_it\n", "p.py, line 1: does not run: ModuleNotFoundError: No module"),
+        (
+            "import neurosim as ns\nns.register('task', 'go-to', 1)\n",
+            "p.py, line 2: the name 'go-to' is taken by neurosim's own task",
+        ),
+    ],
+)
+def test_a_plug_in_that_does_not_run(refused, tmp_path, text, says):
+    if text is not None:
+        (tmp_path / "p.py").write_text(text)
+    assert says in refused("--plugin", "p.py", "dataset", "r", "-o", "d")
+
+
+def test_a_plug_in_is_named_like_a_module_of_python_and_imports_what_is_beside_it(
+    tmp_path, monkeypatch
+):
+    (tmp_path / "random.py").write_text("import beside_it\nimport json\nbeside_it.seen.append(1)\n")
+    (tmp_path / "beside_it.py").write_text("seen = []\n")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    run_plugin(tmp_path / "random.py")
+    import random
+
+    assert random.random() < 1
+    assert sys.modules["beside_it"].seen == [1]
 
 
 def options(command=cli):
@@ -263,7 +317,8 @@ def options(command=cli):
         if isinstance(verb, click.Group):
             yield from options(verb)
         else:
-            yield from ((verb.name, option) for option in verb.params)
+            params = verb.get_params(click.Context(verb))
+            yield from ((verb.name, option) for option in params)
 
 
 def test_no_option_takes_nan_or_infinity_for_a_number():
@@ -271,12 +326,12 @@ def test_no_option_takes_nan_or_infinity_for_a_number():
     for verb, option in options():
         parts = option.type.types if isinstance(option.type, click.Tuple) else [option.type]
         for kind in parts:
-            if not isinstance(kind, click.types.FloatParamType | Range):
+            if not isinstance(kind, click.types.FloatParamType | Numbers | Quantity):
                 continue
             seen += 1
             for word in ("nan", "inf", "-inf"):
-                if isinstance(kind, Range):
-                    word = f"{word}..1"
+                if isinstance(kind, Numbers):
+                    word = kind.name.replace("U", word).replace("LOW", word)
                 with pytest.raises(click.BadParameter):
                     kind.convert(word, option, None)
                     pytest.fail(f"{verb} {option.opts[0]} takes {word}")
@@ -457,9 +512,9 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
     )
     said = refused("calibrate", "photographs", "--square", 40, "--points", "points.csv", "-o", "c")
     assert "points" in said
-    said = refused("calibrate", "photographs", "--point", "1,2,3")
-    assert "'1,2,3'" in said
-    assert "--board is of --corners" in refused("calibrate", "photographs", "--board", "0x1")
+    done = CliRunner().invoke(cli, ["calibrate", "photographs", "--point", "1,2,3"])
+    assert (done.exit_code, "'1,2,3': expected U,V,X,Y" in done.stderr) == (2, True)
+    assert "--board goes with --corners" in refused("calibrate", "photographs", "--board", "1x1")
 
 
 def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):

@@ -315,3 +315,9 @@ def test_a_khepera_resumed_on_another_dialect_or_line_is_refused(tmp_path, then,
         run(folder, Khepera("x", **then), 3, resume=True)
     with pytest.raises(RobotError):
         run(folder, Khepera("no-such-port"), 3, resume=True)
+
+
+def test_a_recording_says_what_chose_its_commands():
+    source = FixedCommands([Command(10, -20, 1.5)], {"kind": "guided", "round": 2})
+    assert source.command(0) == Command(10, -20, 1.5)
+    assert source.describe() == {"kind": "guided", "round": 2, "commands": [[10, -20, 1.5]]}

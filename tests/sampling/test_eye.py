@@ -133,16 +133,25 @@ def said_by(*words):
     ("words", "said"),
     [
         (["--camera", "lab"], "--camera needs --calibration"),
-        (["--calibration", "calibration.json"], "--calibration is of a camera"),
-        (["--markers", "red,green"], "--markers is of a camera"),
-        (["--camera", "0", "--calibration", "calibration.json"], "use --camera lab"),
+        (["--calibration", "calibration.json"], "--calibration is that of a camera"),
+        (["--markers", "red,green"], "--markers is that of a camera"),
+        (["--camera", "0", "--calibration", "calibration.json"], "does not see the virtual robot"),
         (["--camera", "lab", "--calibration", "none.json"], "none.json"),
         (
             ["--camera", "lab", "--calibration", "calibration.json", "--markers", "red,green"],
             "pink and blue",
         ),
         (
-            ["--camera", "lab", "--calibration", "calibration.json", "--robot", "khepera"],
+            [
+                "--camera",
+                "lab",
+                "--calibration",
+                "calibration.json",
+                "--robot",
+                "khepera",
+                "--port",
+                "COM3",
+            ],
             "--camera lab is the virtual robot's",
         ),
     ],
@@ -171,4 +180,4 @@ def test_sampling_with_a_camera_through_the_command_line(tmp_path, monkeypatch):
     assert (np.abs(table.twist[..., 1]) > 0).all()  # counters say 0
     code, text = said_by("out", "--resume", "--markers", "pink,blue", "--camera", "0")
     assert code != 0
-    assert "use --camera lab" in text
+    assert "does not see the virtual robot" in text

@@ -16,6 +16,7 @@ from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.params import WHEEL_BASE
 from neurosim.robots.khepera.dialects import DIALECTS, dialect_named
+from neurosim.robots.khepera.driver import Khepera
 from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
 from neurosim.sampling.resampling import write_samples
 from neurosim.sampling.turns import PIVOTS
@@ -247,18 +248,15 @@ def test_wall_and_obstacle_agree_in_where_sensors_look(tmp_path):
 
 
 def test_a_robot_that_is_held_is_reported(tmp_path):
-    class Held:
-        full_speed, pulses_per_metre, speed_unit = 10, 10_000.0, 0.008
-        geometry = type("Geometry", (), {"wheel_base": 0.053, "radius": 0.0275})
+    class Held(Khepera):
         stopped = 0
 
-        class clock:
+        class Clock:
             time = 0.0
 
-            @classmethod
-            def now(cls):
-                cls.time += 0.02
-                return cls.time
+            def now(self):
+                self.time += 0.02
+                return self.time
 
         def describe(self):
             return {}
@@ -274,7 +272,7 @@ def test_a_robot_that_is_held_is_reported(tmp_path):
         def stop(self):
             self.stopped += 1
 
-    robot = Held()
+    robot = Held("port", clock=Held.Clock())
     with pytest.raises(RobotError, match="wheels do not turn"):
         sample(tmp_path / "out", robot, SETTINGS, lambda where: None, progress=False)
     assert robot.stopped
@@ -284,9 +282,10 @@ def test_a_robot_that_is_held_is_reported(tmp_path):
     ("words", "message"),
     [
         (["--grid", "4"], "a grid of 4 does not fall on the robot's 21 whole speeds"),
-        (["--robot", "khepera"], "give --port"),
-        (["--port", "COM3"], "--port is for a real robot"),
-        (["--dialect", "epuck"], "--dialect is for a real robot"),
+        (["--robot", "khepera"], "--robot khepera needs --port: serial port, such as /dev/tty"),
+        (["--port", "COM3"], "--port: leave it out, or choose --robot khepera"),
+        (["--dialect", "epuck"], "--dialect: leave it out, or choose --robot khepera"),
+        (["--robot", "virtual"], "this robot cannot sample itself: that takes a ring"),
     ],
 )
 def test_refusals(tmp_path, words, message):

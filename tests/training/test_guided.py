@@ -6,7 +6,6 @@ from neurosim.base import se2
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.training.guided import (
     Committee,
-    GuidedCommands,
     GuidedSettings,
     Place,
     choose,
@@ -104,9 +103,3 @@ def test_a_command_that_leads_out_is_taken_only_if_all_do_and_then_the_nearest()
     assert first(0.7) == ahead[1]  # 0.25 m is, 0.5 m is not
     assert first(0.999) == ahead[2]  # nothing is
     assert choose(Believer(), FixedCommands(ahead), [0], None, settings) == [ahead[0]]
-
-
-def test_a_recording_says_what_chose_its_commands():
-    source = GuidedCommands([Command(10, -20, 1.5)], {"round": 2})
-    assert source.command(0) == Command(10, -20, 1.5)
-    assert source.describe() == {"kind": "guided", "round": 2, "commands": [[10, -20, 1.5]]}

@@ -116,6 +116,26 @@ class OpenCVCamera:
         }
 
 
+def open_camera(
+    source: str,
+    now: Callable[[], float],
+    size: tuple[int, int] | None = None,
+    fps: float | None = None,
+) -> OpenCVCamera:
+    """Open a camera.
+
+    Args:
+        source: its number, or a file or URL that OpenCV opens.
+        now: the clock of frames' times, s.
+        size: (width, height) in pixels; by default the camera's own.
+        fps: frames per second; by default the camera's own.
+
+    Raises:
+        UserError: if it cannot be opened, or delivers no picture.
+    """
+    return OpenCVCamera(int(source) if source.isdigit() else source, now, size, fps)
+
+
 class VideoCamera:
     """A video file as a camera: frames at their own pace, from the beginning again at the end.
 

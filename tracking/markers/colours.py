@@ -88,6 +88,20 @@ def parse_colour(text: str) -> Colour:
     )
 
 
+def colour_pair(text: str) -> tuple[str, str]:
+    """Read two different colours, ``FRONT,REAR``, as their names.
+
+    Raises:
+        UserError: if they are not two, or one is not known.
+    """
+    words = [word.strip() for word in re.findall(r"hsv[:(][^,]*,[^,]*,[^,]*|[^,]+", text)]
+    if len(words) != 2 or words[0] == words[1]:
+        raise UserError(f"{text!r}: expected two different colours, such as pink,blue")
+    for word in words:
+        parse_colour(word)  # says what colours there are
+    return words[0], words[1]
+
+
 def chroma_plane(image: NDArray, white: tuple[float, float] = NO_CAST) -> NDArray:
     """Return alpha and beta, float32 [2, ...], of BGR pixels [..., 3].
 

@@ -30,13 +30,14 @@ class Khepera:
     :attr:`reboots` counts it.
 
     Args:
-        port: a device (``/dev/ttyUSB0``, ``COM3``) or any URL that pyserial opens.
-        dialect: ``khepera`` (I and II), ``khepera3`` or ``epuck``.
-        baud: the line's speed; the dialect's own by default (a Khepera's is set by jumpers).
-        full_speed: what 100 % is, in the robot's own units; the dialect's by default, which for
-            a Khepera is 10, 100 mm/s.
-        pulses_per_metre: of the position counters; the dialect's by default.
-        timeout: wall-clock seconds that an answer may take.
+        port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or any URL that pyserial opens.
+        dialect: Protocol: khepera (I and II), khepera3 or epuck.
+        baud: Speed of the serial line; by default the dialect's own (a Khepera's is set by
+            jumpers).
+        full_speed: Speed at 100 % in the robot's own units; by default the dialect's, which for a
+            Khepera is 10, 100 mm/s.
+        pulses_per_metre: Pulses of the position counters per metre; by default the dialect's.
+        timeout: Wall-clock seconds that an answer may take.
         clock: the robot's clock; the virtual lab hands in its own.
 
     Attributes:

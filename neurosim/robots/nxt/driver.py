@@ -52,19 +52,19 @@ class NXT:
     :class:`neurosim.robots.base.Robot`, ``Battery``, ``Sensors`` and, with a lamp, ``Lamp``.
 
     Args:
-        host: Bluetooth address, ``00:16:53:..``.
-        filename: device file, ``/dev/rfcomm0`` or a serial port on macOS.
-        server_host: computer on which nxt-python's nxt-server runs.
-        server_port: its port.
-        left: port of the left motor, ``A``, ``B`` or ``C``.
-        right: port of the right motor.
-        lamp: a motor port with a LEGO lamp on it; ``color:3`` for the red lamp of the NXT 2.0
-            colour sensor on sensor port 3; None or ``none``.
-        light_left: port of the left light sensor, 1 to 4; None or ``none``.
-        light_right: port of the right light sensor.
-        invert: the motors are mounted the other way round: forward turns them backwards.
+        host: Bluetooth address, such as ``00:16:53:01:02:03``.
+        filename: Device file, such as ``/dev/rfcomm0`` or a serial port on macOS.
+        server_host: Computer on which nxt-python's nxt-server runs.
+        server_port: Port of nxt-server.
+        left: Port of the left motor: A, B or C.
+        right: Port of the right motor.
+        lamp: The lamp: a motor port; color:3 for the red lamp of the NXT 2.0 colour sensor on
+            sensor port 3; or none.
+        light_left: Port of the left light sensor, 1 to 4, or none.
+        light_right: Port of the right light sensor, 1 to 4, or none.
+        invert: The motors are mounted the other way round: forward turns them backward.
         clock: the robot's clock; the virtual lab hands in its own.
-        deadline: wall-clock seconds after which a silent brick counts as lost.
+        deadline: Wall-clock seconds after which a silent brick counts as lost.
 
     Raises:
         UserError: if a port does not exist or is given twice.

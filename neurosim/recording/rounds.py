@@ -1,44 +1,38 @@
-"""``neurosim record --guided``: rounds of recording, tracking, learning and choosing."""
+"""Recordings in rounds: what was recorded so far chooses the commands of the next round."""
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any, Protocol
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import check_new_folder
-from neurosim.recording.commands import Command, CommandSource, RandomCommands
+from neurosim.recording.commands import Command, CommandSource, FixedCommands, RandomCommands
+from neurosim.recording.record import record
+from neurosim.recording.settings import RecordSettings
+from tracking.datasets.recordings import Recording
+from tracking.track import track
 
-if TYPE_CHECKING:
-    from neurosim.recording.record import RecordSettings
-    from tracking.datasets.recordings import Recording
-
-#: Where the robot is: x, y (m), heading (rad), on the board.
+#: A robot's pose on the board: x, y (m), heading (rad).
 Pose = tuple[float, float, float]
-
-#: How far inside the board's edge a chosen command is to end, m: the perimeter line lies about
-#: half as far in, and the light sensors ahead of the axle.
-MARGIN = 0.25
 
 
 @dataclass(frozen=True)
 class Rounds:
-    """How many commands each round of a guided recording has.
+    """How many commands each round has.
 
     Attributes:
-        commands: of the whole recording.
-        size: of a round; the first, of random commands, is twice as long.
+        commands: How many commands the whole recording has.
+        size: Commands of a round of --guided; the first, of random commands, has twice as many.
     """
 
     commands: int
-    size: int
+    size: int = 50
 
     def __post_init__(self) -> None:
         if self.size < 15:
@@ -55,78 +49,105 @@ class Rounds:
         return [range(a, b) for a, b in zip(starts, [*starts[1:], self.commands], strict=True)]
 
 
+class Choose(Protocol):
+    """Chooses the commands of a round; see :func:`neurosim.training.guided.choose_round`."""
+
+    def __call__(
+        self, made: list[Recording], source: RandomCommands, numbers: range, pose: Pose
+    ) -> tuple[list[Command], dict[str, Any]]:
+        """Return the commands, and what the recording says of how they were chosen.
+
+        Args:
+            made: the rounds so far, tracked.
+            source: of random commands, among which is chosen.
+            numbers: of the commands to choose.
+            pose: where the robot stands.
+        """
+        ...
+
+
 def record_rounds(
     out: Path,
     opened: Callable[[int, Pose], AbstractContextManager[Any]],
     source: RandomCommands,
     settings: RecordSettings,
-    size: int,
+    rounds: Rounds,
+    choose: Choose,
     calibration: Path,
     *,
-    live: bool,
-    resume: bool,
-    options: dict[str, Any],
+    live: bool = True,
+    resume: bool = False,
+    options: Mapping[str, Any] | None = None,
 ) -> list[Recording]:
     """Record in rounds, each a recording of its own in ``out``, tracked before the next.
 
-    The first round's commands are random; those of the others are chosen by what an ensemble
-    makes of all rounds before. A round's commands stand in its recording.json, with what chose
-    them.
+    The commands of the first round are random; those of the others are chosen by what was recorded
+    before. A round's ``recording.json`` has its commands and how they were chosen.
 
     Args:
         out: the folder of the rounds.
-        opened: opens robot and camera for a session, from a seed of its chances and where the
-            robot is; gives the rig, and what to show every frame to.
+        opened: opens robot and camera for a session, from the seed of its noise and where the
+            robot stands; gives the rig (:class:`neurosim.trials.rig.Rig`), and what to show every
+            frame to, or None.
         source: of random commands, among which is chosen.
         settings: of the whole recording.
-        size: of a round.
+        rounds: their sizes.
+        choose: chooses the commands of a round.
         calibration: of the camera.
         live: whether to track while recording.
-        resume: go on with a recording that was interrupted.
+        resume: continue a recording that was interrupted.
         options: of the command line, kept in each round.
 
     Raises:
         UserError: if ``out`` is taken, or is complete, or was begun with other settings.
     """
-    from neurosim.recording.record import record
-    from tracking.datasets.recordings import Recording
-    from tracking.track import track
-
     if settings.guard.at_line == "end":
         raise UserError("--at-line end would end the first round; leave it out with --guided")
-    rounds = Rounds(settings.commands, size).numbers()
+    numbers = rounds.numbers()
     if not resume:
         check_new_folder(out)
     elif not (out / _name(1)).is_dir():
         raise FileError(out, "holds no round of a guided recording; leave --resume out")
-    elif is_whole(out, settings.commands, size):
+    elif is_whole(out, rounds):
         raise UserError(f"{out} is complete; there is nothing to resume")
     made: list[Recording] = []
-    for number, numbers in enumerate(rounds, start=1):
+    for number, indices in enumerate(numbers, start=1):
         folder = out / _name(number)
         how = {
+            "kind": "guided",
             "round": number,
-            "rounds": len(rounds),
+            "rounds": len(numbers),
             "commands_in_all": settings.commands,
             "candidates": source.describe(),
         }
         begun = (folder / "recording.json").exists()
-        # What was chosen before an interruption stands; with other settings it is refused.
-        chosen = _chosen_before(folder, how) if begun else _choose(made, source, numbers, how)
         start = _end(made[-1]) if made else (0.0, 0.0, 0.0)
+        # What was chosen before an interruption stands; with other settings it is refused.
+        if begun:
+            chosen = _chosen_before(folder, how)
+        elif not made:
+            drawn = [source.command(index) for index in indices]
+            chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
+        else:
+            _say(
+                f"round {number} of {len(numbers)}: learning from what was recorded, then choosing "
+                f"{len(indices)} commands"
+            )
+            commands, said = choose(made, source, indices, start)
+            chosen = FixedCommands(commands, {**how, **said})
         there = Recording(folder) if begun else None
         if there is None or not there.meta["complete"]:
-            _say(f"round {number} of {len(rounds)}: {len(numbers)} commands")
+            _say(f"round {number} of {len(numbers)}: {len(indices)} commands")
             sessions = sum(recording.sessions for recording in made)
             sessions += there.sessions if there else 0
-            # Each session meets other chances, and begins where the last one ended.
+            # Each session has noise of its own, and begins where the last one ended.
             with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
                 there = record(
                     folder,
                     rig.robot,
                     rig.camera,
                     chosen,
-                    replace(settings, commands=len(numbers)),
+                    replace(settings, commands=len(indices)),
                     calibration=calibration,
                     live=live,
                     on_seen=on_seen,
@@ -141,10 +162,10 @@ def record_rounds(
     return made
 
 
-def is_whole(out: Path, commands: int, size: int) -> bool:
+def is_whole(out: Path, rounds: Rounds) -> bool:
     """Return whether all rounds of a guided recording were recorded to their end and tracked."""
-    rounds = len(Rounds(commands, size).numbers())
-    return len(list(_complete(out, rounds))) == rounds
+    count = len(rounds.numbers())
+    return len(list(_complete(out, count))) == count
 
 
 def parts_of(folder: Path) -> list[Path]:
@@ -161,8 +182,6 @@ def _name(number: int) -> str:
 
 def _complete(out: Path, rounds: int) -> Iterator[Path]:
     """Give the rounds that were recorded to their end and tracked."""
-    from tracking.datasets.recordings import Recording
-
     for number in range(1, rounds + 1):
         folder = out / _name(number)
         if not (folder / "recording.json").exists():
@@ -173,14 +192,11 @@ def _complete(out: Path, rounds: int) -> Iterator[Path]:
         yield folder
 
 
-def _chosen_before(folder: Path, how: dict[str, Any]) -> CommandSource:
+def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
     """Return the commands that a round was begun with."""
-    from neurosim.training.guided import GuidedCommands
-    from tracking.datasets.recordings import Recording
-
     path = folder / "recording.json"
     source = Recording(folder).meta.get("settings", {}).get("source", {})
-    if source.get("kind") != "guided":
+    if source.get("kind") != how["kind"]:
         raise FileError(path, "is no round of a guided recording", field="settings.source")
     for key, now in json.loads(json.dumps(how)).items():
         if source.get(key) != now:
@@ -194,68 +210,8 @@ def _chosen_before(folder: Path, how: dict[str, Any]) -> CommandSource:
         raise FileError(
             path, "expected a list of [left, right, duration]", field="settings.source.commands"
         ) from None
-    kept = {key: value for key, value in source.items() if key not in ("kind", "commands")}
-    return GuidedCommands(commands, kept)
-
-
-def _choose(
-    made: list[Recording], source: RandomCommands, numbers: range, how: dict[str, Any]
-) -> CommandSource:
-    """Return the commands of the next round: random ones where nothing is known yet."""
-    from neurosim.base import files
-    from neurosim.training.guided import (
-        Committee,
-        GuidedCommands,
-        GuidedSettings,
-        Place,
-        choose,
-        motor_data,
-    )
-
-    if not made:
-        return GuidedCommands([source.command(n) for n in numbers], {**how, "chosen_by": "chance"})
-    x, y = _rows(made)
-    _say(
-        f"round {how['round']} of {how['rounds']}: learning from {len(x)} commands, "
-        f"then choosing {len(numbers)}"
-    )
-    choice = GuidedSettings()
-    committee = Committee(motor_data(x, y), source.seed, choice)
-    board = made[-1].meta["board"]
-    place = Place(_end(made[-1]), board["length"] - 2 * MARGIN, board["width"] - 2 * MARGIN)
-    commands = choose(committee, source, numbers, place, choice)
-    learned_from = {
-        f"{recording.path.name}/poses.csv": files.sha256(recording.path / "poses.csv")
-        for recording in made
-    }
-    return GuidedCommands(
-        commands,
-        {
-            **how,
-            "chosen_by": "disagreement",
-            "choice": asdict(choice),
-            "rows": len(x),
-            "learned_from": learned_from,
-        },
-    )
-
-
-def _rows(made: list[Recording]) -> tuple[Any, Any]:
-    """Return inputs (N, 5) and displacements (N, 3) of what was recorded so far."""
-    from neurosim.training.train import MIN_ROWS
-    from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
-    from tracking.datasets.displacements import displacements
-
-    rows = [row for recording in made for row in displacements(recording).rows]
-    if len(rows) < MIN_ROWS:
-        raise UserError(
-            f"only {len(rows)} commands could be tracked so far, too few to learn from; "
-            f"look at {made[-1].path} with neurosim report, or check the camera"
-        )
-    return tuple(
-        np.array([[row[name] for name in names] for row in rows], float)
-        for names in (MOTOR_INPUTS, OUTPUTS)
-    )
+    kept = {key: value for key, value in source.items() if key != "commands"}
+    return FixedCommands(commands, kept)
 
 
 def _end(recording: Recording) -> Pose:

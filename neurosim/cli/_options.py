@@ -1,0 +1,559 @@
+"""Options made from what settings classes, drivers and functions say of their own parameters.
+
+A parameter's name, type and default are those of its signature, its help is the first sentence
+that the docstring has of it under ``Args:`` or ``Attributes:``. Nothing is written twice, and what
+a package or a script registers (a robot, a task) has its options on the command line as ours do.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+import types
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Literal, Protocol, Union, get_args, get_origin
+
+import click
+from click.core import ParameterSource
+
+from neurosim.base.errors import UserError
+from neurosim.cli._types import NUMBER, PATH, RANGE, Json, Listed, Quantity, shown
+
+_EMPTY = inspect.Parameter.empty
+
+
+class Choices(Protocol):
+    """Things that can be named, such as a :class:`neurosim.base.registry.Registry`."""
+
+    def names(self) -> list[str]:
+        """Return all names."""
+        ...
+
+    def get(self, name: str) -> Any:
+        """Return what has this name; raise UserError if nothing has."""
+        ...
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a callable that can be an option.
+
+    Attributes:
+        name: keyword.
+        kind: type of the option.
+        default: of the signature, or ``inspect.Parameter.empty``.
+        help: first sentence about it, or nothing.
+    """
+
+    name: str
+    kind: click.ParamType
+    default: Any
+    help: str
+
+
+def parameters(source: Any) -> list[Parameter]:
+    """Return the parameters of a class or function that an option can stand for.
+
+    Those of other types (a clock, a generator, another settings class) are left out. Of a settings
+    object they are those of its class, with its values as defaults.
+    """
+    made = source if is_dataclass(source) and not isinstance(source, type) else None
+    source = source if made is None else type(source)
+    try:
+        signature = inspect.signature(source)
+    except (TypeError, ValueError):
+        return []
+    annotations, helps = _annotations(source), _documented(source)
+    found = []
+    for name, each in signature.parameters.items():
+        if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL, each.VAR_KEYWORD):
+            continue
+        kind = _kind(annotations.get(name, _EMPTY), each.default)
+        if kind is not None:
+            default = _default(source, name, each.default)
+            default = default if made is None else getattr(made, name)
+            found.append(Parameter(name, kind, default, helps.get(name, "")))
+    return found
+
+
+def _owners(source: Callable[..., Any]) -> list[Any]:
+    return list(reversed(source.__mro__[:-1])) if isinstance(source, type) else [source]
+
+
+def _annotations(source: Callable[..., Any]) -> dict[str, Any]:
+    """Return the annotations, each evaluated where it was written; the others are left out."""
+    found: dict[str, Any] = {}
+    for owner in _owners(source):
+        if isinstance(owner, type) and not is_dataclass(owner):
+            owner = vars(owner).get("__init__")
+        owner = inspect.unwrap(owner) if callable(owner) else owner
+        module = sys.modules.get(getattr(owner, "__module__", None) or "")
+        for name, annotation in getattr(owner, "__annotations__", {}).items():
+            if isinstance(annotation, str):
+                try:
+                    annotation = eval(annotation, dict(vars(module)) if module else {})
+                except Exception:
+                    annotation = object  # imported for type checkers alone
+            found[name] = annotation
+    return found
+
+
+def _default(source: Callable[..., Any], name: str, default: Any) -> Any:
+    """Return a default; of a dataclass's field with a factory, what that makes."""
+    declared = getattr(source, "__dataclass_fields__", {}).get(name)
+    if declared is not None and callable(getattr(declared, "default_factory", None)):
+        return declared.default_factory()
+    return default
+
+
+def _kind(annotation: Any, default: Any) -> click.ParamType | None:
+    """Return the type of an option, None where none can stand for it."""
+    if annotation is _EMPTY:
+        annotation = str if default is None or default is _EMPTY else type(default)
+    origin, parts = get_origin(annotation), get_args(annotation)
+    if origin in (Union, types.UnionType):
+        # What can be an option stands for what cannot; a number that may be a word is a word.
+        kinds = [kind for part in parts if (kind := _kind(part, _EMPTY)) is not None]
+        if len(kinds) < 2:
+            return next(iter(kinds), None)
+        if any(isinstance(kind, Listed | Json) for kind in kinds):
+            return Json()
+        return PATH if PATH in kinds else click.STRING
+    if origin is Literal:
+        return click.Choice([str(part) for part in parts])
+    if annotation == tuple[float, float]:
+        return RANGE
+    if origin in (tuple, list, Sequence):
+        kinds = [_kind(part, _EMPTY) for part in parts if part is not ...]
+        if not set(kinds) <= {click.INT, NUMBER, click.STRING}:
+            return Json()
+        return click.Tuple(kinds) if origin is tuple and ... not in parts else Listed(kinds[0])
+    simple = {bool: click.BOOL, int: click.INT, float: NUMBER, str: click.STRING, Path: PATH}
+    return simple.get(annotation)
+
+
+_ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
+
+
+def _documented(source: Callable[..., Any]) -> dict[str, str]:
+    """Return the first sentence that the docstrings have of each parameter."""
+    found: dict[str, str] = {}
+    for title in ("Attributes:", "Args:"):  # what is said of an argument counts first
+        for owner in _owners(source):
+            init = vars(owner).get("__init__") if isinstance(owner, type) else None
+            for doc in (owner.__doc__, getattr(init, "__doc__", None)):
+                found |= _entries(inspect.cleandoc(doc or ""), title)
+    return {name: _sentence(text) for name, text in found.items()}
+
+
+def _entries(doc: str, title: str) -> dict[str, str]:
+    """Return what a section of a docstring says of each name."""
+    found: dict[str, str] = {}
+    inside, names = False, []
+    for line in doc.splitlines():
+        if line and not line.startswith(" "):
+            inside, names = line == title, []
+        elif inside and (entry := _ENTRY.match(line)):
+            names = entry[1].split(", ")
+            found |= dict.fromkeys(names, entry[2])
+        elif line.strip():
+            for name in names:
+                found[name] += " " + line.strip()
+    return found
+
+
+def _sentence(text: str) -> str:
+    """Return the first sentence, without reStructuredText's marks."""
+    text = re.sub(r":\w+:`~?(?:[\w.]*\.)?([^`]*)`", r"\1", text).replace("``", "")
+    first = re.split(r"(?<=[.!?])\s+(?=[A-Z])", text, maxsplit=1)[0].strip().rstrip(".")
+    return f"{first[:1].upper()}{first[1:]}." if first else ""
+
+
+#: What is chosen: the verb's parameter -> a name.
+Chosen = Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Group:
+    """Options that stand for the parameters of one callable.
+
+    Attributes:
+        into: the verb's parameter that gets a dict of those that were given.
+        source: the callable, or a settings object, whose values are then the defaults; or
+            :class:`Choices`, of which an option names one; or, with ``by_choice``, a function from
+            what is chosen to any of these. As text, ``module:attribute``, it is imported when it is
+            needed.
+        by_choice: whether ``source`` makes the callable of what is chosen.
+        option: the option that names one, such as ``--task``; None where there is no choice.
+        default: name that is chosen if nobody says otherwise, or a function that says it by what
+            was chosen before.
+        help: of the option that names one; the names are added.
+        of: makes of what has the name the callable whose parameters are options, or None.
+        only: parameters that are options; None: all that can be.
+        skip: parameters that are no options, or a function that says them by what is chosen.
+        optional: parameters without a default that need not be given.
+        prefix: before the names of the options.
+        names: names of options that differ from their parameters'.
+        units: of parameters in SI that people think of in others, one of
+            :data:`neurosim.cli._types.UNITS`; of a pair one for each.
+        helps: helps in place of the docstring's.
+        kinds: types of options in place of those that the annotations stand for.
+    """
+
+    into: str
+    source: Any
+    by_choice: bool = False
+    option: str | None = None
+    default: str | Callable[[Chosen], str] | None = None
+    help: str = ""
+    of: Callable[[Any], Any] = lambda item: item
+    only: Sequence[str] | None = None
+    skip: Sequence[str] | Callable[[Chosen], Sequence[str]] = ()
+    optional: Sequence[str] = ()
+    prefix: str = ""
+    names: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
+    helps: Mapping[str, str] = field(default_factory=dict)
+    kinds: Mapping[str, click.ParamType] = field(default_factory=dict)
+
+    @property
+    def chooser(self) -> str:
+        """The verb's parameter that gets the chosen name."""
+        return (self.option or "").strip("-").replace("-", "_")
+
+    def choices(self) -> Choices:
+        """Return what there is to choose from."""
+        return _loaded(self.source)
+
+    def default_name(self, chosen: Chosen) -> str:
+        """Return the name that is chosen if nobody says otherwise."""
+        return self.default(chosen) if callable(self.default) else str(self.default)
+
+    def chosen_by(self, chosen: Chosen) -> Any:
+        """Return what has the parameters, or None."""
+        if self.option is not None:
+            return self.of(self.choices().get(chosen[self.chooser]))
+        source = _loaded(self.source)
+        return source(chosen) if self.by_choice else source
+
+    def options(self, chosen: Chosen, taken: Sequence[str] = ()) -> dict[str, click.Option]:
+        """Return the options, by parameter.
+
+        Args:
+            chosen: what is chosen.
+            taken: options of the verb; one that has the same name is prefixed with what is chosen.
+        """
+        source, made = self.chosen_by(chosen), {}
+        skip = self.skip(chosen) if callable(self.skip) else self.skip
+        for each in parameters(source) if source is not None else ():
+            if each.name in skip or (self.only is not None and each.name not in self.only):
+                continue
+            flag = self.prefix + self.names.get(each.name, each.name.replace("_", "-"))
+            if f"--{flag}" in taken:
+                flag = f"{(self.option or self.into).strip('-').replace('_', '-')}-{flag}"
+            made[each.name] = self._option(each, flag)
+        return made
+
+    def _option(self, each: Parameter, flag: str) -> click.Option:
+        kind, help_ = self.kinds.get(each.name, each.kind), self.helps.get(each.name, each.help)
+        default = each.default
+        if (units := self.units.get(each.name)) is not None:
+            pair = (units,) if isinstance(units, str) else units
+            quantities = [Quantity(unit) for unit in pair]
+            kind = quantities[0] if isinstance(units, str) else click.Tuple(quantities)
+            help_ = re.sub(r", (m|m/s|rad|m and rad)(?=[.;])", f", {' and '.join(pair)}", help_)
+        declared, is_flag = f"--{flag}", each.kind is click.BOOL
+        if is_flag and default is not False:
+            declared += f"/--no-{flag}"
+        if not (default is None or default is _EMPTY or default is False or default == ()):
+            help_ += f"  [default: {flag if is_flag else shown(kind, default)}]"
+        return click.Option(
+            [flag.replace("-", "_"), declared],
+            type=None if is_flag else kind,
+            is_flag=is_flag,
+            required=default is _EMPTY and each.name not in self.optional,
+            **({} if default is _EMPTY else {"default": default}),
+            show_default=False,
+            help=help_,
+        )
+
+
+def _loaded(source: Any) -> Any:
+    if not isinstance(source, str):
+        return source
+    module, _, attribute = source.partition(":")
+    return getattr(import_module(module), attribute)
+
+
+def settings_options(into: str, source: Any, **others: Any) -> Callable[[Callable], Callable]:
+    """Return a decorator that makes options of a callable's parameters.
+
+    The verb gets those that were given as a dict, to call the callable with.
+
+    Args:
+        into: the verb's parameter.
+        source: a settings class or a function; see :class:`Group`.
+        others: see :class:`Group`.
+    """
+    return _adds(Group(into, source, **others))
+
+
+def choice_options(
+    option: str,
+    choices: Any,
+    *,
+    default: str | Callable[[Chosen], str],
+    help: str,
+    **others: Any,
+) -> Callable[[Callable], Callable]:
+    """Return a decorator that adds an option that names something, and the options of that.
+
+    Of ``--task`` the verb gets ``task``, the name, and ``task_options``, a dict of the options of
+    the task that were given. ``--help`` lists those of the task that is named, or of the default.
+
+    Args:
+        option: such as ``--task``.
+        choices: :class:`Choices`, or ``module:attribute``.
+        default: a name; see :class:`Group`.
+        help: of the option; the names are added.
+        others: see :class:`Group`.
+    """
+    into = option.strip("-").replace("-", "_") + "_options"
+    return _adds(Group(into, choices, option=option, default=default, help=help, **others))
+
+
+def _adds(group: Group) -> Callable[[Callable], Callable]:
+    def add(function: Callable) -> Callable:
+        if not hasattr(function, "__click_params__"):
+            function.__click_params__ = []
+        function.__click_params__.append(group)
+        return function
+
+    return add
+
+
+class SettingsCommand(click.Command):
+    """A verb with groups of options: see :func:`settings_options`, :func:`choice_options`.
+
+    Which options there are depends on what is chosen, so the line is read twice: at first with the
+    options of everything that can be chosen.
+
+    With ``--resume`` options that are not given are those that what is resumed was begun with.
+
+    Args:
+        begun: finds, by the verb's values, the options that what is resumed was begun with.
+    """
+
+    def __init__(
+        self,
+        *args: Any,
+        begun: Callable[[dict[str, Any]], dict[str, Any]] | None = None,
+        **others: Any,
+    ):
+        super().__init__(*args, **others)
+        self._parts, self._begun = self.params, begun
+        self.params = [part for part in self._parts if not isinstance(part, Group)]
+        self._groups = [part for part in self._parts if isinstance(part, Group)]
+
+    # Which options there are
+
+    def get_params(self, ctx: click.Context) -> list[click.Parameter]:
+        """Return the parameters, with the options of what is chosen."""
+        state = _state(ctx)
+        if state.params is None:
+            for group in self._groups:
+                if group.option is not None:
+                    state.chosen.setdefault(group.chooser, group.default_name(state.chosen))
+            state.params = [*self._expanded(state), *super().get_params(ctx)[len(self.params) :]]
+        return state.params
+
+    def _expanded(self, state: _State) -> Iterator[click.Parameter]:
+        taken = {"--help", *(flag for each in self.params for flag in each.opts)}
+        taken |= {f"--{each.name}".replace("_", "-") for each in self.params}
+        taken |= {group.option for group in self._groups if group.option is not None}
+        for part in self._parts:
+            if not isinstance(part, Group):
+                yield part
+                continue
+            if part.option is not None:
+                yield _chooser(part)
+            state.options[part.into] = part.options(state.chosen, sorted(taken))
+            for option in state.options[part.into].values():
+                taken |= {*option.opts}
+                yield option
+
+    def _everything(self) -> list[click.Parameter]:
+        """Return the parameters with the options of all that can be chosen, one at a time."""
+        every: dict[str, click.Parameter] = {str(each.name): each for each in self.params}
+        default: dict[str, str] = {}
+        for group in self._groups:
+            if group.option is not None:
+                default[group.chooser] = group.default_name(default)
+                every[group.chooser] = _chooser(group)
+        for chosen in [default, *self._alternatives(default)]:
+            for group in self._groups:
+                for option in _options_or_none(group, chosen).values():
+                    every.setdefault(str(option.name), option)
+        return list(every.values())
+
+    def _alternatives(self, chosen: Chosen) -> Iterator[Chosen]:
+        for group in self._groups:
+            if group.option is not None:
+                for name in group.choices().names():
+                    yield {**chosen, group.chooser: name}
+
+    # Reading the line
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Read the line."""
+        state = _state(ctx)
+        if self._begun or any(group.option for group in self._groups):
+            self._look(ctx, args, state)
+        try:
+            rest = super().parse_args(ctx, args)
+        except click.NoSuchOption as error:
+            raise self._of_another(error, state) or error from None
+        except click.MissingParameter as error:
+            raise self._missing(error, state) or error from None
+        given = {each.name: each for each in self.get_params(ctx) if _is_set(ctx, each.name)}
+        state.given = {
+            name: _plain(ctx.params[name])
+            for name, each in given.items()
+            if isinstance(each, click.Option) and name not in ("out", "as_json", "resume")
+        }
+        for group in self._groups:
+            if group.option is not None:
+                ctx.params[group.chooser] = state.chosen[group.chooser]
+            options = state.options[group.into]
+            values = {name: ctx.params.pop(each.name, None) for name, each in options.items()}
+            ctx.params[group.into] = {
+                name: value for name, value in values.items() if options[name].name in given
+            }
+        return rest
+
+    def _look(self, ctx: click.Context, args: list[str], state: _State) -> None:
+        """Find what is chosen, and what --resume goes on with, before there are all options."""
+        look = click.Command(self.name, params=self._everything())
+        settings = {"ignore_unknown_options": True, "allow_extra_args": True}
+        first = look.make_context(
+            self.name, list(args), parent=ctx.parent, resilient_parsing=True, **settings
+        )
+        needed = [each.name for each in self.params if each.required]
+        whole = all(first.params.get(name) is not None for name in needed)
+        if self._begun and whole and first.params.get("resume"):
+            kept = self._begun(first.params).items()
+            ctx.default_map = {name: value for name, value in kept if value is not None}
+        for group in self._groups:
+            if group.option is not None:
+                if _is_set(first, group.chooser):
+                    name = first.params[group.chooser]
+                else:
+                    kept_name = (ctx.default_map or {}).get(group.chooser)
+                    name = kept_name or group.default_name(state.chosen)
+                state.chosen[group.chooser] = name
+
+    def _of_another(self, error: click.NoSuchOption, state: _State) -> UserError | None:
+        """Return what to say of an option that something else has that can be chosen."""
+        flag = error.option_name
+
+        def has(chosen: Chosen) -> bool:
+            found = [
+                each for one in self._groups for each in _options_or_none(one, chosen).values()
+            ]
+            return any(flag in (*each.opts, *each.secondary_opts) for each in found)
+
+        for group in self._groups:
+            if group.option is None:
+                continue
+            names = group.choices().names()
+            those = [name for name in names if has({**state.chosen, group.chooser: name})]
+            if those:
+                return UserError(
+                    f"{group.option} {state.chosen[group.chooser]} has no option {flag}: leave it "
+                    f"out, or choose {group.option} {' or '.join(those)}"
+                )
+        return None
+
+    def _missing(self, error: click.MissingParameter, state: _State) -> UserError | None:
+        """Return what to say where something that was chosen needs an option."""
+        for group in self._groups:
+            for each in state.options[group.into].values():
+                if each is error.param and group.option is not None:
+                    what = f"{each.help[:1].lower()}{each.help[1:]}".rstrip(".")
+                    chosen = state.chosen[group.chooser]
+                    return UserError(f"{group.option} {chosen} needs {each.opts[0]}: {what}")
+        return None
+
+    # Help
+
+    def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write the options, those of what is chosen under headings of their own."""
+        params, state = self.get_params(ctx), _state(ctx)
+        apart: dict[str | None, str] = {}
+        for group in self._groups:
+            if group.option is not None:
+                title = f"Options of {group.option} {state.chosen[group.chooser]}"
+                apart |= {each.name: title for each in state.options[group.into].values()}
+        sections: dict[str, list] = {"Options": []}
+        for each in params:
+            record = each.get_help_record(ctx) if isinstance(each, click.Option) else None
+            if record is not None:
+                sections.setdefault(apart.get(each.name, "Options"), []).append(record)
+        for title, records in sections.items():
+            with formatter.section(title):
+                formatter.write_dl(records)
+
+
+@dataclass
+class _State:
+    """What is known of a line while it is read."""
+
+    chosen: dict[str, str] = field(default_factory=dict)
+    params: list[click.Parameter] | None = None
+    options: dict[str, dict[str, click.Option]] = field(default_factory=dict)
+    given: dict[str, Any] = field(default_factory=dict)
+
+
+def _state(ctx: click.Context) -> _State:
+    # Not in ctx.meta, which contexts within each other share.
+    if not hasattr(ctx, "_neurosim"):
+        ctx._neurosim = _State()
+    return ctx._neurosim
+
+
+def given_options() -> dict[str, Any]:
+    """Return the options that were given to the verb that runs, to be kept for --resume."""
+    return _state(click.get_current_context()).given
+
+
+def _chooser(group: Group) -> click.Option:
+    names = ", ".join(group.choices().names())
+    default = None if callable(group.default) else group.default
+    first, stop, rest = group.help.partition(". ")
+    help_ = f"{first.rstrip('.')}: {names}.{stop[1:]}{rest}"
+    return click.Option(
+        [group.chooser, str(group.option)],
+        default=default,
+        show_default=default is not None,
+        metavar="NAME",
+        help=help_,
+    )
+
+
+def _options_or_none(group: Group, chosen: Chosen) -> dict[str, click.Option]:
+    try:
+        return group.options(chosen)
+    except UserError:
+        return {}  # of a package that cannot be imported; said where it is asked for
+
+
+def _is_set(ctx: click.Context, name: str | None) -> bool:
+    return ctx.get_parameter_source(str(name)) not in (None, ParameterSource.DEFAULT)
+
+
+def _plain(value: Any) -> Any:
+    return str(value) if isinstance(value, Path) else value

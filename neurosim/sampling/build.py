@@ -1,0 +1,148 @@
+"""What a robot sampled of itself becomes a table simulator: Lund and Miglino 1996."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Literal
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.robots.khepera.dialects import DIALECTS
+from neurosim.sampling.sampler import FORMAT, VERSION
+from neurosim.simulators.sources import sources
+from neurosim.simulators.tables.arena import Arena, paper_arena
+from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.reaction import Reaction
+from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.simulators.tables.simulator import RADIUS, TableSimulator
+
+#: Whole speeds of an ideal robot up to full speed: those of a Khepera.
+UNITS = 10
+
+
+def build_tables(
+    samples: Sequence[str | Path],
+    motors: str | Path | None = None,
+    *,
+    out: str | Path | None = None,
+    wheel_base: float | None = None,
+    full_speed: float | None = None,
+    units: int | None = None,
+    arena: Arena | str | Path | None = None,
+    noise: Literal["none", "uniform", "samples"] = "uniform",
+) -> TableSimulator:
+    """Make a table simulator of samples.
+
+    How late the robot answers, its radius, its whole speeds and the speed of its serial line are
+    read from the ``sampling.json`` beside the motor samples, if there is one.
+
+    Args:
+        samples: ``.sample`` files of a wall and of a cylinder, one name or the other in the file's
+            name. Several files of one object are repeats, from which sensor noise is estimated.
+        motors: CSV file or dataset of motor samples: left, right, duration, dx, dy, dtheta; by
+            default the robot is an ideal one.
+        out: Folder of the new simulator; None: it is not written.
+        wheel_base: Distance between the wheels of the ideal robot, m; by default a Khepera's, 53
+            mm.
+        full_speed: Wheel speed of the ideal robot at 100 %, m/s; by default a Khepera's, 100 mm/s.
+        units: Whole speeds that the robot can be set to, up to full speed; by default as sampled,
+            or 10.
+        arena: JSON file of the arena (from Python also an arena); by default that of the paper, 60
+            x 35 cm with three obstacles.
+        noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
+            as the samples' own.
+
+    Raises:
+        UserError: if ``out`` is taken, an object has no samples, or the ideal robot is described
+            although there are motor samples.
+        FileError: if a file is missing or wrong.
+    """
+    if motors is not None:
+        for name, value in (("wheel base", wheel_base), ("full speed", full_speed)):
+            if value is not None:
+                raise UserError(
+                    f"the {name} is that of an ideal robot: leave it out, or leave out the motor "
+                    "samples"
+                )
+    used = [Path(path) for path in samples]
+    if not used:
+        raise UserError("give the samples of a wall and of a cylinder, .sample files")
+    sampling = (used[0] if motors is None else Path(motors)).parent
+    baud, (whole, radius) = sampled_baud(sampling), sampled_body(sampling)
+    # An ideal robot's table has a row and a column for each speed: only as many as asked for.
+    units = units or (None if motors is None else whole) or UNITS
+    if motors is None:
+        given = {"wheel_base": wheel_base, "full_speed": full_speed}
+        known = {name: value for name, value in given.items() if value is not None}
+        table = MotorTable.ideal(**known, units=units)
+    else:
+        table = MotorTable.read_csv(motors, resolution=100.0 / units)
+        used = [*used, Path(motors)]
+    if not isinstance(arena, Arena):
+        arena = paper_arena() if arena is None else Arena.read(arena)
+    simulator = TableSimulator(
+        SensorTable.from_files([Path(path) for path in samples]),
+        table,
+        arena,
+        noise=noise,
+        radius=RADIUS if radius is None else radius,
+        reaction=sampled_reaction(sampling),
+        meta={**sources(used), **({} if baud is None else {"baud": baud})},
+    )
+    if out is not None:
+        with files.new_folder(out) as partial:
+            simulator.write(partial)
+    return simulator
+
+
+def sampled_reaction(folder: str | Path) -> Reaction:
+    """Return the reaction that was measured in a sampling; none where a folder is not one.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return Reaction()
+    result = files.read_json(path, FORMAT, VERSION).get("result")
+    try:
+        return Reaction.from_json(result["reaction"]) if result else Reaction()
+    except (UserError, KeyError, TypeError, AttributeError) as error:
+        raise FileError(path, f"expected times ({error})", field="result.reaction") from None
+
+
+def sampled_baud(folder: str | Path) -> int | None:
+    """Return the speed of the line over which a sampling was made; None where it is not known.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return None
+    baud = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"].get("baud")
+    if baud is not None and (isinstance(baud, bool) or not isinstance(baud, int) or baud <= 0):
+        raise FileError(path, f"expected a baud rate, found {baud!r:.60}", field="robot.baud")
+    return baud
+
+
+def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
+    """Return full speed in whole speeds of the robot that sampled itself, and its radius (m).
+
+    None each where it is not known.
+
+    Raises:
+        FileError: if ``sampling.json`` is not what it should be.
+    """
+    path = Path(folder) / "sampling.json"
+    if not path.exists():
+        return None, None
+    robot = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"]
+    full = robot.get("full_speed")
+    if full is not None and (isinstance(full, bool) or not isinstance(full, int) or full < 1):
+        raise FileError(
+            path, f"expected whole speeds, found {full!r:.60}", field="robot.full_speed"
+        )
+    dialect = DIALECTS.get(str(robot.get("dialect")))
+    return full, None if dialect is None else dialect.geometry.radius

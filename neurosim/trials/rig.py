@@ -1,0 +1,180 @@
+"""A robot and what films it, ready to be used: real ones, or those of the virtual lab."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.lab import CameraParams, LabArena, VirtualKheperaRig, VirtualRig
+from neurosim.lab.khepera.rig import START
+from neurosim.robots.base import Robot
+from neurosim.robots.khepera.dialects import dialect_named
+from neurosim.robots.registry import ROBOTS
+from tracking.camera.cameras import Camera, open_camera
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Setup:
+    """What a rig is to be, beside the robot's own options.
+
+    Attributes:
+        camera: A camera's number, a file or URL that OpenCV opens, lab for the virtual lab's, or
+            none. By default, where there is to be one: 0, in the virtual lab its own.
+        size: Width and height of a frame in pixels; of the virtual lab's camera by default 640x480.
+        fps: Frames per second; of the virtual lab's camera by default 30.
+        seed: Random seed of the virtual lab's noise in this session.
+        start: Pose at which a person puts the robot; in the virtual lab, where it is put (m, m,
+            rad); None: where that lab puts it.
+        arena: What stands in the virtual Khepera's lab; by default the arena of its paper.
+    """
+
+    camera: str | None = None
+    size: tuple[int, int] | None = None
+    fps: float | None = None
+    seed: int = 0
+    start: Pose | None = None
+    arena: LabArena | None = None
+
+
+@dataclass
+class Rig:
+    """A robot, and what films it.
+
+    Attributes:
+        robot: its driver. That of a real robot is connected, as is a virtual one inside ``with``.
+        camera: what films it, or None.
+        finish: what is to be called with (folder, session) when a session's files are closed, or
+            None; the virtual lab writes its truth there.
+        lab: what makes the same virtual lab again; None for a real robot.
+        place: puts a virtual robot at a pose (m, m, rad); None for a real one, which a person puts.
+    """
+
+    robot: Robot
+    camera: Camera | None
+    finish: Callable[[Path, int], None] | None = None
+    lab: dict[str, Any] | None = None
+    place: Callable[..., None] | None = None
+
+
+@contextmanager
+def open_rig(
+    robot: str, options: Mapping[str, Any] | None = None, setup: Setup | None = None
+) -> Iterator[Rig]:
+    """Open a robot and what films it, and close both.
+
+    Args:
+        robot: a name in :data:`RIGS`.
+        options: of the robot: keywords of its driver, or of :func:`virtual`,
+            :func:`virtual_khepera`.
+        setup: the rest.
+
+    Raises:
+        UserError: if there is no such robot, or it does not take these options.
+        RobotError: if it cannot be reached.
+    """
+    setup = setup or Setup()
+    if robot in _VIRTUAL:
+        try:
+            opened = _VIRTUAL[robot](setup, **(options or {}))
+        except TypeError as error:
+            raise UserError(f"the robot {robot} does not take these options: {error}") from None
+        with opened as rig:
+            yield rig
+        return
+    if setup.camera == "lab":
+        raise UserError("--camera lab is the virtual robot's; name a camera that there is")
+    driver = ROBOTS.make(robot, options or {})
+    try:
+        # The robot before the camera: what is wrong with it is said first.
+        driver.connect()
+        camera = None
+        if setup.camera != "none":
+            camera = open_camera(setup.camera or "0", driver.clock.now, setup.size, setup.fps)
+        yield Rig(driver, camera)
+    finally:
+        driver.close()
+
+
+@contextmanager
+def virtual(setup: Setup, *, lab_seed: int = 0, lamp: str | None = "A") -> Iterator[Rig]:
+    """Open the virtual lab's NXT under its roof camera.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's robots and boards.
+        lamp: The lamp: that on motor port A, color:3 for the colour sensor's, or none.
+    """
+    with VirtualRig(
+        lab_seed,
+        noise_seed=setup.seed,
+        start=setup.start or (0.0, 0.0, 0.0),
+        camera=_has_camera(setup),
+        camera_size=setup.size or (640, 480),
+        fps=setup.fps or 30.0,
+        lamp=None if lamp == "none" else lamp,
+    ) as rig:
+        yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+
+
+@contextmanager
+def virtual_khepera(setup: Setup, *, lab_seed: int = 0, baud: int | None = None) -> Iterator[Rig]:
+    """Open the virtual lab's Khepera, with a camera above the place where it starts.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's robots.
+        baud: Speed of its serial line; by default the robot's own, 9600.
+    """
+    camera = None
+    if _has_camera(setup):
+        camera = CameraParams(size=setup.size or (640, 480), fps=setup.fps or 30.0)
+    with VirtualKheperaRig(
+        lab_seed,
+        noise_seed=setup.seed,
+        arena=setup.arena,
+        start=setup.start or START,
+        baud=baud or dialect_named("khepera").baud,
+        camera=camera,
+    ) as rig:
+        yield Rig(rig.robot, rig.camera, None, rig.describe(), rig.lab.place)
+
+
+def _has_camera(setup: Setup) -> bool:
+    """Return whether the virtual lab's own camera is wanted."""
+    if setup.camera not in (None, "lab", "none"):
+        raise UserError(
+            f"--camera {setup.camera} does not see the virtual robot: leave it out, or name a real "
+            "robot with --robot"
+        )
+    return setup.camera != "none"
+
+
+_VIRTUAL: dict[str, Callable[..., AbstractContextManager[Rig]]] = {
+    "virtual": virtual,
+    "virtual-khepera": virtual_khepera,
+}
+
+
+class Rigs:
+    """All robots by the names that ``--robot`` takes: the virtual lab's, and all drivers."""
+
+    def names(self) -> list[str]:
+        """Return all names."""
+        return [*_VIRTUAL, *ROBOTS.names()]
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """Return what has the robot's options as its keywords.
+
+        Raises:
+            UserError: if nothing has this name.
+        """
+        return _VIRTUAL[name] if name in _VIRTUAL else ROBOTS.get(name)
+
+
+RIGS = Rigs()

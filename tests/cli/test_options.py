@@ -1,0 +1,218 @@
+"""Options made of settings classes, drivers and functions; those of what is chosen alone."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
+from neurosim.cli._common import resume_option
+from neurosim.cli._options import (
+    SettingsCommand,
+    choice_options,
+    given_options,
+    parameters,
+    settings_options,
+)
+
+if TYPE_CHECKING:
+    from somewhere import Thing
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A task.
+
+    Attributes:
+        steps: how many steps. More is slower.
+        pace: of a step,
+            ``metres`` per second; see :class:`some.where.Thing`.
+        side: which one.
+        goals: x and y of each.
+        reach, width: sizes, m.
+        thing: no option can stand for it.
+    """
+
+    steps: int = 10
+    pace: float = 1.5
+    side: Literal["left", "right"] = "left"
+    goals: tuple[tuple[float, float], ...] = ((0.5, 0.0),)
+    reach: float = 0.25
+    width: float | None = None
+    thing: Thing | None = None
+    names: list[str] = field(default_factory=lambda: ["a", "b"])
+
+
+class Swim:
+    """Another task.
+
+    Args:
+        depth: how deep, m.
+        steps: of the arms.
+        slow: whether it is slow.
+        log: where to write.
+    """
+
+    def __init__(self, depth: float, steps: int = 3, *, slow: bool = False, log: Path | str = ""):
+        pass
+
+
+TASKS = Registry("task", "neurosim.none", {})
+TASKS.register("walk", Walk)
+TASKS.register("swim", Swim)
+
+
+def verb(begun=None):
+    @click.command("go", cls=SettingsCommand, begun=begun)
+    @click.argument("place", type=click.Path(path_type=Path))
+    @choice_options("--task", TASKS, default="walk", help="What to do.", units={"reach": "cm"})
+    @settings_options(
+        "more",
+        lambda chosen: Walk(steps=99) if chosen["task"] == "swim" else None,
+        by_choice=True,
+        only=("steps", "pace"),
+        names={"pace": "speed"},
+    )
+    @click.option("--log", default="none")
+    @resume_option
+    def go(place, task, task_options, more, log, resume):
+        told = {"task": task, "options": task_options, "more": more, "log": log}
+        click.echo(json.dumps({**told, "given": given_options()}, default=str))
+
+    return go
+
+
+def run(*words, begun=None):
+    done = CliRunner().invoke(verb(begun), [*words], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return json.loads(done.stdout)
+
+
+def help_of(*words):
+    return " ".join(CliRunner().invoke(verb(), [*words, "--help"]).stdout.split())
+
+
+def test_name_type_default_and_help_are_those_of_the_settings():
+    found = {each.name: each for each in parameters(Walk)}
+    assert list(found) == ["steps", "pace", "side", "goals", "reach", "width", "names"]
+    assert found["steps"].help == "How many steps."
+    assert found["pace"].help == "Of a step, metres per second; see Thing."
+    assert found["reach"].help == found["width"].help == "Sizes, m."
+    assert (found["steps"].default, found["names"].default) == (10, ["a", "b"])
+    assert {each.name: each.default for each in parameters(Walk(steps=7))}["steps"] == 7
+    assert [each.name for each in parameters(Swim)] == ["depth", "steps", "slow", "log"]
+    assert parameters(Swim)[0].help == "How deep, m."
+
+
+def test_the_verb_gets_what_was_given_and_nothing_else():
+    assert run("here")["options"] == {}
+    words = ["--steps", "4", "--side", "right", "--goals", "[[1, 2]]", "--names", "c,d,e"]
+    options = run(*words, "here", "--reach", "30")["options"]
+    assert options["reach"] == pytest.approx(0.3)
+    assert options == {
+        "steps": 4, "side": "right", "goals": [[1, 2]], "names": ["c", "d", "e"],
+        "reach": options["reach"],
+    }  # fmt: skip
+
+
+def test_only_the_options_of_what_is_chosen_are_there():
+    told = run("here", "--depth", "2", "--task", "swim", "--slow")
+    assert told["options"] == {"depth": 2, "slow": True}
+    shown, other = help_of(), help_of("--task", "swim")
+    assert "Options of --task walk: --steps INTEGER How many steps. [default: 10]" in shown
+    assert "--side [left|right] Which one. [default: left]" in shown
+    assert "--reach cm Sizes, cm. [default: 25]" in shown
+    assert "--goals JSON X and y of each. [default: [[0.5, 0.0]]]" in shown
+    assert "--depth" not in shown
+    assert "--depth" in other
+    assert "--side" not in other
+    assert "--task NAME What to do: swim, walk. [default: walk]" in shown
+    assert "thing" not in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--slow"], "--task walk has no option --slow: leave it out, or choose --task swim"),
+        (["--task", "swim"], "--task swim needs --depth: how deep, m"),
+        (["--task", "fly"], "there is no task 'fly'; there is swim, walk"),
+    ],
+)
+def test_what_does_not_go_together_is_said_in_a_sentence(words, message):
+    with pytest.raises(UserError, match=f"^{message}$"):
+        CliRunner().invoke(verb(), ["here", *words], catch_exceptions=False)
+
+
+@pytest.mark.parametrize("words", [["--nonsense"], ["--steps", "x"], ["--reach", "nan"], []])
+def test_what_makes_no_sense_is_a_usage_error(words):
+    place = ["here"] if words else []
+    assert CliRunner().invoke(verb(), [*place, *words]).exit_code == 2
+
+
+def test_an_option_of_the_same_name_as_another_is_named_after_its_choice():
+    swim = ["here", "--task", "swim", "--depth", "1"]
+    told = run(*swim, "--log", "mine", "--task-log", "its", "--speed", "2")
+    assert told["log"] == "mine"
+    assert told["options"] == {"depth": 1, "log": "its"}
+    assert told["more"] == {"pace": 2}
+    # Two groups that both have steps: the first has the name.
+    told = run(*swim, "--steps", "5", "--more-steps", "6")
+    assert (told["options"]["steps"], told["more"]["steps"]) == (5, 6)
+    assert "--more-steps INTEGER How many steps. [default: 99]" in help_of(*swim)
+
+
+def test_resume_takes_what_is_not_given_from_what_was_begun():
+    kept = {}
+
+    def begun(values):
+        assert values["place"] == Path("here")
+        return kept
+
+    first = run("here", "--task", "swim", "--depth", "2", "--log", "mine", begun=begun)
+    assert first["given"] == {"task": "swim", "depth": 2, "log": "mine"}
+    kept.update(first["given"])
+    again = run("--resume", "here", "--steps", "8", begun=begun)
+    assert again["options"] == {"depth": 2, "steps": 8}
+    assert again["given"] == {**first["given"], "steps": 8}
+    kept.clear()
+    kept.update({"side": "right", "goals": [[1, 2]], "reach": 0.3, "unknown": 1, "pace": None})
+    again = run("here", "--resume", "--side", "left", begun=begun)
+    assert again["options"] == {"side": "left", "goals": [[1, 2]], "reach": 0.3}
+    assert run("here", "--reach", "90", begun=begun)["options"] == {"reach": 0.9}
+
+
+def test_units_lead_to_si_exactly_as_code_does():
+    from neurosim.cli._types import Quantity
+
+    assert Quantity("mm").convert("2.7", None, None) == 2.7 / 1000
+    assert Quantity("degrees").convert("0.5", None, None) == math.radians(0.5)
+    assert Quantity("mm").shown(0.003) == "3"
+
+
+def test_a_package_that_cannot_be_imported_is_in_nobodys_way():
+    class Broken(Registry):
+        def get(self, name):
+            if name == "broken":
+                raise UserError("it does not load")
+            return super().get(name)
+
+    tasks = Broken("task", "neurosim.none", {})
+    tasks.register("walk", Walk)
+    tasks.register("broken", None)
+
+    @click.command(cls=SettingsCommand)
+    @choice_options("--task", tasks, default="walk", help="What.")
+    def go(task, task_options):
+        click.echo(task_options["steps"])
+
+    assert CliRunner().invoke(go, ["--steps", "3"]).stdout == "3\n"
+    with pytest.raises(UserError, match="does not load"):
+        CliRunner().invoke(go, ["--task", "broken"], catch_exceptions=False)
