@@ -27,7 +27,7 @@ from neurosim.cli._types import PATH
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new trial.")
 @robot_option
 @camera_options
-@calibration_option(required=True)
+@calibration_option()
 @click.option(
     "--at-line",
     type=click.Choice(["end", "ignore"]),
@@ -56,7 +56,7 @@ def run(
     robot: str,
     robot_options: dict[str, Any],
     camera: dict[str, Any],
-    calibration: Path,
+    calibration: Path | None,
     at_line: Any,
     guard: dict[str, Any],
     settings: dict[str, Any],
@@ -66,8 +66,10 @@ def run(
 ) -> None:
     """Drive the robot with CONTROLLER, and compare what it does with what was predicted.
 
-    Put the robot at the plan's start first: for nine-rectangles the centre of the centre-left
-    rectangle, facing rectangle 1, the top-left one.
+    Put the robot at the controller's start first: for nine-rectangles the centre of the centre-left
+    rectangle, facing rectangle 1, the top-left one. A controller that sees is asked at the steps of
+    its task; what the robot lacks for it is said before anything moves. With --camera none the
+    robot's path is that of its wheels' counters, where it has them.
     """
     from neurosim.controllers import read_controller
     from neurosim.recording.markers import marker_settings
@@ -76,11 +78,15 @@ def run(
     from neurosim.trials.trial import run_trial
     from tracking.track import track
 
-    if camera.get("camera") == "none":
-        raise UserError("a trial is tracked as it ends, so it needs a camera")
-    start = read_controller(controller).start
+    if calibration is None and camera.get("camera") != "none":
+        raise UserError(
+            "where the robot is, a calibrated camera says: give --calibration, or --camera none to "
+            "go by the counters of the robot's wheels"
+        )
+    saved = read_controller(controller)
+    setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved))
     marked = marker_settings(markers, robot)
-    with open_rig(robot, robot_options, Setup(**camera, seed=seed, start=start)) as rig:
+    with open_rig(robot, robot_options, setup) as rig:
         report = run_trial(
             controller,
             out,
@@ -94,24 +100,50 @@ def run(
             finish=rig.finish,
             lab=rig.lab,
         )
-    seen = [error for error in report["errors"] if error is not None]
     result = {
         "trial": str(out),
+        "kind": report["kind"],
         "completes": report["actual"]["completes"],
         "fitness": {
             "predicted": report["predicted"]["fitness"],
             "actual": report["actual"]["fitness"],
         },
+        "deadlines": report.get("deadlines"),
         "errors": report["errors"],
     }
+    emit(result, as_json, _text(out, controller, report))
+
+
+def _arena(saved: Any) -> Any:
+    """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
+    from neurosim.lab import LabArena
+    from neurosim.simulators import read_simulator
+
+    folder = Path(saved.simulator.get("path", ""))
+    if not (folder / "simulator.json").is_file():
+        return None
+    arena = getattr(read_simulator(folder), "arena", None)
+    return None if arena is None else LabArena.of(arena)
+
+
+def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
+    """Return what happened, for people."""
     done = "completed" if report["actual"]["completes"] else "did not complete"
-    end = seen[-1]
-    emit(
-        result,
-        as_json,
-        f"{out}: the robot {done} the course (fitness {report['actual']['fitness']:.1f}, predicted "
-        f"{report['predicted']['fitness']:.1f}); after command {end['command']} it was "
-        f"{100 * end['position']:.1f} cm and {abs(math.degrees(end['heading'])):.1f} degrees from "
-        f"where the simulator said.\n"
-        + next_step("report", "DATASET", "SIMULATOR", controller, out, "-o", "report.html"),
+    predicted = report["predicted"].get("fitness")
+    expected = "" if predicted is None else f", predicted {predicted:.4g}"
+    text = f"{out}: the robot {done} the task (fitness {report['actual']['fitness']:.4g}{expected})"
+    seen = [error for error in report["errors"] if error is not None]
+    if seen:
+        end = seen[-1]
+        text += (
+            f"; after command {end['command']} it was {100 * end['position']:.1f} cm and "
+            f"{abs(math.degrees(end['heading'])):.1f} degrees from where the simulator said"
+        )
+    kept = report.get("deadlines")
+    if kept:
+        text += f"; {kept['missed']} of {kept['steps']} deadlines were missed"
+    return (
+        text
+        + ".\n"
+        + next_step("report", "DATASET", "SIMULATOR", controller, out, "-o", "report.html")
     )

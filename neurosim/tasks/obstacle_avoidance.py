@@ -66,7 +66,8 @@ FITNESS: dict[str, Fitness] = {"avoidance": avoidance, "cells": cells_visited}
 class ObstacleAvoidance(Task):
     """The task: drive fast and straight and keep away from everything.
 
-    A trial succeeds if nothing ever comes so near that a sensor reads ``too_near``.
+    The paper knows no success beside the fitness; here it is a fitness of at least ``enough`` from a
+    start.
 
     Attributes:
         fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, how many
@@ -74,17 +75,18 @@ class ObstacleAvoidance(Task):
         steps: Steps of a trial, over all its starts together.
         starts: Random poses from which a trial starts, each for an equal share of the steps.
         duration: Duration of a step, s.
-        too_near: Reading (0..1) of a sensor that nearly touches something.
+        enough: Fitness from one start that counts as success; by default, for avoidance, half of
+            its steps, and 0 for other fitness.
     """
 
     name: ClassVar[str] = "obstacle-avoidance"
-    reasons: ClassVar[tuple[str, ...]] = ("came too near to something",)
+    reasons: ClassVar[tuple[str, ...]] = ("drove too slowly, or too near to things",)
 
     fitness: str = "avoidance"
     steps: int = 500
     starts: int = 5
     duration: float = 0.1
-    too_near: float = 1.0
+    enough: float | None = None
 
     def __post_init__(self) -> None:
         if self.fitness not in FITNESS:
@@ -121,15 +123,14 @@ class ObstacleAvoidance(Task):
         """Judge what happened from each start; see :data:`FITNESS`."""
         if trajectory.readings is None:
             raise UserError("obstacle avoidance can only be judged where the sensors were read")
-        readings = np.ascontiguousarray(trajectory.readings)
-        steps = readings.shape[-2]
-        first = _first_near(readings.reshape(-1, *readings.shape[-2:]), self.too_near)
-        first = first.reshape(trajectory.shape)
-        during = np.minimum(first, steps - 1)
-        if trajectory.segment is not None:
-            during = trajectory.segment[during]
         fitness = FITNESS[self.fitness](trajectory, self.duration)
-        return Judgement.of(fitness, first == steps, 0, during)
+        enough = self.enough
+        if enough is None:
+            enough = 0.5 * self.episode.steps if FITNESS[self.fitness] is avoidance else 0.0
+        last = trajectory.commands.shape[-2] - 1
+        if trajectory.segment is not None:
+            last = int(trajectory.segment[-1])
+        return Judgement.of(fitness, fitness >= enough, 0, last)
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum over the starts [..., starts]: a trial is all of them."""
@@ -158,16 +159,3 @@ def _avoidance(readings: NDArray, commands: NDArray, weight: NDArray) -> NDArray
                 total += weight[b, k] * speed * (1.0 - difference**2) * (1.0 - highest)
         fitness[b] = total
     return fitness
-
-
-@njit(cache=True, parallel=True)
-def _first_near(readings: NDArray, too_near: float) -> NDArray[np.int64]:
-    """Return the first step [B] in which a reading [B, T, S] is ``too_near``; T if none is."""
-    found = np.empty(len(readings), np.int64)
-    for b in prange(len(readings)):
-        found[b] = readings.shape[1]
-        for k in range(readings.shape[1]):
-            for s in range(readings.shape[2]):
-                if readings[b, k, s] >= too_near:
-                    found[b] = min(found[b], k)
-    return found

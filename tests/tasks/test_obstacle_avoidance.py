@@ -59,15 +59,15 @@ def test_cells_visited_by_hand():
         cells_visited(Trajectory(None, np.zeros((3, 2)), 0.1))
 
 
-def test_a_trial_succeeds_where_nothing_comes_too_near():
+def test_a_trial_succeeds_where_the_fitness_is_enough():
     readings = np.zeros((2, 4, 8))
-    readings[1, 2, 5] = 0.8
-    driven = Trajectory(None, np.full((2, 4, 2), 50.0), 0.1, readings)
-    judged = ObstacleAvoidance(too_near=0.8).judge(driven)
+    readings[1, :, 5] = 0.8
+    driven = Trajectory(None, np.full((2, 4, 2), 100.0), 0.1, readings)
+    judged = ObstacleAvoidance(steps=20).judge(driven)  # 4 steps from each of 5 starts
+    assert judged.fitness.tolist() == avoidance(driven).tolist() == pytest.approx([4.0, 0.8])
     assert judged.success.tolist() == [True, False]
-    assert judged.segment.tolist() == [3, 2]
-    assert judged.fitness.tolist() == avoidance(driven).tolist()
-    assert ObstacleAvoidance().judge(driven).success.all()
+    assert judged.segment.tolist() == [3, 3]
+    assert ObstacleAvoidance(steps=20, enough=0.7).judge(driven).success.all()
     # All starts of a trial count together.
     assert ObstacleAvoidance(starts=2).whole(np.array([[1.0, 2.0]])).tolist() == [3.0]
 
