@@ -66,8 +66,8 @@ FITNESS: dict[str, Fitness] = {"avoidance": avoidance, "cells": cells_visited}
 class ObstacleAvoidance(Task):
     """The task: drive fast and straight and keep away from everything.
 
-    The paper knows no success beside the fitness; here it is a fitness of at least ``enough`` from a
-    start.
+    The paper knows no success beside the fitness; here it is a fitness of at least ``enough`` from
+    a start.
 
     Attributes:
         fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, how many
