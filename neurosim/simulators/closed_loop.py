@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from numpy.typing import DTypeLike, NDArray
 
-from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import make_loop, room
 from neurosim.simulators.base import as_seed, put_down
@@ -29,7 +29,28 @@ class ClosedLoop:
         sees = any(name not in NOT_READINGS for name in controller.inputs)
         self._reads = bool(names) and (sees or episode.readings)
         self.steps = episode.steps + (episode.rest > 0)
+        self._genes = controller.genes
         self._kept: dict[str, NDArray] = {}
+
+    def checked(self, genes: NDArray, draws: Draws) -> tuple[NDArray, NDArray, NDArray]:
+        """Return genes [P, G], starts [R, 3] and noise [R, T, Z] as kernels take them.
+
+        Where the draws have no noise, T is 0.
+
+        Raises:
+            ValueError: if genes or noise are not as many as this trial takes; kernels do not look.
+        """
+        if genes.ndim != 2 or genes.shape[1] != self._genes:
+            raise ValueError(f"expected genes [P, {self._genes}], got {list(genes.shape)}")
+        noise, width = draws.noise, self.simulator.noise_width
+        if noise is None:
+            noise = np.empty((len(draws), 0, width))
+        elif len(noise) != len(draws) or noise.shape[1] < self.steps or noise.shape[2] < width:
+            raise ValueError(
+                f"expected noise [{len(draws)}, {self.steps}, {width}], got {list(noise.shape)}"
+            )
+        found = [np.ascontiguousarray(v, np.float64) for v in (genes, draws.starts, noise)]
+        return found[0], found[1], found[2]
 
     def put_down(
         self,

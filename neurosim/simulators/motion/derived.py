@@ -19,6 +19,10 @@ from torch import Tensor
 
 from neurosim.simulators.motion.noise import CommandFeatures
 
+#: A direction that changes by less than this, half turns, does not: what rounding leaves of equal
+#: directions must not say which way it changed.
+SAME = 1e-9
+
 
 @dataclass(frozen=True)
 class Derived:
@@ -66,7 +70,7 @@ class Derived:
             angle = torch.atan2(now[:, 1], now[:, 0]) - torch.atan2(before[:, 1], before[:, 0])
             turns = angle / math.pi
             turns = turns - 2.0 * (turns >= 1.0 - self.swing) + 2.0 * (turns < -1.0 - self.swing)
-            both = (now != 0).any(1) & (before != 0).any(1)
+            both = (now != 0).any(1) & (before != 0).any(1) & (turns.abs() >= SAME)
             parts.append(torch.where(both, turns, 0.0).unsqueeze(1))
         return torch.cat(parts, dim=1) if len(parts) > 1 else scaled
 

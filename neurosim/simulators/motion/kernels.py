@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from neurosim.base.se2 import compiled as se2
+from neurosim.simulators.motion.derived import SAME
 from neurosim.simulators.motion.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
@@ -46,13 +47,13 @@ class Arrays(NamedTuple):
     swing: float  #: NaN for none
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def _scaled(a, inputs, i):
     x = inputs[i] / a.input_scale[i]
     return 0.0 if abs(x) < a.dead_zone[i] else x
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def network_inputs(a, inputs, x):
     """Write what the networks are given: scaled inputs, and those derived from them.
 
@@ -80,9 +81,11 @@ def network_inputs(a, inputs, x):
                 x[place] -= 2.0
             elif x[place] < -1.0 - a.swing:
                 x[place] += 2.0
+            if abs(x[place]) < SAME:
+                x[place] = 0.0
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def spread(a, inputs, mean, out):
     """Write the size of the noise on a command, the same for all draws of it.
 
@@ -135,7 +138,7 @@ def spread(a, inputs, mean, out):
     out[9] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def shake(mean, size, z, out):
     """Write a displacement with noise of a size that is known.
 

@@ -25,6 +25,7 @@ from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.motion.closed_loop import MotionClosedLoop
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernels import Arrays
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
@@ -276,6 +277,11 @@ class MotionNetwork(Simulator):
             return None
         if controller.blind and tuple(controller.outputs) == self.command_names:
             return MotionPlans(self, controller, episode)
+        # A step's duration is put behind the outputs, where it is a command.
+        outputs = tuple(controller.outputs)
+        fits = self.command_names in (outputs, (*outputs, "duration"))
+        if fits and "duration" not in outputs and controller.arrays() is not None:
+            return MotionClosedLoop(self, controller, episode)
         return None
 
     def input_sources(self) -> NDArray[np.int64]:

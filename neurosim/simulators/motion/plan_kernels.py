@@ -180,7 +180,7 @@ def _dot(a, b):
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def displacements(e, inputs, x, log2, units, rows, out):
     """Write every member's mean displacement (m, m, rad) of a command.
 

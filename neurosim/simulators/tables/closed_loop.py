@@ -42,18 +42,18 @@ class TableClosedLoop(ClosedLoop):
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
         simulator, loop = self.simulator, self.loop
-        arrays, count = simulator.arrays, len(draws)
-        noise = np.empty((count, 0, 0)) if draws.noise is None else draws.noise
-        seeds = np.zeros(count, np.uint64) if draws.seeds is None else draws.seeds
-        if draws.noise is None and draws.seeds is None:
+        arrays, seeds = simulator.arrays, draws.seeds
+        genes, starts, noise = self.checked(genes, draws)
+        if draws.noise is None and seeds is None:
             arrays = arrays._replace(noise=0)
-        poses, commands, readings = self.buffers(len(genes), count, np.float32, reuse)
+        seeds = np.zeros(len(draws), np.uint64) if seeds is None else seeds
+        poses, commands, readings = self.buffers(len(genes), len(draws), np.float32, reuse)
         drive(
             arrays,
             loop,
-            np.ascontiguousarray(genes, np.float64),
-            np.ascontiguousarray(draws.starts, np.float64),
-            seeds,
+            genes,
+            starts,
+            np.ascontiguousarray(seeds, np.uint64),
             noise,
             int(simulator.substeps(loop.step)),
             int(simulator.substeps(loop.rest)),

@@ -1,0 +1,170 @@
+"""Networks that drive robots in a motion network, compiled and on all cores.
+
+In a closed loop every robot has commands of its own: of the ensemble only the member that a robot
+moves as is evaluated.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import torch
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.networks.control_kernels import act, observe
+from neurosim.simulators.base import as_seed, put_down
+from neurosim.simulators.closed_loop import ClosedLoop
+from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread
+from neurosim.simulators.motion.plan_kernels import Ensemble, _inputs, displacements, lay_out
+
+
+class MotionClosedLoop(ClosedLoop):
+    """Rollouts of networks in a motion network of linear units."""
+
+    def __init__(self, simulator: Any, controller: Any, episode: Episode):
+        """Lay out the networks; see :class:`ClosedLoop`."""
+        super().__init__(simulator, controller, episode)
+        self._arrays = simulator.arrays()
+        self._ensemble = lay_out_each(self._arrays)
+        self._source = simulator.input_sources()
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw outcomes: where the robot is put down, member and noise of each."""
+        simulator, count = self.simulator, len(starts)
+        generator = torch.Generator().manual_seed(as_seed(rng))
+        starts = put_down(starts, placing, generator)
+        member = None
+        if simulator.members > 1:
+            order = torch.randperm(count, generator=generator)
+            member = (torch.arange(count) % simulator.members)[order].numpy()
+        if simulator.noise is None:
+            return Draws(starts, member)
+        return Draws(starts, member, simulator.draw_noise(count, self.steps, generator).numpy())
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        genes, starts, noise = self.checked(genes, draws)
+        member = np.full(len(draws), -1)
+        if draws.member is not None and self.simulator.members > 1:
+            member = np.ascontiguousarray(draws.member, np.int64)
+        poses, commands, readings = self.buffers(len(genes), len(draws), np.float64, reuse)
+        drive(
+            self._ensemble,
+            self._arrays,
+            self._source,
+            self.loop,
+            genes,
+            starts,
+            member,
+            noise,
+            self.room,
+            poses,
+            commands,
+        )
+        return self.trajectory(poses, commands, readings)
+
+
+def lay_out_each(a: Arrays) -> Ensemble:
+    """Return an ensemble whose arrays of units, terms and weights have an axis of members before.
+
+    The first is the mean of all. Members with fewer units or terms than others have empty ones.
+    """
+    each = [lay_out(a, mean=True)]
+    names = ("exponents", "ceiling", "signed", "linear", "bias")
+    for m in range(a.central, len(a.bias)):
+        own = {name: getattr(a, name)[m : m + 1] for name in names}
+        each.append(lay_out(a._replace(**own, central=False), mean=False))
+    stacked = {}
+    for name in (*names, "row", "unit", "count", "weight"):
+        parts = [getattr(one, name) for one in each]
+        width = max(part.shape[-1] for part in parts)
+        found = np.zeros((len(parts), *parts[0].shape[:-1], width), parts[0].dtype)
+        for place, part in enumerate(parts):
+            found[place, ..., : part.shape[-1]] = part
+        stacked[name] = found
+    return each[0]._replace(**stacked)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
+    """Drive every network from every start, where the robot stands still at first.
+
+    Args:
+        e: of :func:`lay_out_each`.
+        a: :class:`~neurosim.simulators.motion.kernels.Arrays`, for the noise.
+        source: [I] of the motion network's inputs, see :meth:`MotionNetwork.input_sources`.
+        loop: :class:`~neurosim.networks.control_kernels.Loop`.
+        genes: [P, G].
+        starts: [R, 3] poses.
+        member: [R] of the ensemble, -1 for the mean.
+        z: [R, T, DRAWS] draws of the noise; T = 0: there is none.
+        room: see :func:`~neurosim.networks.control_kernels.room`.
+        poses: [P, R, T + 1, 3], written: before the first of T steps and after each.
+        commands: [P, R, T, C], written: without the duration.
+    """
+    count, steps, width = len(starts), commands.shape[2], commands.shape[3]
+    noisy = a.noisy and z.shape[1] > 0
+    for job in prange(len(genes) * count):
+        p, r = job // count, job % count
+        m = member[r] + 1
+        one = Ensemble(
+            1,
+            e.outputs,
+            e.exponents[m],
+            e.ceiling[m],
+            e.row[m],
+            e.unit[m],
+            e.count[m],
+            e.weight[m],
+            e.signed[m],
+            e.linear[m],
+            e.bias[m],
+            e.input_scale,
+            e.dead_zone,
+            e.driven,
+            e.before,
+            e.moving,
+            e.swing,
+            e.floor,
+            e.twist,
+        )
+        shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)
+        values, net, unread = np.zeros(room), genes[p], np.empty(0, np.float32)
+        given = e.linear.shape[2]
+        inputs, x, log2 = np.empty(len(source)), np.empty(given), np.empty(given)
+        units, rows = np.empty(e.ceiling.shape[1]), np.empty(e.outputs)
+        size, moved = np.empty(SIZES), np.empty((1, 3))
+        # The last column is the duration, where there is one.
+        command, before = np.full(width + 1, loop.step), np.zeros(width + 1)
+        px, py, theta = starts[r, 0], starts[r, 1], starts[r, 2]
+        goal = 0
+        for k in range(steps):
+            poses[p, r, k, 0], poses[p, r, k, 1], poses[p, r, k, 2] = px, py, theta
+            cos, sin = math.cos(theta), math.sin(theta)
+            if k < loop.steps:
+                goal = observe(loop, px, py, cos, sin, goal, k * loop.step, unread, values)
+                act(*shape, net, values, command)
+            else:
+                command[:width] = 0.0
+                command[width] = loop.rest
+            for c in range(width):
+                commands[p, r, k, c] = command[c]
+            _inputs(source, before, command, inputs)
+            displacements(one, inputs, x, log2, units, rows, moved)
+            if noisy:
+                spread(a, inputs, moved[0], size)
+                shake(moved[0], size, z[r, k], moved[0])
+            px += cos * moved[0, 0] - sin * moved[0, 1]
+            py += sin * moved[0, 0] + cos * moved[0, 1]
+            theta += moved[0, 2]
+            before[:] = command
+        poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = px, py, theta
