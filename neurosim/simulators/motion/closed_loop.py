@@ -83,7 +83,7 @@ def lay_out_each(a: Arrays) -> Ensemble:
     for m in range(a.central, len(a.bias)):
         own = {name: getattr(a, name)[m : m + 1] for name in names}
         each.append(lay_out(a._replace(**own, central=False), mean=False))
-    stacked = {}
+    stacked: dict[str, Any] = {}
     for name in (*names, "row", "unit", "count", "weight"):
         parts = [getattr(one, name) for one in each]
         width = max(part.shape[-1] for part in parts)
