@@ -164,7 +164,7 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
 
 
 @pytest.mark.parametrize("task", ["nine-rectangles", "obstacle-avoidance", "go-to", "far"])
-@pytest.mark.parametrize("kind", ["plan"])
+@pytest.mark.parametrize("kind", ["plan", "network", "recurrent"])
 @pytest.mark.parametrize("simulator", ["tables", "motion-network"])
 def test_compiled_rollouts_are_the_stepped_ones(simulator, kind, task):
     sim, goal, family = combined(simulator, kind, task)
