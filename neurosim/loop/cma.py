@@ -6,6 +6,7 @@ Evolutionary Computation 9, 2001.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,10 @@ class CMA:
         self._searches = []
         for run in range(settings.runs):
             genes = controller.first(64, generator).numpy() if first is None else first[run]
-            options: dict[str, Any] = {"seed": seed + run + 1, "verbose": -9}
+            # Numbers of its own: pycma would draw from, and seed, those of the whole program.
+            numbers = np.random.default_rng([seed, run])
+            options: dict[str, Any] = {"seed": math.nan, "verbose": -9}
+            options["randn"] = lambda *shape, numbers=numbers: numbers.standard_normal(shape)
             if controller.blind:
                 options["bounds"] = [0.0, 1.0]
             start, spread = genes.mean(axis=0), float(max(genes.std(), 0.05))

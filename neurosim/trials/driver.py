@@ -160,4 +160,10 @@ def _why_not_judged(task: Task, poses: bool, sensors: int) -> str | None:
         task.judge(standing)
     except UserError as error:
         return str(error)
+    except Exception as error:
+        # A task of a user's own need not look before it takes what is not there.
+        lacks = " and ".join(["poses"] * (not poses) + ["readings"] * (not sensors))
+        if not lacks:
+            raise
+        return f"it fails without {lacks} ({error})"
     return None
