@@ -511,7 +511,13 @@ def check_trainer(trainer: type[Trainer], *, generations: int = 2) -> None:
     Raises:
         AssertionError: saying what is wrong.
     """
-    for name in ("source", "settings_type", "default_generations", "default_hidden", "make_network"):
+    for name in (
+        "source",
+        "settings_type",
+        "default_generations",
+        "default_hidden",
+        "make_network",
+    ):
         _require(hasattr(trainer, name), f"a trainer has {name}")
     generator = torch.Generator().manual_seed(1)
     x = torch.rand(120, 5, generator=generator, dtype=torch.float64) * 100 - 50

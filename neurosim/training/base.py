@@ -107,7 +107,7 @@ class Trainer(Protocol):
     def __init__(
         self,
         data: TrainingData,
-        network: ProductSummationNetwork,
+        network: ProductSummationNetwork | Perceptron,
         settings: object,
         seed: int,
         device: str,
