@@ -22,12 +22,13 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
-from neurosim.controllers.base import NOT_READINGS, Controller
+from neurosim.controllers.base import Controller
 from neurosim.controllers.network import Network
 from neurosim.controllers.plan import COMMAND_NAMES, Plan
 from neurosim.controllers.registry import CONTROLLERS
 from neurosim.loop.settings import default_settings
 from neurosim.loop.stepped import SteppedRollouts
+from neurosim.networks.control import NOT_READINGS
 from neurosim.robots.base import Battery, Counters, Lamp, Proximity, Robot, Sensors, WholeSpeeds
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
