@@ -12,7 +12,8 @@ import matplotlib
 matplotlib.use("Agg")
 from matplotlib import pyplot as plt
 
-from neurosim.reports.course import draw_course
+from neurosim.reports.course import Paths, Scene, draw_course
+from neurosim.tasks.registry import make_task
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording
 
@@ -25,14 +26,12 @@ def main(demo: Path, out: Path) -> None:
     left.imshow(frame_with_trail(demo / "trial", trial)[..., ::-1])
     left.axis("off")
     left.set_title("what the roof camera sees, and the track found in it", fontsize=10)
-    side = trial["actual"]
+    predicted, actual = trial["predicted"], trial["actual"]
+    board = Recording(demo / "trial").meta["board"]
     draw_course(
         right,
-        trial["task"],
-        trial["predicted"]["poses"],
-        side["poses"],
-        side["path"],
-        rest=trial["predicted"]["rest"],
+        Scene.of(make_task(trial["task"]), board=board),
+        Paths(predicted["poses"], True, predicted["rest"], actual["poses"], actual["path"]),
     )
     right.set_title("predicted by the learned simulator, and driven", fontsize=10, loc="left")
     figure.savefig(out, dpi=110)

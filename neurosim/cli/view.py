@@ -1,4 +1,4 @@
-"""``neurosim view``: a picture of an arena with a robot in it."""
+"""``neurosim view``: a picture of a simulator, and of what a controller does in it."""
 
 from __future__ import annotations
 
@@ -11,39 +11,46 @@ from neurosim.cli._types import NUMBER, PATH, NumberIn
 
 
 @click.command()
-@click.argument("arena", type=PATH)
+@click.argument("place", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="The picture: .png, .svg or .pdf.")
-@click.option("--simulator", type=PATH, help="Folder of tables: shows what the sensors read.")
-@click.option("--controller", type=PATH, help="Folder of a network or plan: shows its path.")
+@click.option("--simulator", type=PATH, help="Where to drive, if PLACE is only an arena.")
+@click.option("--controller", type=PATH, help="What drives, of any kind: shows its path.")
 @click.option(
     "--pose",
     type=(NUMBER, NUMBER, NUMBER),
-    help="Where the robot starts: x and y in cm, heading in degrees.  [the arena's, or drawn]",
+    help="Where the robot starts: x and y in cm, heading in degrees.  [where its task starts, "
+    "the arena's, or drawn]",
 )
-@click.option("--seconds", type=NumberIn(0.1, 3600), default=20.0, show_default=True)
+@click.option(
+    "--seconds",
+    type=NumberIn(0.1, 3600),
+    help="How long a controller that sees drives.  [as long as its trial]",
+)
 @click.option("--noise/--no-noise", default=False, show_default=True)
+@click.option("--overwrite", is_flag=True, help="Replace a picture that exists; else it is kept.")
 @seed_option
 @json_option
 def view(
-    arena: Path,
+    place: Path,
     out: Path,
     simulator: Path | None,
     controller: Path | None,
     pose: tuple[float, float, float] | None,
-    seconds: float,
+    seconds: float | None,
     noise: bool,
+    overwrite: bool,
     seed: int,
     as_json: bool,
 ) -> None:
-    """Draw ARENA: a JSON file, or the folder of a simulator of tables, whose arena it is.
+    """Draw PLACE: the folder of a simulator of any kind, or the JSON file of an arena.
 
-    With a simulator and a controller the robot drives; it is drawn where it ends, with what its
-    sensors read there.
+    With a controller the robot drives through its task in the simulator; it is drawn where it
+    ends, with what its sensors read there.
     """
-    from neurosim.reports.arena import draw_arena
+    from neurosim.reports.view import draw_view
 
-    result = draw_arena(
-        arena,
+    result = draw_view(
+        place,
         out,
         simulator=simulator,
         controller=controller,
@@ -51,5 +58,12 @@ def view(
         seconds=seconds,
         noise=noise,
         seed=seed,
+        overwrite=overwrite,
     )
-    emit({"picture": str(out), **result}, as_json, str(out))
+    text = str(out)
+    if "fitness" in result:
+        why = "completes the task" if result["completes"] else f"the robot {result['reason']}"
+        text += f": fitness {result['fitness']:.4g}, {why}"
+    emit({"picture": str(out), **result}, as_json, text)
+    if result["note"]:
+        click.echo(f"neurosim: {result['note']}", err=True)

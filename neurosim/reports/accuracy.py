@@ -31,7 +31,7 @@ SHOWN = 50
 def test(artefacts: Artefacts) -> dict[int, HeldOut]:
     """Return predictions of held-out commands, by the simulator's place in ``artefacts``."""
     found = {}
-    for place, simulator in enumerate(artefacts.simulators):
+    for place, simulator in _learned(artefacts):
         pair = dataset_of(simulator, artefacts.datasets)
         if pair is not None:
             found[place] = held_out(simulator, *pair)
@@ -41,14 +41,16 @@ def test(artefacts: Artefacts) -> dict[int, HeldOut]:
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
     """Write the section on how well the simulators predict single commands."""
     blocks: list[Block] = []
-    if not artefacts.simulators:
+    learned = _learned(artefacts)
+    if not learned:
         blocks.append(_missing("how well single commands are predicted", "a simulator"))
     else:
         blocks += _table(artefacts, tests)
-        for place, simulator in enumerate(artefacts.simulators):
+        for place, simulator in learned:
             if place in tests:
-                blocks += _figures(simulator, tests[place], f"s{place}", artefacts)
-        if len(tests) < len(artefacts.simulators):
+                whose = f" ({simulator.name})" if len(learned) > 1 else ""
+                blocks += _figures(tests[place], f"s{place}", whose)
+        if len(tests) < len(learned):
             blocks.append(
                 _missing(
                     "predicted against actual values of held-out commands",
@@ -59,18 +61,45 @@ def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
 
 
 def learning(artefacts: Artefacts) -> Section | None:
-    """Write the section on how the simulators were learned; None without simulators."""
+    """Write the section on how simulators were learned; None if none was."""
     pictures = []
-    for place, simulator in enumerate(artefacts.simulators):
+    for place, simulator in _learned(artefacts):
         lines = history(simulator.meta)
         if lines:
             pictures.append(_learning_curve(simulator, lines, f"l{place}"))
-    if not artefacts.simulators:
+    if not _learned(artefacts):
         return None
     blocks: list[Block] = [Row(pictures)] if pictures else []
     if not pictures:
         blocks.append(Text("The simulator's folder holds no history of its training.", True))
     return Section("learning", "How the simulator was learned", blocks)
+
+
+def others(artefacts: Artefacts) -> Section | None:
+    """Write the section on simulators that no other section shows; None if there are none."""
+    rows = []
+    for one in artefacts.simulators:
+        if not (one.learned or one.sampled):
+            simulator = one.content
+            members = f"{simulator.members} members" if simulator.members > 1 else ""
+            parts = [part for part in ("noise" if simulator.has_noise else "", members) if part]
+            rows.append(
+                [
+                    one.name,
+                    str(one.meta["kind"]),
+                    ", ".join(simulator.command_names),
+                    ", ".join(simulator.reading_names) or "-",
+                    ", ".join(parts) or "-",
+                ]
+            )
+    head = ["simulator", "kind", "commands", "sensors", "uncertainty"]
+    table = Table("What they take and give", head, rows, words=True)
+    return Section("simulators", "Other simulators", [table]) if rows else None
+
+
+def _learned(artefacts: Artefacts) -> list[tuple[int, Artefact]]:
+    """Return the simulators that were learned from a dataset, each with its place among all."""
+    return [(place, one) for place, one in enumerate(artefacts.simulators) if one.learned]
 
 
 def history(meta: Mapping[str, Any]) -> dict[str, tuple[list[float], list[float]]]:
@@ -89,7 +118,7 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
     groups = [("paper", 2)]
     rows = [[words, *_errors(name, PAPER[name])] for name, words in OUTPUTS.items()]
     notes = []
-    for place, simulator in enumerate(artefacts.simulators):
+    for place, simulator in _learned(artefacts):
         if place in tests:
             table, how = tests[place].errors(), f"tested on {tests[place].how}"
         elif simulator.meta.get("test_errors"):
@@ -112,7 +141,7 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
     notes.append(
         "MSE, the mean squared error of equation 1, is in cm² and deg². The paper's figures are "
         "of another robot and other data (Pretorius et al. 2009, Table 2): they say what size of "
-        "error that road led to, not which method is better."
+        "error that method led to, not which is better."
     )
     return [
         Table(
@@ -129,9 +158,8 @@ def _errors(name: str, found: Mapping[str, Any]) -> list[str]:
     return [f"{found['mse']:.3f}", _error(name, found["mean_absolute_error"])]
 
 
-def _figures(simulator: Artefact, test_: HeldOut, prefix: str, artefacts: Artefacts) -> list[Block]:
+def _figures(test_: HeldOut, prefix: str, whose: str) -> list[Block]:
     blocks: list[Block] = []
-    whose = f" ({simulator.name})" if len(artefacts.simulators) > 1 else ""
     shown = min(SHOWN, len(test_.actual))
     clouds = []
     for column, name in ((2, "dtheta"), (0, "dx"), (1, "dy")):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,10 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.controllers import read_controller
-from neurosim.controllers.network_files import KIND as NETWORK
-from neurosim.simulators import TableSimulator, read_simulator
+from neurosim.simulators import read_simulator
+from neurosim.simulators.tables.arena import Arena
+from neurosim.tasks.base import Task
+from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
@@ -34,25 +37,32 @@ _FIELDS: dict[str, dict[str, type | tuple]] = {
     },
     "recording": {"robot": dict, "sessions": list},
     "dataset": {"rows": int, "sources": list, "left_out": dict},
-    "simulator": {"inputs": list, "outputs": list},
-    "controller": {"commands": list, "task": dict, "predicted": dict},
-}
-#: What else lies in the files of simulators and controllers of these kinds, in place of the above.
-_OTHER_FIELDS: dict[str, dict[str, type | tuple]] = {
-    TableSimulator.kind: {"sensors": dict, "motors": dict},
-    NETWORK: {"task": dict, "predicted": dict, "evolution": dict},
 }
 #: The newest version of each that this page reads.
 _VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
+#: What is read of each beside its JSON, and checked by that to the last number.
+_READERS: dict[str, Callable[[Path], Any]] = {
+    "dataset": Dataset.read,
+    "simulator": read_simulator,
+    "controller": read_controller,
+}
 
 
 @dataclass
 class Artefact:
-    """A folder of one kind, with what its JSON says."""
+    """A folder of one kind, with what its JSON says.
+
+    Attributes:
+        kind: one of :data:`KINDS`.
+        path: the folder.
+        meta: its JSON.
+        content: the dataset, the simulator or the saved controller itself; of others None.
+    """
 
     kind: str
     path: Path
     meta: dict[str, Any]
+    content: Any = None
 
     @property
     def name(self) -> str:
@@ -64,6 +74,52 @@ class Artefact:
         """The file that says what the folder is."""
         return self.path / f"{self.kind}.json"
 
+    @cached_property
+    def task(self) -> Task | None:
+        """The task of a controller or trial; None: it is of a package that is not installed here.
+
+        Raises:
+            FileError: if the task does not take the settings that the file gives it.
+        """
+        return task_of(self.meta["task"], self.json)
+
+    @property
+    def learned(self) -> bool:
+        """Whether this is a simulator that predicts single commands of a dataset."""
+        lists = isinstance(self.meta.get("inputs"), list) and isinstance(
+            self.meta.get("outputs"), list
+        )
+        return lists and (self.content is None or hasattr(self.content, "displacement"))
+
+    @property
+    def sampled(self) -> bool:
+        """Whether this is a simulator made of what a robot's own sensors and motors said."""
+        sensors = getattr(self.content, "sensors", None)
+        return hasattr(sensors, "bearings") and hasattr(self.content, "motors")
+
+    def numbers(self, field: str, value: Any, columns: int) -> NDArray[np.float64]:
+        """Return rows [N, columns] of finite numbers that a field of the JSON holds.
+
+        Raises:
+            FileError: if it does not.
+        """
+        try:
+            rows = np.array(value, float) if value != [] else np.empty((0, columns))
+        except (TypeError, ValueError):
+            rows = np.empty(0)
+        if rows.ndim != 2 or rows.shape[1] != columns or not np.isfinite(rows).all():
+            raise FileError(self.json, f"expected rows of {columns} numbers", field=field)
+        return rows
+
+    def number(self, field: str, value: Any) -> None:
+        """Check a number that may be missing.
+
+        Raises:
+            FileError: if something else is there.
+        """
+        if value is not None and not _is_number(value):
+            raise FileError(self.json, f"expected a number, found {value!r:.60}", field=field)
+
 
 @dataclass
 class Trial(Artefact):
@@ -72,15 +128,21 @@ class Trial(Artefact):
     recording: dict[str, Any] = field(default_factory=dict)
 
     @property
+    def by_command(self) -> bool:
+        """Whether the poses after each command are held against those predicted, as of a plan."""
+        return bool(self.meta["errors"])
+
+    @property
     def predicted(self) -> NDArray:
-        """Predicted poses (K + 1, 3): the start, and one after each given command."""
-        return np.array(self.meta["predicted"]["poses"], float).reshape(-1, 3)
+        """Predicted poses [K + 1, 3], the start first; [0, 3] where none are predicted."""
+        return np.array(self.meta["predicted"].get("poses") or [], float).reshape(-1, 3)
 
     @property
     def errors(self) -> NDArray:
-        """Distance (m) and difference of heading (rad) after each command (K, 2); NaN if unseen.
+        """Distance (m) and difference of heading (rad) after each command [K, 2]; NaN if unseen.
 
-        That at the start, before the first command, is not among them.
+        That at the start, before the first command, is not among them; where commands are not
+        held against a prediction, K is 0.
         """
         after = self.meta["errors"][-len(self.meta["commands"]) :]
         rows = [
@@ -94,6 +156,11 @@ class Trial(Artefact):
         """Whether the robot completed the task."""
         return bool(self.meta["actual"].get("completes"))
 
+    @property
+    def board(self) -> dict[str, float] | None:
+        """``length`` along x and ``width`` along y of the board it drove on, m, where known."""
+        return self.recording.get("board")
+
 
 @dataclass
 class Artefacts:
@@ -101,26 +168,66 @@ class Artefacts:
 
     trials: list[Trial] = field(default_factory=list)
     recordings: list[Artefact] = field(default_factory=list)
-    datasets: list[tuple[Artefact, Dataset]] = field(default_factory=list)
+    datasets: list[Artefact] = field(default_factory=list)
     simulators: list[Artefact] = field(default_factory=list)
     controllers: list[Artefact] = field(default_factory=list)
-    tables: list[tuple[Artefact, TableSimulator]] = field(default_factory=list)
-    networks: list[Artefact] = field(default_factory=list)
 
     @property
     def everything(self) -> list[Artefact]:
-        """Every folder, along the road from recording to trial."""
-        datasets = [artefact for artefact, _ in self.datasets]
-        tables = [artefact for artefact, _ in self.tables]
+        """Every folder, in the order of the pipeline, from recording to trial."""
         return [
-            *self.recordings, *datasets, *self.simulators, *tables, *self.controllers,
-            *self.networks, *self.trials,
+            *self.recordings, *self.datasets, *self.simulators, *self.controllers, *self.trials
         ]  # fmt: skip
+
+    @property
+    def by_commands(self) -> bool:
+        """Whether any of it is about commands of some duration, from recordings to plans."""
+        return bool(
+            self.recordings
+            or self.datasets
+            or any(trial.by_command for trial in self.trials)
+            or any(one.learned for one in self.simulators)
+            or any(one.content.controller.blind for one in self.controllers)
+        )
 
     @property
     def virtual(self) -> bool | None:
         """Whether any of it is from the virtual lab; None if nothing says where it is from."""
         return is_virtual([artefact.meta for artefact in self.everything])
+
+    def place_of(self, artefact: Artefact) -> list[dict[str, Any]]:
+        """Return the shapes of the place that a controller or trial is of; [] if none is known."""
+        if artefact.kind == "trial":
+            digest = artefact.meta["controller"].get("sha256")
+            own = [one for one in self.controllers if sha256(one.json) == digest]
+            return self.place_of(own[0]) if own else []
+        arena = artefact.meta["evolution"].get("arena")
+        if isinstance(arena, dict):
+            try:
+                return Arena.from_json(artefact.json, arena).shapes()
+            except UserError:
+                raise FileError(
+                    artefact.json, "expected an arena", field="evolution.arena"
+                ) from None
+        digest = artefact.meta["simulator"].get("sha256")
+        for simulator in self.simulators:
+            if sha256(simulator.json) == digest:
+                return simulator.content.outline()
+        return []
+
+
+def task_of(task: Mapping[str, Any], json: Path) -> Task | None:
+    """Return the task that a file names; None: it is of a package that is not installed here.
+
+    Raises:
+        FileError: if the task does not take the settings that the file gives it.
+    """
+    if task.get("name") not in TASKS.names():
+        return None
+    try:
+        return make_task(task)
+    except (UserError, TypeError, ValueError) as error:
+        raise FileError(json, str(error), field="task.settings") from None
 
 
 def gather(folders: Sequence[str | Path]) -> Artefacts:
@@ -137,24 +244,17 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         seen.add(path.resolve())
         kind = _kind(path)
-        json, named = path / f"{kind}.json", (f"neurosim-{kind}", _VERSIONS[kind])
-        other = read_json(json, *named).get("kind")
-        fields = _OTHER_FIELDS.get(other) if isinstance(other, str) else None
-        meta = read_json(json, *named, fields or _FIELDS[kind])
-        if kind == "simulator" and other == TableSimulator.kind:
-            found.tables.append((Artefact(kind, path, meta), TableSimulator.read(path)))
-        elif kind == "controller" and other == NETWORK:
-            found.networks.append(_network(path, meta))
-        elif kind == "trial":
+        meta = read_json(
+            path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FIELDS.get(kind)
+        )
+        if kind == "trial":
             found.trials.append(_trial(path, meta))
-        elif kind == "dataset":
-            found.datasets.append((Artefact(kind, path, meta), Dataset.read(path)))
-        else:
-            if kind == "controller":
-                read_controller(path)  # checks it, to the last number
-            elif kind == "simulator":
-                read_simulator(path)  # and its weights
-            getattr(found, f"{kind}s").append(Artefact(kind, path, meta))
+            continue
+        content = _READERS[kind](path) if kind in _READERS else None
+        artefact = Artefact(kind, path, meta, content)
+        if kind == "controller":
+            _check_controller(artefact)
+        getattr(found, f"{kind}s").append(artefact)
     if not seen:
         raise UserError("name at least one folder to report on")
     return found
@@ -171,42 +271,67 @@ def _kind(path: Path) -> str:
     raise FileError(path, f"is no folder that a report can show: it has none of {names}")
 
 
-def _network(path: Path, meta: dict[str, Any]) -> Artefact:
-    read_controller(path)
-    fitness = meta["predicted"].get("fitness")
-    if isinstance(fitness, bool) or not isinstance(fitness, int | float):
-        raise FileError(
-            path / "controller.json",
-            f"expected a number, found {fitness!r:.60}",
-            field="predicted.fitness",
-        )
-    return Artefact("controller", path, meta)
+def _check_controller(artefact: Artefact) -> None:
+    """Check what a report shows of a controller beside what its reader checks."""
+    predicted = artefact.meta["predicted"]
+    for name in ("fitness", "spread", "expected_fitness", "draws"):
+        artefact.number(f"predicted.{name}", predicted.get(name))
+    _ = artefact.task
 
 
 def _trial(path: Path, meta: dict[str, Any]) -> Trial:
-    json = path / "trial.json"
-    count = len(meta["commands"])
-    for part in ("predicted", "actual"):
-        poses = meta[part].get("poses")
-        if not isinstance(poses, list) or len(poses) != count + 1:
+    trial = Trial("trial", path, meta)
+    count, predicted, actual = len(meta["commands"]), meta["predicted"], meta["actual"]
+    if not isinstance(meta["task"].get("name"), str):
+        raise FileError(trial.json, "expected the name of a task", field="task.name")
+    _ = trial.task
+    trial.numbers("commands", meta["commands"], 3)
+    for part, values in (("predicted", predicted), ("actual", actual)):
+        for name in ("fitness", "probability"):
+            trial.number(f"{part}.{name}", values.get(name))
+        poses = values.get("poses")
+        seen = [pose for pose in poses or () if pose is not None]
+        trial.numbers(f"{part}.poses", seen, 3)
+        if trial.by_command and (not isinstance(poses, list) or len(poses) != count + 1):
             raise FileError(
-                json,
+                trial.json,
                 f"expected {count + 1} poses (the start, and one for each of {count} commands)",
                 field=f"{part}.poses",
             )
-    if not count or len(meta["errors"]) not in (count, count + 1):
-        raise FileError(json, f"expected one for each of {count} commands", field="errors")
-    recording = {}
-    if (path / "recording.json").exists():
-        recording = read_json(path / "recording.json", "neurosim-recording", 1)
-    trial = Trial("trial", path, meta, recording)
-    try:
-        _ = trial.predicted, trial.errors
-    except (KeyError, TypeError, ValueError):
+    trial.numbers("actual.path", actual.get("path") or [], 4)
+    _check_errors(trial, count)
+    late = meta.get("deadlines")
+    if late is not None and not _has_numbers(late, "steps", "missed", "worst_late_s"):
         raise FileError(
-            json, "expected predicted poses [x, y, theta] and errors {position, heading}"
-        ) from None
+            trial.json, "expected the numbers steps, missed and worst_late_s", field="deadlines"
+        )
+    if (path / "recording.json").exists():
+        trial.recording = read_json(path / "recording.json", "neurosim-recording", 1)
+    board = trial.board
+    if board is not None and not _has_numbers(board, "length", "width"):
+        raise FileError(
+            path / "recording.json", "expected the numbers length and width", field="board"
+        )
     return trial
+
+
+def _check_errors(trial: Trial, count: int) -> None:
+    errors = trial.meta["errors"]
+    if trial.by_command and (not count or len(errors) not in (count, count + 1)):
+        raise FileError(trial.json, f"expected one for each of {count} commands", field="errors")
+    for place, error in enumerate(errors):
+        if error is not None and not _has_numbers(error, "position", "heading"):
+            raise FileError(
+                trial.json, "expected the numbers position and heading", field=f"errors[{place}]"
+            )
+
+
+def _has_numbers(value: Any, *names: str) -> bool:
+    return isinstance(value, Mapping) and all(_is_number(value.get(name)) for name in names)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def files_of(artefact: Artefact) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""Whether what is said of the uncertain holds: intervals of commands, probabilities of plans."""
+"""Whether intervals of commands and probabilities of success hold what they say."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from neurosim.reports.page import Block, Picture, Row, Section, Table
 from neurosim.reports.predictions import HeldOut
 from neurosim.training.coverage import LEVELS
 
-#: Probabilities of plans are compared with what happened in so many bins.
+#: Probabilities of success are compared with what happened in so many bins.
 BINS = 5
 
 
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section | None:
-    """Write the section on uncertainty; None where nothing says how sure it is."""
+    """Write the section on uncertainty; None where nothing says how large it is."""
     blocks: list[Block] = []
-    told = {
+    ranks_of = {
         artefacts.simulators[place].name: (f"u{place}", test.central)
         for place, test in tests.items()
         if test.central is not None
     }
-    if told:
-        blocks.append(_intervals({name: ranks for name, (_, ranks) in told.items()}))
-        blocks.append(Row([_calibration(name, ranks, p) for name, (p, ranks) in told.items()]))
-    trials = foretold(artefacts.trials)
+    if ranks_of:
+        blocks.append(_intervals({name: ranks for name, (_, ranks) in ranks_of.items()}))
+        blocks.append(Row([_calibration(name, ranks, p) for name, (p, ranks) in ranks_of.items()]))
+    trials = with_probability(artefacts.trials)
     if trials:
-        blocks.append(_plans(trials))
-    return Section("certainty", "How sure it is, and whether rightly", blocks) if blocks else None
+        blocks.append(_trials(trials))
+    return Section("uncertainty", "Uncertainty: predicted and actual", blocks) if blocks else None
 
 
-def foretold(trials: Sequence[Trial]) -> list[Trial]:
+def with_probability(trials: Sequence[Trial]) -> list[Trial]:
     """Return the trials whose controllers carry a probability of success."""
     return [trial for trial in trials if trial.meta["predicted"].get("probability") is not None]
 
@@ -51,18 +51,21 @@ def brier(trials: Sequence[Trial]) -> tuple[float, float]:
     return float(np.mean((said - happened) ** 2)), float(base * (1.0 - base))
 
 
-def _intervals(told: Mapping[str, NDArray]) -> Table:
+def _intervals(ranks_of: Mapping[str, NDArray]) -> Table:
     rows = [
-        [f"{level:.0%}", *(f"{share:.0%}" for r in told.values() for share in (r <= level).mean(0))]
+        [
+            f"{level:.0%}",
+            *(f"{share:.0%}" for r in ranks_of.values() for share in (r <= level).mean(0)),
+        ]
         for level in LEVELS
     ]
     return Table(
         "Intervals of single commands: what they say they hold, and what they held",
-        ["said", *["dx", "dy", "dtheta"] * len(told)],
+        ["said", *["dx", "dy", "dtheta"] * len(ranks_of)],
         rows,
         note="Shares of the held-out commands of Table 2 that lay within the central interval of "
-        "that probability: the simulator's own doubt (its ensemble) and its noise together.",
-        groups=[(name, 3) for name in told],
+        "that probability: of the simulator's ensemble and its noise together.",
+        groups=[(name, 3) for name in ranks_of],
     )
 
 
@@ -78,7 +81,7 @@ def _calibration(name: str, ranks: NDArray, prefix: str) -> Picture:
     return Picture(svg, f"{words}; {100 * off:.0f} points off the diagonal at the most.")
 
 
-def _plans(trials: Sequence[Trial]) -> Table:
+def _trials(trials: Sequence[Trial]) -> Table:
     said = np.array([trial.meta["predicted"]["probability"] for trial in trials])
     happened = np.array([trial.completes for trial in trials], float)
     place = np.minimum((said * BINS).astype(int), BINS - 1)
@@ -92,12 +95,12 @@ def _plans(trials: Sequence[Trial]) -> Table:
         for low in range(BINS)
         if (place == low).any()
     ]
-    note = "Each controller said before how probably it completes the course."
+    note = "For each controller it was predicted how probably it completes the task."
     if len(trials) > 1:
         score, base = brier(trials)
         note += f" Brier score {score:.3f}; of always saying the base rate {base:.3f}."
     return Table(
-        "Probabilities of plans: said, and what happened",
+        "Probabilities of success: said, and what happened",
         ["said to complete", "trials", "said, mean", "completed"],
         rows,
         note=note,

@@ -1,37 +1,90 @@
-"""The board seen from above: rectangles, predicted and actual path (Figures 6 and 7)."""
+"""A task seen from above: its place and outline, predicted and actual path (Figures 6 and 7)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Circle, Polygon
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
+from neurosim.base.errors import UserError
 from neurosim.reports.svg import INK, drawing, to_svg
-from neurosim.tasks.nine_rectangles import COURSE, LAST, LENGTH, WIDTH, NineRectangles
-from tracking.datasets.recordings import DEFAULT_BOARD
 
-_LONGEST_ARC = NineRectangles().longest_arc
+#: An arc longer than this is no robot's path, where the task does not say another length, m.
+LONGEST_ARC = 1.5
+#: Pictures of less than this are in centimetres, m.
+_SMALL = 1.5
+
+Shape = Mapping[str, Any]
 
 
-def layout(task: Mapping[str, Any]) -> dict[int, tuple[float, float]]:
-    """Return the centre (x, y), m, of every rectangle of a task's course by its number.
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """What a picture shows beside the robot, all in m.
 
-    The start counts as 8, the forbidden centre as -1; a task without rectangles has none.
+    Attributes:
+        task: shapes of the task's outline, see :meth:`neurosim.tasks.base.Task.outline`.
+        place: shapes of the place that a simulator knows, drawn below these.
+        board: ``length`` along x and ``width`` along y of the board, where it is known.
+        longest_arc: see :func:`planned_path`.
     """
-    if task.get("name") != NineRectangles.name:
-        return {}
-    return {
-        LAST if number == 0 else int(number): ((column - 1) * LENGTH, (1 - row) * WIDTH)
-        for (row, column), number in np.ndenumerate(COURSE)
-    }
+
+    task: Sequence[Shape] = ()
+    place: Sequence[Shape] = ()
+    board: Mapping[str, float] | None = None
+    longest_arc: float = LONGEST_ARC
+
+    @classmethod
+    def of(
+        cls, task: Any, place: Sequence[Shape] = (), board: Mapping[str, float] | None = None
+    ) -> Scene:
+        """Return the scene of a task, or of none that is known here (None)."""
+        if task is None:
+            return cls((), place, board)
+        return cls(task.outline(), place, board, getattr(task, "longest_arc", LONGEST_ARC))
+
+    def corners(self) -> NDArray[np.float64]:
+        """Return points [N, 2] between which all of it lies."""
+        points = [_corners(shape) for shape in (*self.place, *self.task)]
+        if self.board is not None:
+            points.append(_box(self.board))
+        return np.concatenate([np.empty((0, 2)), *points])
 
 
-def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = _LONGEST_ARC) -> NDArray:
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """What a picture shows of a robot.
+
+    Attributes:
+        predicted: [K + 1, 3] poses (m, m, rad): before the first and after each command where
+            ``by_command``, else at every step.
+        by_command: whether the robot moves on an arc from each predicted pose to the next.
+        rest: predicted pose once the motors have run down after the last command, or None.
+        actual: poses as they were tracked after each command, None where the robot was not seen.
+        driven: [M, 4] time (s) and pose, of the whole drive.
+    """
+
+    predicted: ArrayLike = field(default_factory=lambda: np.empty((0, 3)))
+    by_command: bool = False
+    rest: Sequence[float] | None = None
+    actual: Sequence[Sequence[float] | None] = ()
+    driven: ArrayLike = field(default_factory=lambda: np.empty((0, 4)))
+
+    def ideal(self, longest: float = LONGEST_ARC) -> NDArray[np.float64]:
+        """Return the poses [N, 3] of the predicted path."""
+        ends = np.asarray(self.predicted, float).reshape(-1, 3)
+        if not self.by_command or not len(ends):
+            return ends
+        stops = ends if self.rest is None else np.vstack([ends, self.rest])
+        return planned_path(stops, longest=longest)
+
+
+def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = LONGEST_ARC) -> NDArray:
     """Return the poses (N, 3) of the constant-twist arcs from each pose to the next.
 
     Args:
@@ -55,112 +108,180 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = _LONG
     return np.concatenate(pieces)
 
 
-def course(
-    task: Mapping[str, Any],
-    predicted: Sequence[Sequence[float]],
-    actual: Sequence[Sequence[float] | None],
-    path: Sequence[Sequence[float]],
-    label: str,
-    prefix: str,
-    *,
-    rest: Sequence[float] | None = None,
-    board: Mapping[str, float] = DEFAULT_BOARD,
-    small: bool = False,
-) -> str:
-    """Draw the course with both paths.
+def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool = False) -> str:
+    """Draw both paths over a scene.
 
     Args:
-        task: its ``name`` and ``settings``.
-        predicted: poses before the first and after each given command.
-        actual: the same as they were tracked; None where the robot was not seen.
-        path: [t, x, y, theta] of the whole drive.
+        scene, paths: what is drawn.
         label: what the picture shows, in words.
         prefix: makes the picture's ids unique.
-        rest: predicted pose once the motors have run down after the last command.
-        board: ``length`` along x and ``width`` along y, m.
         small: one of many, without axes.
     """
-    with drawing(*((3.3, 2.45) if small else (5.4, 3.9))) as (figure, axes):
-        draw_course(axes, task, predicted, actual, path, rest=rest, board=board)
+    low, high = _bounds(scene, paths)
+    aspect = float(np.clip((high - low)[1] / (high - low)[0], 0.35, 1.3))
+    width = 3.3 if small else 5.4
+    height = width * aspect + 0.25 if small else (width - 0.6) * aspect + 0.7
+    with drawing(width, height) as (figure, axes):
+        draw_course(axes, scene, paths)
         if small:
             axes.set_axis_off()
         return to_svg(figure, label, prefix)
 
 
-def draw_course(
-    axes: Axes,
-    task: Mapping[str, Any],
-    predicted: Sequence[Sequence[float]],
-    actual: Sequence[Sequence[float] | None],
-    path: Sequence[Sequence[float]],
-    *,
-    rest: Sequence[float] | None = None,
-    board: Mapping[str, float] = DEFAULT_BOARD,
-) -> None:
-    """Draw the course with both paths into ``axes``; the arguments are those of :func:`course`."""
-    _ground(axes, task, board)
-    longest = task.get("settings", {}).get("longest_arc", _LONGEST_ARC)
-    ends = np.asarray(predicted, float)
-    stops = ends if rest is None else np.vstack([ends, rest])
-    ideal = planned_path(stops, longest=longest)
-    axes.plot(ideal[:, 0], ideal[:, 1], color=INK["predicted"], lw=1.8, label="predicted")
-    if len(path):
-        x, y = _thin(np.asarray(path, float)[:, 1:3]).T
+def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:
+    """Draw both paths over a scene into ``axes``, in cm where it is small, else in m."""
+    low, high = _bounds(scene, paths)
+    scale, unit = unit_of(low, high)
+    draw_scene(axes, scene, scale)
+    ideal, ends = paths.ideal(scene.longest_arc), np.asarray(paths.predicted, float).reshape(-1, 3)
+    driven = np.asarray(paths.driven, float).reshape(-1, 4)
+    if len(ideal):
+        x, y = scale * ideal[:, :2].T
+        axes.plot(x, y, color=INK["predicted"], lw=1.8, label="predicted")
+    if len(driven):
+        x, y = scale * _thin(driven[:, 1:3]).T
         axes.plot(x, y, color=INK["actual"], lw=1.8, ls=(0, (4, 1.6)), label="actual")
-    axes.plot(ends[1:, 0], ends[1:, 1], "o", ms=4.5, mew=0, color=INK["predicted"])
-    seen = np.array([pose for pose in actual[1:] if pose is not None], float).reshape(-1, 3)
-    axes.plot(seen[:, 0], seen[:, 1], "s", ms=4.5, mew=1.2, mec=INK["actual"], mfc=INK["paper"])
-    _numbers(axes, ends)
-    _arrow(axes, ends[0])
-    axes.set(aspect="equal", xlabel="x (m)", ylabel="y (m)")
+    if paths.by_command:
+        axes.plot(
+            *(scale * ends[1:, :2].T), "o", ms=4.5, mew=0, color=INK["predicted"]
+        )  # fmt: skip
+        seen = [pose for pose in paths.actual[1:] if pose is not None]
+        axes.plot(
+            *(scale * np.array(seen, float).reshape(-1, 3)[:, :2].T), "s", ms=4.5, mew=1.2,
+            mec=INK["actual"], mfc=INK["paper"],
+        )  # fmt: skip
+        _numbers(axes, ends, scale)
+    start = ends if len(ends) else driven[:, 1:]
+    if len(start):
+        _arrow(axes, start[0], scale, 0.06 * float(np.max(high - low)))
+    axes.set(aspect="equal", xlabel=f"x ({unit})", ylabel=f"y ({unit})")
     axes.margins(0.015)
-    axes.grid(visible=False)
-    axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
+    axes.grid(visible=not len(scene.corners()))
+    if len(ideal) or len(driven):
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
 
 
-def _ground(axes: Axes, task: Mapping[str, Any], board: Mapping[str, float]) -> None:
-    _box(axes, (0, 0), (board["length"], board["width"]), fc=INK["board"], ec=INK["muted"])
-    for number, (x, y) in layout(task).items():
-        if number > 0:
-            _box(axes, (x, y), (LENGTH, WIDTH), fc="none", ec=INK["muted"], lw=0.8)
-            axes.text(
-                x, y, str(number), ha="center", va="center", size=24, weight="bold",
-                color=INK["muted"], alpha=0.3, zorder=0.6,
-            )  # fmt: skip
-        else:
-            style = {"fc": INK["shade"], "ec": INK["muted"], "lw": 0.8, "hatch": "////"}
-            _box(axes, (x, y), (LENGTH, WIDTH), **style)
-            axes.text(
-                x, y, "forbidden", ha="center", va="center",
-                bbox={"fc": INK["board"], "ec": "none", "pad": 2},
-            )  # fmt: skip
+def unit_of(low: NDArray, high: NDArray) -> tuple[float, str]:
+    """Return how many units a metre is in a picture between two corners [2] (m), and the unit."""
+    return (100.0, "cm") if np.max(high - low) < _SMALL else (1.0, "m")
 
 
-def _box(axes: Axes, centre: Sequence[float], size: Sequence[float], **style: Any) -> None:
-    corner = (centre[0] - size[0] / 2, centre[1] - size[1] / 2)
-    style = {"lw": 1.0, "zorder": 0.5, **style}
-    axes.add_patch(Rectangle(corner, size[0], size[1], **style))
-    axes.update_datalim([corner, (corner[0] + size[0], corner[1] + size[1])])
+def draw_scene(axes: Axes, scene: Scene, scale: float = 1.0) -> None:
+    """Draw board, place and outline of the task, so many units to a metre.
+
+    Raises:
+        UserError: if a shape is none that can be drawn.
+    """
+    if scene.board is not None:
+        _polygon(axes, scale * _box(scene.board), fc=INK["board"], ec=INK["muted"], lw=1.0)
+    walls: dict[str, Any] = {"ec": INK["ink"], "lw": 2.2, "joinstyle": "miter"}
+    for shape in scene.place:
+        _draw(axes, shape, scale, walls)
+    for shape in scene.task:
+        _draw(axes, shape, scale, {"ec": INK["muted"], "lw": 0.8})
+
+
+def _draw(axes: Axes, shape: Shape, scale: float, edge: Mapping[str, Any]) -> None:
+    """Draw one shape; free polygons have the given edge."""
+    forbidden = bool(shape.get("forbidden"))
+    points = scale * _corners(shape)
+    if "text" in shape:
+        _text(axes, points[0], str(shape["text"]), forbidden)
+    elif "circle" in shape:
+        style = {"fc": INK["shade"], "ec": INK["ink"], "lw": 1.2}
+        free = {"fc": "none", "ec": INK["muted"], "lw": 1.0}
+        radius = (points[1, 0] - points[0, 0]) / 2
+        patch = Circle(points.mean(axis=0), radius, zorder=0.5, **(style if forbidden else free))
+        axes.add_patch(patch)
+        axes.update_datalim(points)
+    elif len(points) == 2:
+        ink, width = (INK["ink"], 2.2) if forbidden else (INK["muted"], 0.8)
+        axes.plot(*points.T, color=ink, lw=width, zorder=0.6)
+    elif forbidden:
+        style = {"fc": INK["shade"], "ec": INK["muted"], "lw": 0.8, "hatch": "////"}
+        _polygon(axes, points, **style)
+    else:
+        _polygon(axes, points, **{"fc": INK["board"], **edge})
     axes.autoscale_view()
 
 
-def _numbers(axes: Axes, ends: NDArray) -> None:
+def _text(axes: Axes, at: NDArray, text: str, forbidden: bool) -> None:
+    style: dict[str, Any] = {"bbox": {"fc": INK["board"], "ec": "none", "pad": 2}}
+    if not forbidden:
+        style = {
+            "size": 24, "weight": "bold", "color": INK["muted"], "alpha": 0.3, "zorder": 0.6
+        }  # fmt: skip
+    axes.text(*at, text, ha="center", va="center", clip_on=True, **style)
+
+
+def _polygon(axes: Axes, corners: NDArray, **style: Any) -> None:
+    axes.add_patch(Polygon(corners, zorder=0.5, **style))
+    axes.update_datalim(corners)
+    axes.autoscale_view()
+
+
+def _corners(shape: Shape) -> NDArray[np.float64]:
+    """Return points [N, 2] of a shape; of a circle the corners of the square around it."""
+    try:
+        if "polygon" in shape:
+            points = np.array(shape["polygon"], float).reshape(-1, 2)
+        elif "circle" in shape:
+            x, y, radius = map(float, shape["circle"])
+            points = np.array([[x - radius, y - radius], [x + radius, y + radius]])
+        else:
+            _ = shape["text"]
+            points = np.array(shape["at"], float).reshape(1, 2)
+    except (KeyError, TypeError, ValueError):
+        points = np.empty((0, 2))
+    if len(points) < 1 + ("polygon" in shape) or not np.isfinite(points).all():
+        raise UserError(
+            f"an outline has polygons [[x, y], ...], circles [x, y, radius] and texts at [x, y], "
+            f"not {shape!r:.80}"
+        )
+    return points
+
+
+def _box(board: Mapping[str, float]) -> NDArray[np.float64]:
+    half = np.array([board["length"], board["width"]]) / 2
+    return half * [[-1, -1], [1, -1], [1, 1], [-1, 1]]
+
+
+def _bounds(scene: Scene, paths: Paths) -> tuple[NDArray, NDArray]:
+    """Return the corners [2] between which everything lies, at least a centimetre apart."""
+    driven = np.asarray(paths.driven, float).reshape(-1, 4)[:, 1:3]
+    return bounds(scene, [paths.ideal(scene.longest_arc)[:, :2], driven])
+
+
+def bounds(scene: Scene, paths: Iterable[NDArray]) -> tuple[NDArray, NDArray]:
+    """Return the corners [2] (m) between which a scene and paths [N, 2] lie.
+
+    A side is at least a tenth of the other, and a centimetre.
+    """
+    points = np.concatenate([scene.corners(), *paths])
+    if not len(points):
+        points = np.zeros((1, 2))
+    low, high = points.min(axis=0), points.max(axis=0)
+    least = max(0.1 * float(np.max(high - low)), 0.01)
+    room = np.maximum(least - (high - low), 0.0) / 2
+    return low - room, high + room
+
+
+def _numbers(axes: Axes, ends: NDArray, scale: float) -> None:
     # Beside the path, on the side away from where it goes next.
     for number in range(1, len(ends)):
         heading = ends[number, 2] + np.pi / 2
         axes.annotate(
-            str(number), ends[number, :2], xytext=(9 * np.cos(heading), 9 * np.sin(heading)),
+            str(number), scale * ends[number, :2],
+            xytext=(9 * np.cos(heading), 9 * np.sin(heading)),
             textcoords="offset points", ha="center", va="center", size=8.5,
             color=INK["predicted"], bbox={"fc": INK["board"], "ec": "none", "pad": 0.6}, zorder=1.5,
         )  # fmt: skip
 
 
-def _arrow(axes: Axes, start: NDArray, length: float = 0.17) -> None:
-    x, y, heading = start
-    axes.annotate(
-        "", (x + length * np.cos(heading), y + length * np.sin(heading)), (x, y),
-        arrowprops={"arrowstyle": "-|>", "color": INK["ink"], "lw": 1.6},
-    )  # fmt: skip
+def _arrow(axes: Axes, start: NDArray, scale: float, length: float) -> None:
+    (x, y), heading = scale * start[:2], start[2]
+    tip = (x + scale * length * np.cos(heading), y + scale * length * np.sin(heading))
+    axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "-|>", "color": INK["ink"], "lw": 1.6})
     axes.plot(x, y, "o", ms=6, color=INK["ink"])
 
 

@@ -20,7 +20,8 @@ _MARKERS = ("front", "rear")
 def section(artefacts: Artefacts) -> Section:
     """Write the section on the data that was learned from."""
     blocks: list[Block] = []
-    for place, (artefact, dataset) in enumerate(artefacts.datasets):
+    for place, artefact in enumerate(artefacts.datasets):
+        dataset = artefact.content
         blocks += _rows(artefact, dataset)
         blocks += _timing(artefact)
         blocks += _colours(artefact)
@@ -115,16 +116,16 @@ def _colours(artefact: Artefact) -> list[Block]:
     """Write what the camera made of the markers' colours, session by session."""
     rows = [
         [
-            f"{told['recording']}, {told['session']}",
-            *(f"{told[m]['colour']}: {told[m]['rgb']}, {told[m]['sure']:.0%}" for m in _MARKERS),
-            "; ".join(sorted({told[m]["doubt"] for m in _MARKERS if told[m].get("doubt")})) or "-",
+            f"{seen['recording']}, {seen['session']}",
+            *(f"{seen[m]['colour']}: {seen[m]['rgb']}, {seen[m]['sure']:.0%}" for m in _MARKERS),
+            "; ".join(sorted({seen[m]["doubt"] for m in _MARKERS if seen[m].get("doubt")})) or "-",
         ]
-        for told in artefact.meta.get("markers", ())
-        if all("sure" in told.get(m, {}) for m in _MARKERS)
+        for seen in artefact.meta.get("markers", ())
+        if all("sure" in seen.get(m, {}) for m in _MARKERS)
     ]
     if not rows:
         return []
-    head = ["session", "front, how sure", "rear, how sure", "what speaks against it"]
+    head = ["session", "front, confidence", "rear, confidence", "what speaks against it"]
     title = f"{artefact.name}: the markers' colours as the camera saw them"
     return [Table(title, head, rows, words=True)]
 

@@ -20,7 +20,7 @@ class Picture:
 
 @dataclass
 class Row:
-    """Figures that belong together; side by side where there is room."""
+    """Figures that belong together; side by side where they fit."""
 
     pictures: list[Picture]
     kind: str = field(default="row", init=False)
@@ -28,7 +28,7 @@ class Row:
 
 @dataclass
 class Table:
-    """A table; the first column names the row, the others are numbers unless told otherwise.
+    """A table; the first column names the row, the others are numbers unless ``words``.
 
     Attributes:
         groups: a first line of the head, [(name, number of columns)] after the first column.

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from neurosim.base.files import sha256
 from neurosim.reports.artefacts import Artefact
-from neurosim.simulators import read_simulator
 from neurosim.training.coverage import central_ranks
 from neurosim.training.evaluate import errors, predict
 from neurosim.training.unicycle import unicycle
@@ -44,29 +43,23 @@ class HeldOut:
         return None if self.baseline is None else errors(self.baseline[1], self.actual)
 
 
-def dataset_of(
-    simulator: Artefact, datasets: list[tuple[Artefact, Dataset]]
-) -> tuple[Dataset, bool] | None:
+def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, bool] | None:
     """Return the dataset to test a simulator on, and whether it was trained on it.
 
     The one that it was trained on comes first; else the first with the same inputs.
     """
     names = [column["name"] for column in simulator.meta["inputs"]]
-    fitting = [pair for pair in datasets if list(pair[1].inputs) == names]
+    fitting = [one for one in datasets if list(one.content.inputs) == names]
     source = simulator.meta.get("source", {}).get("sha256")
-    for artefact, dataset in fitting:
+    for artefact in fitting:
         if source == sha256(artefact.path / "dataset.csv"):
-            return dataset, True
-    return (fitting[0][1], False) if fitting else None
+            return artefact.content, True
+    return (fitting[0].content, False) if fitting else None
 
 
 def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> HeldOut:
-    """Predict the commands of a dataset that a simulator was not trained on.
-
-    Raises:
-        FileError: if the simulator's files are wrong.
-    """
-    network = read_simulator(simulator.path)
+    """Predict the commands of a dataset that a simulator was not trained on."""
+    network = simulator.content
     seen, rows = dataset, dataset
     how = f"all {len(rows)} commands of another dataset than the one it was trained on"
     if trained_on_it:

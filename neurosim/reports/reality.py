@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from neurosim.base.statistics import wilson
 from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
-from neurosim.reports.course import course
+from neurosim.reports.controllers import unknown_tasks
+from neurosim.reports.course import Paths, Scene, course
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
-from tracking.datasets.recordings import DEFAULT_BOARD
 
 #: More trials than this are drawn no longer one by one.
 MOST_DRAWN = 24
@@ -25,24 +25,30 @@ def courses(artefacts: Artefacts) -> Section:
     trials = artefacts.trials
     blocks: list[Block] = []
     if not trials:
-        text = "Not shown: the predicted and the actual path over the course. "
+        text = "Not shown: the predicted and the actual path. "
         blocks.append(Text(text + "Add the folder of a trial to see it.", missing=True))
     else:
         pictures = [
-            _course(trial, f"c{place}", len(trials) > 1)
+            _course(trial, artefacts.place_of(trial), f"c{place}", len(trials) > 1)
             for place, trial in enumerate(trials[:MOST_DRAWN])
         ]
+        blocks += unknown_tasks(trials)
         blocks.append(pictures[0] if len(pictures) == 1 else Row(pictures))
         if len(trials) > MOST_DRAWN:
             blocks.append(Text(f"The first {MOST_DRAWN} of {len(trials)} trials are drawn."))
         if len(trials) > 1:
             blocks += [_rates(trials), _each(trials)]
         blocks += _commands(trials)
-    return Section("course", "The course: predicted and actual path", blocks)
+    return Section("course", "Trials: predicted and actual path", blocks)
 
 
-def growth(artefacts: Artefacts) -> Section:
-    """Write the section on how the errors grow from command to command."""
+def growth(artefacts: Artefacts) -> Section | None:
+    """Write the section on how the errors of plans grow from command to command.
+
+    None where the trials are of other controllers alone.
+    """
+    if artefacts.trials and not any(trial.by_command for trial in artefacts.trials):
+        return None
     trials = [trial for trial in artefacts.trials if not np.isnan(trial.errors).all()]
     blocks: list[Block] = []
     if not trials:
@@ -88,19 +94,18 @@ def label(trial: Trial) -> str:
     return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
 
 
-def _course(trial: Trial, prefix: str, small: bool) -> Picture:
-    meta = trial.meta
-    outcome = "completed" if trial.completes else "not completed"
+def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
+    meta, actual = trial.meta, trial.meta["actual"]
+    sides = {"predicted": len(trial.predicted), "actual": len(actual.get("path") or [])}
+    which = " and ".join(name for name, count in sides.items() if count) or "no known"
     count = len(meta["commands"])
-    words = (
-        f"{label(trial)}: predicted and actual path over the course, {count} commands; {outcome}"
-    )
-    svg = course(
-        meta["task"], meta["predicted"]["poses"], meta["actual"]["poses"],
-        meta["actual"].get("path") or [], words, prefix,
-        rest=meta["predicted"].get("rest"),
-        board=trial.recording.get("board", DEFAULT_BOARD), small=small,
+    words = f"{label(trial)}: {which} path, {count} commands; {_outcome(trial)}"
+    paths = Paths(
+        trial.predicted, trial.by_command, meta["predicted"].get("rest"),
+        actual.get("poses") or [], actual.get("path") or [],
     )  # fmt: skip
+    scene = Scene.of(trial.task, place, trial.board)
+    svg = course(scene, paths, words, prefix, small=small)
     caption = (
         f"{words}. Fitness {_figure(meta['predicted'].get('fitness'))} predicted, "
         f"{_figure(meta['actual'].get('fitness'))} actual."
@@ -110,9 +115,24 @@ def _course(trial: Trial, prefix: str, small: bool) -> Picture:
         caption += f" {offset}"
     if meta.get("ended_early"):
         caption += " The drive ended early: the robot was stopped before its last command."
+    if actual.get("seen_by") == "counters":
+        caption += " Its path is that of its own counters."
+    if meta.get("deadlines") is not None:
+        late = meta["deadlines"]
+        caption += (
+            f" Of {late['steps']} commands {late['missed']} were late, "
+            f"the worst by {1000 * late['worst_late_s']:.0f} ms."
+        )
     if meta["virtual"]:
         caption += " Virtual lab."
     return Picture(svg, caption)
+
+
+def _outcome(trial: Trial) -> str:
+    reason = trial.meta["actual"].get("reason")
+    if trial.completes:
+        return "completed"
+    return f"not completed: the robot {reason}" if reason else "not completed"
 
 
 def _placed(start: Any) -> str:
@@ -127,7 +147,10 @@ def _placed(start: Any) -> str:
 def _rates(trials: Sequence[Trial]) -> Table:
     groups: dict[str, list[Trial]] = {}
     for trial in trials:
-        groups.setdefault(f"{trial.meta['plan_length']} commands", []).append(trial)
+        length, kind = trial.meta.get("plan_length"), trial.meta.get("kind", "plan")
+        groups.setdefault(kind if length is None else f"{kind}, {length} commands", []).append(
+            trial
+        )
     if len(groups) > 1:
         groups["all"] = list(trials)
     rows = []
@@ -143,32 +166,41 @@ def _rates(trials: Sequence[Trial]) -> Table:
             ]
         )  # fmt: skip
     return Table(
-        "How often the course was completed",
+        "How often the task was completed",
         [
-            "plans of", "trials", "predicted to complete", "completed", "rate", "95 % interval",
+            "controllers", "trials", "predicted to complete", "completed", "rate", "95 % interval",
             "error, mean over commands", "error at the end, median",
             "heading error at the end, median",
         ],
         rows,
-        note="Commands are those of the plan, null ones included. The interval is Wilson's.",
+        note="Commands are those of a plan, null ones included. The interval is Wilson's.",
     )  # fmt: skip
 
 
 def _each(trials: Sequence[Trial]) -> Table:
+    late = any(trial.meta.get("deadlines") is not None for trial in trials)
     rows = [
         [
             label(trial), str(len(trial.meta["commands"])), "yes" if trial.completes else "no",
+            *([trial.meta["actual"].get("reason") or "-"] if late else []),
             _figure(trial.meta["predicted"].get("fitness")),
             _figure(trial.meta["actual"].get("fitness")), _mean(100 * pooled([trial], 0), "cm"),
             _mean(100 * final([trial], 0), "cm"), _mean(np.degrees(final([trial], 1)), "deg"),
+            *([_late(trial)] if late else []),
         ]
         for trial in trials
     ]  # fmt: skip
     head = [
-        "trial", "commands", "completed", "fitness predicted", "fitness actual",
-        "error, mean over commands", "error at the end", "heading error at the end",
+        "trial", "commands", "completed", *(["the robot"] if late else []), "fitness predicted",
+        "fitness actual", "error, mean over commands", "error at the end",
+        "heading error at the end", *(["commands sent late"] if late else []),
     ]  # fmt: skip
     return Table("Every trial", head, rows, folded=len(rows) > 12)
+
+
+def _late(trial: Trial) -> str:
+    late = trial.meta.get("deadlines")
+    return "-" if late is None else f"{late['missed']} of {late['steps']}"
 
 
 def _commands(trials: Sequence[Trial]) -> list[Block]:
@@ -178,7 +210,7 @@ def _commands(trials: Sequence[Trial]) -> list[Block]:
         "heading error (deg)",
     ]  # fmt: skip
     tables: list[Block] = []
-    for trial in trials[:MOST_DRAWN]:
+    for trial in [trial for trial in trials if trial.by_command][:MOST_DRAWN]:
         rows = []
         poses = zip(trial.predicted[1:], trial.meta["actual"]["poses"][1:], strict=True)
         both = zip(trial.meta["commands"], poses, trial.errors, strict=False)
@@ -256,8 +288,8 @@ def _figure(value: Any) -> str:
 
 
 def _mean(values: NDArray, unit: str) -> str:
-    return f"{values.mean():.1f} {unit}" if values.size else "not seen"
+    return f"{values.mean():.1f} {unit}" if values.size else "not known"
 
 
 def _median(values: NDArray, unit: str) -> str:
-    return f"{np.median(values):.1f} {unit}" if values.size else "not seen"
+    return f"{np.median(values):.1f} {unit}" if values.size else "not known"

@@ -12,7 +12,7 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import write_text
-from neurosim.reports import accuracy, certainty, data, plans, provenance, reality, tables
+from neurosim.reports import accuracy, certainty, controllers, data, provenance, reality, tables
 from neurosim.reports.artefacts import Artefacts, gather
 from neurosim.reports.page import Page
 from neurosim.reports.predictions import HeldOut
@@ -33,8 +33,9 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         if nothing says so), and what there is of ``trials``, ``completed``,
         ``mean_position_error`` (m, over all commands), ``final_position_error`` (m, median over
         trials, after the last command), ``mean_heading_error``, ``final_heading_error`` (rad),
-        ``network_fitness`` and ``change_at_transfer`` (a share; means over networks), and
-        ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
+        ``controller_fitness`` (predicted; the mean over controllers of one task) and
+        ``change_at_transfer`` (a share; the mean), ``missed_deadlines`` of the commands of trials,
+        and ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
 
     Raises:
         UserError: if nothing is named, or ``out`` is a folder.
@@ -47,15 +48,15 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
     tests = accuracy.test(artefacts)
     summary = summarise(artefacts, tests)
     sections = [
-        tables.networks(artefacts),
+        reality.courses(artefacts) if artefacts.trials or artefacts.by_commands else None,
+        reality.growth(artefacts) if artefacts.by_commands else None,
+        controllers.section(artefacts),
         tables.samples(artefacts),
-        reality.courses(artefacts) if _has_course(artefacts) else None,
-        reality.growth(artefacts) if _has_course(artefacts) else None,
-        accuracy.section(artefacts, tests) if _has_course(artefacts) else None,
+        accuracy.section(artefacts, tests) if artefacts.by_commands else None,
+        accuracy.others(artefacts),
         certainty.section(artefacts, tests),
         accuracy.learning(artefacts),
-        plans.section(artefacts),
-        data.section(artefacts) if _has_course(artefacts) else None,
+        data.section(artefacts) if artefacts.by_commands else None,
         provenance.section(artefacts),
     ]
     page = Page(
@@ -92,38 +93,42 @@ def summarise(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> dict[str, A
         summary["test"] = {
             artefacts.simulators[place].name: test.errors() for place, test in tests.items()
         }
-    if artefacts.networks:
-        fitness = [one.meta["predicted"]["fitness"] for one in artefacts.networks]
-        summary["network_fitness"] = float(np.mean(fitness))
-        changes = [tables.change_at_transfer(one) for one in artefacts.networks]
-        told = [change for change in changes if change is not None]
-        if told:
-            summary["change_at_transfer"] = float(np.mean(told))
+    found = artefacts.controllers
+    fitness = [one.meta["predicted"].get("fitness") for one in found]
+    if found and None not in fitness and len(controllers.by_task(found)) == 1:
+        summary["controller_fitness"] = float(np.mean(fitness))
+    changes = [controllers.change_at_transfer(one) for one in found]
+    if any(change is not None for change in changes):
+        summary["change_at_transfer"] = float(np.mean([c for c in changes if c is not None]))
+    late = [trial.meta["deadlines"] for trial in trials if trial.meta.get("deadlines") is not None]
+    if late:
+        summary["missed_deadlines"] = sum(one["missed"] for one in late)
     summary["verdict"] = _verdict(artefacts, summary)
     return summary
 
 
-def _has_course(artefacts: Artefacts) -> bool:
-    """Return whether there is anything but simulators of tables and networks."""
-    others = len(artefacts.tables) + len(artefacts.networks)
-    return len(artefacts.everything) > others
-
-
 def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
-    if not _has_course(artefacts):
-        text = tables.verdict(artefacts) if artefacts.networks else "No network was given."
-    elif artefacts.trials:
-        text = f"{_completed(artefacts)} {_distance(summary, artefacts)}"
+    trials, tried = artefacts.trials, bool(artefacts.trials)
+    parts = []
+    if tried:
+        parts.append(_completed(artefacts))
+        if any(trial.by_command for trial in trials):
+            parts.append(_distance(summary, artefacts))
+        parts.append(_deadlines(artefacts))
     elif "test" in summary:
         name, errors = next(iter(summary["test"].items()))
         error = {output: found["mean_absolute_error"] for output, found in errors.items()}
-        text = (
+        parts.append(
             f"The simulator {name} predicts a held-out command to within {error['dx']:.2f} cm "
-            f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average. "
-            "No trial was given: whether the robot completes the course is not known."
+            f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average."
         )
-    else:
-        text = "No trial was given: whether the robot completes the course is not known."
+    if not tried:
+        parts.append(controllers.verdict(artefacts.controllers))
+        if artefacts.by_commands:
+            parts.append("No trial was given: whether the robot completes the task is not known.")
+        elif not artefacts.controllers:
+            parts.append("No controller was given.")
+    text = " ".join(part for part in parts if part)
     return f"{text} (Virtual lab.)" if artefacts.virtual else text
 
 
@@ -135,12 +140,20 @@ def _completed(artefacts: Artefacts) -> str:
     chance = given.pop() if len(given) == 1 else None
     said = "" if chance is None else f"; the simulator had given it {100 * chance:.0f} %"
     if len(trials) > 1:
-        return f"The robot completed the course in {done} of {len(trials)} trials{said}."
+        return f"The robot completed the task in {done} of {len(trials)} trials{said}."
     if done:
-        return f"The robot completed the course{said}."
+        return f"The robot completed the task{said}."
     if chance is None and predicted[0].get("completes"):
         said = ", though the simulator said that it would"
-    return f"The robot did not complete the course{said}."
+    reason = trials[0].meta["actual"].get("reason")
+    why = f": it {reason}" if reason else ""
+    return f"The robot did not complete the task{said}{why}."
+
+
+def _deadlines(artefacts: Artefacts) -> str:
+    late = [one for trial in artefacts.trials if (one := trial.meta.get("deadlines")) is not None]
+    missed, steps = (sum(one[name] for one in late) for name in ("missed", "steps"))
+    return f"Of {steps} commands {missed} were sent late." if missed else ""
 
 
 def _distance(summary: Mapping[str, Any], artefacts: Artefacts) -> str:
@@ -153,7 +166,7 @@ def _distance(summary: Mapping[str, Any], artefacts: Artefacts) -> str:
         "would be"
     )
     if "final_position_error" not in summary:
-        if all(trial.meta.get("ended_early") for trial in artefacts.trials):
+        if all(trial.meta.get("ended_early") for trial in artefacts.trials if trial.by_command):
             return f"{text}; the drive ended before its last command."
         return f"{text}; at the end it was not seen."
     several = " (median)" if summary["trials"] > 1 else ""
@@ -167,24 +180,25 @@ def _good(artefacts: Artefacts) -> bool | None:
 
 def _title(artefacts: Artefacts) -> str:
     if artefacts.trials:
-        name = str(artefacts.trials[0].meta["task"].get("name", "")).replace("-", " ")
+        names = dict.fromkeys(trial.meta["task"]["name"] for trial in artefacts.trials)
+        tasks = ", ".join(names).replace("-", " ")
         count = len(artefacts.trials)
-        return f"From a robot to a plan: {name}, {count} trial{'s' * (count != 1)}"
+        return f"From a robot to a controller: {tasks}, {count} trial{'s' * (count != 1)}"
     kinds = dict.fromkeys(artefact.kind for artefact in artefacts.everything)
-    if not _has_course(artefacts):
-        return f"A robot's own samples: {', '.join(kinds)}"
-    return f"From a robot to a plan: {', '.join(kinds)}"
+    return f"From a robot to a controller: {', '.join(kinds)}"
 
 
 def _key_figures(summary: Mapping[str, Any]) -> list[tuple[str, str]]:
     figures = []
-    if "network_fitness" in summary:
-        figures.append((f"{summary['network_fitness']:.0f}", "fitness in the simulator, mean"))
+    if "controller_fitness" in summary:
+        figures.append((f"{summary['controller_fitness']:.4g}", "fitness in the simulator, mean"))
     if "change_at_transfer" in summary:
         change = f"{100 * summary['change_at_transfer']:+.1f} %"
         figures.append((change, "change of the best at the transfer, mean"))
     if "trials" in summary:
         figures.append((f"{summary['completed']} of {summary['trials']}", "trials completed"))
+    if "missed_deadlines" in summary:
+        figures.append((str(summary["missed_deadlines"]), "commands sent late"))
     several = ", median" if summary.get("trials", 0) > 1 else ""
     for key, name in (
         ("mean_position_error", "position error, mean over commands"),

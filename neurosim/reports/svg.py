@@ -30,7 +30,7 @@ INK = {
     "board": "#f4f1ea",
 }
 
-#: Pixels that a point of a drawing may grow to, where there is room.
+#: Pixels that a point of a drawing may grow to, where the page is wide enough.
 _SCALE = 1.75
 
 _STYLE = {

@@ -75,8 +75,8 @@ def test_generations_on_a_robot(folder):
     assert made.evolution["robot"]["virtual"] is True
     call("report", folder / "driven", "-o", folder / "page.html")
     assert "(Virtual lab.)" in (folder / "page.html").read_text()
-    assert "from generation 4 on the robot (Figure 3)" in (folder / "page.html").read_text()
-    assert "(Figure 4)" in (folder / "page.html").read_text()
+    assert "from generation 4 on the robot" in (folder / "page.html").read_text()
+    assert "in the simulator and on the robot, start 1" in (folder / "page.html").read_text()
 
 
 @pytest.mark.parametrize("virtual", [True, False, None])
@@ -226,16 +226,17 @@ def test_view_counts_what_the_network_was_evolved_for(folder, tmp_path):
     net = tmp_path / "net"
     shutil.copytree(folder / "net", net)
     found = json.loads((net / "controller.json").read_text())
-    for fitness, here in (("cells", True), ("of-somebody-else", False)):
-        found["task"]["settings"]["fitness"] = fitness
-        (net / "controller.json").write_text(json.dumps(found))
-        words = ["--controller", net, "--pose", 15, 10, 90, "--seconds", 5]
-        done = call("view", folder / "sim", *words, "-o", tmp_path / "x.png", "--json")
-        result = json.loads(done.stdout)
-        assert ("fitness" in result) is here
-        path = np.array(result["path"])[:, :2]
-        if here:
-            assert result["fitness"] == len(set(map(tuple, np.floor(path / 0.05))))
+    words = ["view", folder / "sim", "--controller", net, "--pose", 15, 10, 90, "--seconds", 5]
+    found["task"]["settings"]["fitness"] = "cells"
+    (net / "controller.json").write_text(json.dumps(found))
+    result = json.loads(call(*words, "-o", tmp_path / "x.png", "--json").stdout)
+    path = np.array(result["path"])[:, :2]
+    assert result["fitness"] == len(set(map(tuple, np.floor(path / 0.05))))
+    found["task"]["settings"]["fitness"] = "of-somebody-else"
+    (net / "controller.json").write_text(json.dumps(found))
+    with pytest.raises(FileError, match=r"task\.settings.*not 'of-somebody-else'"):
+        call(*words, "-o", tmp_path / "y.png")
+    assert not (tmp_path / "y.png").exists()
 
 
 def test_view_of_a_plan(folder):
@@ -256,7 +257,9 @@ def test_view_of_a_plan(folder):
         "view", folder / "sim", "--controller", folder / "plan", "--pose", 10, 10, 0,
         "-o", folder / "plan.png", "--json",
     )  # fmt: skip
-    assert json.loads(done.stdout)["pose"] == pytest.approx([0.15, 0.1, 0])
+    result = json.loads(done.stdout)
+    assert result["pose"] == pytest.approx([0.15, 0.1, 0])
+    assert "the task x is not registered on this computer" in result["note"]
 
 
 @pytest.mark.parametrize(

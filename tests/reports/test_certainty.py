@@ -26,7 +26,9 @@ def test_probabilities_of_plans_against_what_happened(tmp_path):
     (table,) = certainty.section(artefacts, {}).blocks
     assert table.rows == [["0% to 20%", "1", "10%", "0%"], ["80% to 100%", "3", "87%", "67%"]]
     # (0.01 + 0.01 + 0.64 + 0.01) / 4, and 1/2 x 1/2 of two in four
-    assert certainty.brier(certainty.foretold(artefacts.trials)) == pytest.approx((0.1675, 0.25))
+    assert certainty.brier(certainty.with_probability(artefacts.trials)) == pytest.approx(
+        (0.1675, 0.25)
+    )
     assert "Brier score 0.168; of always saying the base rate 0.250" in table.note
 
 

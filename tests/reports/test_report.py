@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from report_artefacts import (
     LEGS,
-    TASK,
     make_controller,
     make_dataset,
     make_simulator,
@@ -53,8 +52,9 @@ def test_ids_are_unique_and_references_lead_somewhere(whole):
 
 def test_every_figure_is_told_in_words(whole):
     page = whole[3]
-    # Course, two of growth, three series and scatters, learning, evolution, three histograms.
-    assert len(page.svgs) == 1 + 2 + 3 + 3 + 1 + 1 + 3
+    # Trial, two of growth, evolution, a plan that was not tried, three series and scatters,
+    # learning, three histograms.
+    assert len(page.svgs) == 1 + 2 + 1 + 1 + 3 + 3 + 1 + 3
     assert all(svg["role"] == "img" and svg["aria-label"] for svg in page.svgs)
 
 
@@ -74,7 +74,7 @@ def test_verdict_gives_the_trials_own_errors(whole):
     assert summary["final_position_error"] == position[-1]
     assert summary["mean_heading_error"] == pytest.approx(np.mean(heading))
     assert (summary["trials"], summary["completed"], summary["virtual"]) == (1, 1, True)
-    assert summary["verdict"].startswith("The robot completed the course.")
+    assert summary["verdict"].startswith("The robot completed the task.")
     assert (
         f"{100 * np.mean(position):.1f} cm and {np.degrees(np.mean(heading)):.1f} degrees"
         in (summary["verdict"])
@@ -170,9 +170,9 @@ def test_several_trials(tmp_path):
     ends = [trial["errors"][9]["position"] for trial in read[1:]]
     assert summary["completed"] == 3
     assert summary["final_position_error"] == pytest.approx(np.median(ends))
-    row = page.table(["plans of"])[1]
+    row = page.table(["controllers", "trials"])[1]
     # Wilson's interval of 3 in 4, by hand: (0.75 + 0.4802) / 1.9604 -+ 0.3269.
-    assert row[:6] == ["9 commands", "4", "4", "3", "75%", "30% to 95%"]
+    assert row[:6] == ["plan, 9 commands", "4", "4", "3", "75%", "30% to 95%"]
     growth = page.table(["after command"])[1:]
     assert [line[1] for line in growth] == ["4"] * 8 + ["3"]
     third = [100 * trial["errors"][3]["position"] for trial in read]
@@ -185,7 +185,7 @@ def test_missing_parts_are_named(tmp_path):
     text = Page(tmp_path / "page.html").text
     assert "Add the folder of a trial to see it." in text
     assert "Add the folder of a simulator to see it." in text
-    assert "whether the robot completes the course is not known" in text
+    assert "whether the robot completes the task is not known" in text
 
 
 def test_simulator_alone_shows_what_its_training_found(tmp_path):
@@ -211,7 +211,7 @@ def test_real_robot_is_not_called_virtual(tmp_path):
     summary = write_report(folders, tmp_path / "page.html")
     assert summary["virtual"] is False
     assert summary["verdict"].startswith(
-        "The robot did not complete the course, though the simulator said that it would."
+        "The robot did not complete the task, though the simulator said that it would."
     )
     assert "Virtual lab" not in Page(tmp_path / "page.html").text
 
@@ -221,16 +221,14 @@ def test_the_verdict_names_the_chance_that_the_plan_was_given(tmp_path):
         make_trial(tmp_path / f"t{n}", n, completes=n == 0, probability=0.874) for n in range(3)
     ]
     one = write_report(trials[1:2], tmp_path / "one.html")["verdict"]
-    assert one.startswith(
-        "The robot did not complete the course; the simulator had given it 87 %. "
-    )
+    assert one.startswith("The robot did not complete the task; the simulator had given it 87 %. ")
     three = write_report(trials, tmp_path / "three.html")["verdict"]
     assert three.startswith(
-        "The robot completed the course in 1 of 3 trials; the simulator had given it 87 %. "
+        "The robot completed the task in 1 of 3 trials; the simulator had given it 87 %. "
     )
     trials[2] = make_trial(tmp_path / "other", 2, completes=False, probability=0.5)
     mixed = write_report(trials, tmp_path / "mixed.html")["verdict"]
-    assert mixed.startswith("The robot completed the course in 1 of 3 trials. ")
+    assert mixed.startswith("The robot completed the task in 1 of 3 trials. ")
 
 
 def test_robot_never_seen(tmp_path):
@@ -303,18 +301,7 @@ def test_path_between_poses_is_the_constant_twist_arc():
     assert len(planned_path([(0, 0, 0), (0, 0, 0), (0, 0, 1)])) == 3
 
 
-def test_rectangles_lie_as_the_task_judges_them():
-    from neurosim.reports.course import layout
-    from neurosim.tasks.nine_rectangles import NineRectangles
-
-    places = layout(TASK)
-    assert sorted(places) == [-1, 1, 2, 3, 4, 5, 6, 7, 8]
-    for number, (x, y) in places.items():
-        assert NineRectangles().region([x, y, 0.0]) == (0 if number == 8 else number)
-    assert layout({"name": "something else"}) == {}
-
-
-def test_importing_the_room_is_quick():
+def test_importing_the_package_is_quick():
     code = (
         "import sys, neurosim.reports; "
         "print([name for name in ('matplotlib', 'torch', 'pandas') if name in sys.modules])"

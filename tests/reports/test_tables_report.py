@@ -1,4 +1,4 @@
-"""The page of simulators of tables and of networks: what was sampled, Figures 3 and 4."""
+"""The page of simulators of tables and of networks: what was sampled, and what came of it."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from report_page import Page
 
 from neurosim.base.errors import FileError
 from neurosim.controllers import Network, SavedController
-from neurosim.reports import tables, write_report
+from neurosim.reports import controllers, write_report
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import paper_arena
 
@@ -37,7 +37,7 @@ def test_samples(tmp_path):
     write_report([simulator(tmp_path / "sim")], out)
     page = Page(out)
     assert {"samples", "provenance"} <= set(page.ids)
-    assert "plans" not in page.ids
+    assert "controllers" not in page.ids
     sensors, motors = page.tables[:2]
     # The third sensor of the made-up table looks 10 degrees to the left, as a wall 8 / 10 as
     # bright stands there; the spread is that of the noise.
@@ -60,27 +60,30 @@ def test_networks_with_transfer_and_trajectories(tmp_path):
     ]
     out = tmp_path / "page.html"
     summary = write_report(folders, out)
-    assert summary["network_fitness"] == pytest.approx(245)
+    assert summary["controller_fitness"] == pytest.approx(245)
     assert summary["change_at_transfer"] == pytest.approx(-0.025)
     assert "-2.5 % of its fitness on average" in summary["verdict"]
-    assert "2 networks reach a fitness of 245 of at most 500" in summary["verdict"]
+    assert "2 controllers reach a fitness of 245 of at most 500" in summary["verdict"]
     assert "From the same start its path there is 2.0 cm off" in summary["verdict"]
     page = Page(out)
     text = out.read_text()
-    assert "from generation 3 on the robot (Figure 3)" in text
+    assert "from generation 3 on the robot" in text
     assert "2.0 cm apart, median" in text
-    assert page.tables[0][1] == ["a", "190.0", "4.0", "3", "90.0, 80.0"]
+    (row,) = [row for row in page.table(["controller", "kind"]) if row[0] == "a"]
+    assert row == ["a", "network", "18 genes", "190", "4", "3", "90, 80"]
 
 
 def test_cells_have_no_highest_number(tmp_path):
     cells = network(tmp_path / "a", [10.0], [5.0], fitness="cells")
     verdict = write_report([cells], tmp_path / "page.html")["verdict"]
-    assert verdict == "The network reaches a fitness of 10 in the simulator."
+    assert verdict == "The controller reaches a fitness of 10 in the simulator."
 
 
 def test_one_generation_is_drawn_as_a_point(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(tables, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>")
+    monkeypatch.setattr(
+        controllers, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>"
+    )
     write_report([network(tmp_path / "a", [10.0], [5.0])], tmp_path / "page.html")
     (axes,) = drawn[0].axes
     assert [line.get_marker() for line in axes.lines] == ["o", "o"]
@@ -89,7 +92,9 @@ def test_one_generation_is_drawn_as_a_point(tmp_path, monkeypatch):
 
 def test_the_legend_stands_beside_the_lines(tmp_path, monkeypatch):
     drawn = []
-    monkeypatch.setattr(tables, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>")
+    monkeypatch.setattr(
+        controllers, "to_svg", lambda figure, *_: drawn.append(figure) or "<svg></svg>"
+    )
     low = network(tmp_path / "a", [30.0, 300.0, 20.0], [10.0, 20.0, 10.0], transfer=2)
     write_report([low], tmp_path / "page.html")
     (axes,) = drawn[0].axes

@@ -1,0 +1,359 @@
+"""The controllers' part of the page: what was evolved, how, and what is expected of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from neurosim.base.errors import FileError
+from neurosim.base.files import sha256
+from neurosim.loop.objectives import TIE
+from neurosim.reports.artefacts import Artefact, Artefacts
+from neurosim.reports.charts import ragged
+from neurosim.reports.course import Paths, Scene, course, draw_scene, unit_of
+from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
+from neurosim.reports.svg import INK, drawing, to_svg
+
+#: More controllers than this are drawn no longer one by one.
+MOST_DRAWN = 24
+#: What histories show where something else than the fitness was maximised, by the objective.
+_SHOWN = {
+    "progress": "graded progress",
+    "probability": f"probability of success + fitness / {1 / TIE:,.0f}",
+}
+
+
+def section(artefacts: Artefacts) -> Section | None:
+    """Write the section on the controllers; None without any."""
+    found = artefacts.controllers
+    if not found:
+        return None
+    blocks: list[Block] = [_predictions(found), _tasks(found), *unknown_tasks(found)]
+    pictures = [*_evolutions(found), *_paths(artefacts)]
+    if pictures:
+        blocks.append(Row(pictures))
+    driven = [(one, drives) for one in found if (drives := trajectories(one))]
+    blocks += [
+        Row(
+            [
+                _trajectories(one, artefacts.place_of(one), f"tj{n}-{k}", k, drive)
+                for k, drive in enumerate(drives)
+            ]
+        )
+        for n, (one, drives) in enumerate(driven[:MOST_DRAWN])
+    ]
+    return Section("controllers", "The controllers", blocks)
+
+
+def unknown_tasks(found: Sequence[Artefact]) -> list[Text]:
+    """Return a sentence on each task that is not registered here."""
+    names = dict.fromkeys(one.meta["task"]["name"] for one in found if one.task is None)
+    return [
+        Text(
+            f"The task {name} is not registered on this computer, so that its outline is not "
+            "drawn; install the package that offers it."
+        )
+        for name in names
+    ]
+
+
+def verdict(found: Sequence[Artefact]) -> str:
+    """Say what the simulators expect of controllers, in a sentence or two for each task."""
+    sentences = []
+    groups = by_task(found)
+    for group in groups:
+        fitness = [
+            value for one in group if (value := one.meta["predicted"].get("fitness")) is not None
+        ]
+        if not fitness:
+            continue
+        task = group[0].task
+        most = None if task is None else task.highest_fitness
+        of = "" if most is None else f" of at most {most:.4g}"
+        at = f"At {group[0].meta['task']['name']}, " if len(groups) > 1 else ""
+        if len(fitness) == 1:
+            text = f"{at}the controller reaches a fitness of {fitness[0]:.4g}{of} in the simulator"
+            chance = group[0].meta["predicted"].get("probability")
+            if chance is not None:
+                text += f", and succeeds with a probability of {100 * chance:.0f} %"
+        else:
+            text = (
+                f"{at}{len(fitness)} controllers reach a fitness of {np.mean(fitness):.4g}{of} in "
+                f"the simulator on average ({min(fitness):.4g} to {max(fitness):.4g})"
+            )
+        sentences.append(f"{text[0].upper()}{text[1:]}.")
+    changes = [change for one in found if (change := change_at_transfer(one)) is not None]
+    if changes:
+        sentences.append(
+            "At the transfer to the robot the best of the population changed by "
+            f"{100 * np.mean(changes):+.1f} % of its fitness{' on average' * (len(changes) > 1)}, "
+            "in single trials of generations that follow each other."
+        )
+    drives = [drive for one in found for drive in trajectories(one)]
+    if drives:
+        apart = np.median([_apart(drive) for drive in drives])
+        sentences.append(
+            f"From the same start its path there is {100 * apart:.1f} cm off (median)."
+        )
+    return " ".join(sentences)
+
+
+def by_task(found: Sequence[Artefact]) -> list[list[Artefact]]:
+    """Return controllers in groups of the same task and settings."""
+    groups: dict[str, list[Artefact]] = {}
+    for one in found:
+        groups.setdefault(_key(one), []).append(one)
+    return list(groups.values())
+
+
+def history(controller: Artefact) -> dict[str, Any]:
+    """Return what a controller's file says of its generations.
+
+    ``best`` and ``mean`` of each, ``robust_best`` and ``robust_mean`` of those of robust
+    evolution, and ``transfer``, the number of generations before the robot took the simulator's
+    place, where there are any.
+
+    Raises:
+        FileError: if the history is not that.
+    """
+    found = controller.meta["evolution"].get("history") or {}
+    lines: dict[str, Any] = {}
+    try:
+        for prefix in ("", "robust_"):
+            names = [prefix + name for name in ("best", "mean") if found.get(prefix + name)]
+            rows = [controller.numbers("", [found[name]], len(found[name]))[0] for name in names]
+            if len({len(row) for row in rows}) > 1 or (rows and prefix + "best" not in names):
+                raise ValueError
+            lines |= dict(zip(names, rows, strict=True))
+        transfer = found.get("transfer")
+        if transfer is not None:
+            if not 0 < int(transfer) <= len(lines["best"]):
+                raise ValueError
+            lines["transfer"] = int(transfer)
+    except (AttributeError, FileError, KeyError, TypeError, ValueError):
+        raise FileError(
+            controller.json, "expected best and mean of every generation", field="evolution.history"
+        ) from None
+    return lines
+
+
+def trajectories(controller: Artefact) -> list[dict[str, NDArray[np.float64]]]:
+    """Return drives from the same starts, {"simulated", "robot"}: poses [T + 1, 3] each.
+
+    Raises:
+        FileError: if what the controller holds is not that.
+    """
+    name = "evolution.trajectories"
+    found = controller.meta["evolution"].get("trajectories") or []
+    try:
+        return [
+            {side: controller.numbers(name, drive[side], 3) for side in ("simulated", "robot")}
+            for drive in found
+        ]
+    except (FileError, KeyError, TypeError):
+        raise FileError(controller.json, "expected poses [x, y, theta]", field=name) from None
+
+
+def change_at_transfer(controller: Artefact) -> float | None:
+    """Return the change of the population's best from simulator to robot, as a share of it."""
+    lines = history(controller)
+    transfer, best = lines.get("transfer"), lines.get("best", ())
+    if transfer is None or transfer >= len(best) or best[transfer - 1] == 0:
+        return None
+    return float(best[transfer] / best[transfer - 1] - 1.0)
+
+
+def _key(controller: Artefact) -> str:
+    task = controller.meta["task"]
+    return json.dumps([task["name"], task.get("settings")], sort_keys=True)
+
+
+def _predictions(found: Sequence[Artefact]) -> Table:
+    """Write the table of predicted figures; a column that nothing is known for is left out."""
+    columns: dict[str, Callable[[Artefact], str]] = {
+        "kind": lambda one: one.content.kind,
+        "size": _size,
+        "fitness predicted": lambda one: _figure(one, "fitness"),
+        "spread of a trial": lambda one: _figure(one, "spread"),
+        "completes": _completes,
+        "probability of success": _chance,
+        "outcomes drawn": lambda one: _figure(one, "draws"),
+        "generations": _generations,
+        "mean at transfer, at the end": _before_and_after,
+        "fitness on the robot": _on_robot,
+    }
+    rows = [[one.name, *(column(one) for column in columns.values())] for one in found]
+    shown = [0, *(k for k in range(1, len(columns) + 1) if any(row[k] for row in rows))]
+    head = ["controller", *columns]
+    return Table(
+        "Controllers, as their simulators predict them",
+        [head[k] for k in shown],
+        [[row[k] or "-" for k in shown] for row in rows],
+        note="Completes: whether the path that the simulator expects, without noise, does the "
+        "task. Probability: over drawn outcomes.",
+    )
+
+
+def _figure(controller: Artefact, name: str) -> str:
+    value = controller.meta["predicted"].get(name)
+    return "" if value is None else f"{value:,}" if isinstance(value, int) else f"{value:.4g}"
+
+
+def _size(controller: Artefact) -> str:
+    saved = controller.content
+    if not saved.commands:
+        return f"{len(saved.genes)} genes"
+    null = len(saved.commands) - len(saved.given)
+    return f"{len(saved.given)} commands" + (f", {null} null" if null else "")
+
+
+def _completes(controller: Artefact) -> str:
+    completes = controller.meta["predicted"].get("completes")
+    return "" if completes is None else "yes" if completes else "no"
+
+
+def _chance(controller: Artefact) -> str:
+    chance = controller.meta["predicted"].get("probability")
+    return "" if chance is None else f"{chance:.1%}"
+
+
+def _generations(controller: Artefact) -> str:
+    lines = history(controller)
+    counts = [str(len(lines[name])) for name in ("best", "robust_best") if name in lines]
+    return " + ".join(counts) + (" robust" if "robust_best" in lines else "")
+
+
+def _before_and_after(controller: Artefact) -> str:
+    lines = history(controller)
+    if "transfer" not in lines or "mean" not in lines:
+        return ""
+    return f"{lines['mean'][lines['transfer'] - 1]:.4g}, {lines['mean'][-1]:.4g}"
+
+
+def _on_robot(controller: Artefact) -> str:
+    found = controller.meta["evolution"].get("robot_fitness")
+    if not isinstance(found, dict):
+        return ""
+    for name in ("mean", "spread"):
+        controller.number(f"evolution.robot_fitness.{name}", found.get(name, ""))
+    return f"{found['mean']:.4g} +- {found['spread']:.2g}"
+
+
+def _tasks(found: Sequence[Artefact]) -> Table:
+    groups = by_task(found)
+    rows = []
+    for group in groups:
+        task = group[0].meta["task"]
+        settings = task.get("settings") or {}
+        said = ", ".join(f"{name} {json.dumps(value)}" for name, value in settings.items())
+        rows.append([task["name"], said or "-", ", ".join(one.name for one in group)])
+    return Table("Their tasks", ["task", "settings", "controllers"], rows, words=True)
+
+
+def _evolutions(found: Sequence[Artefact]) -> list[Picture]:
+    """Draw fitness over generations, of controllers of the same task together."""
+    pictures = []
+    for prefix, words in (("", "Evolution"), ("robust_", "Robust evolution")):
+        groups: dict[tuple[str, str], list[Artefact]] = {}
+        for one in found:
+            if prefix + "best" in history(one):
+                groups.setdefault((_key(one), _shown(one, prefix)), []).append(one)
+        for place, ((_, shown), group) in enumerate(groups.items()):
+            whose = f" for {group[0].meta['task']['name']}" if len(groups) > 1 else ""
+            pictures.append(_evolution(group, prefix, shown, words + whose, f"n{prefix}{place}"))
+    return pictures
+
+
+def _shown(controller: Artefact, prefix: str) -> str:
+    """Return what a history shows, in words."""
+    settings = controller.meta["evolution"].get("settings")
+    part = settings if isinstance(settings, dict) else {}
+    if prefix:
+        part = part.get("robust") if isinstance(part.get("robust"), dict) else {}
+    return _SHOWN.get(str(part.get("objective")), "fitness")
+
+
+def _evolution(group: Sequence[Artefact], prefix: str, shown: str, title: str, ids: str) -> Picture:
+    every = [history(one) for one in group]
+    transfers = [] if prefix else sorted({one["transfer"] for one in every if "transfer" in one})
+    with drawing(6.2, 3.2) as (figure, axes):
+        for name, label, ink in (("best", "best", "predicted"), ("mean", "mean", "third")):
+            table = ragged([one[prefix + name] for one in every if prefix + name in one])
+            if not table.size:
+                continue
+            number = np.arange(1, table.shape[1] + 1)
+            for row in table if len(table) > 1 else ():
+                axes.plot(number, row, color=INK[ink], lw=0.6, alpha=0.3)
+            axes.plot(
+                number, np.nanmean(table, axis=0), color=INK[ink], lw=1.8, label=label,
+                marker="o" if len(number) == 1 else None,
+            )  # fmt: skip
+        for place, transfer in enumerate(transfers):
+            axes.axvline(
+                transfer + 0.5, color=INK["actual"], ls="--", lw=1.2,
+                label=None if place else "onto the robot",
+            )  # fmt: skip
+        axes.set_xlabel("generation")
+        axes.set_ylabel(shown)
+        axes.set_ylim(bottom=min(0.0, axes.get_ylim()[0]))
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True, min_n_ticks=1))
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0)
+        label = f"{title}: {shown} of the population's best and its mean over generations"
+        svg = to_svg(figure, label, ids)
+    runs = "" if len(group) == 1 else f", average of {len(group)} runs (each one thin)"
+    after = f"; from generation {transfers[0] + 1} on the robot" if transfers else ""
+    return Picture(svg, f"{label}{runs}{after}.")
+
+
+def _paths(artefacts: Artefacts) -> list[Picture]:
+    """Draw the expected paths of controllers of which no trial is on the page."""
+    tried = {trial.meta["controller"].get("sha256") for trial in artefacts.trials}
+    pictures = []
+    for place, one in enumerate(artefacts.controllers):
+        predicted = one.meta["predicted"]
+        if not predicted.get("poses") or len(pictures) == MOST_DRAWN or sha256(one.json) in tried:
+            continue
+        words = f"{one.name}: the path that the simulator expects"
+        scene = Scene.of(one.task, artefacts.place_of(one))
+        paths = Paths(predicted["poses"], one.content.controller.blind, predicted.get("rest"))
+        svg = course(scene, paths, words, f"p{place}")
+        pictures.append(Picture(svg, f"{words}; no trial was given to compare it with."))
+    return pictures
+
+
+def _trajectories(
+    controller: Artefact, place: Any, prefix: str, which: int, drive: dict[str, NDArray]
+) -> Picture:
+    scene = Scene.of(controller.task, place)
+    points = np.concatenate([scene.corners(), *(path[:, :2] for path in drive.values())])
+    low, high = points.min(axis=0), points.max(axis=0)
+    scale, unit = unit_of(low, high)
+    aspect = (high[1] - low[1]) / max(high[0] - low[0], 1e-3)
+    with drawing(6.0, float(np.clip(5.4 * aspect, 2.0, 6.0)) + 0.7) as (figure, axes):
+        draw_scene(axes, scene, scale)
+        axes.grid(visible=not len(scene.corners()))
+        for name, ink, style in (("simulated", "predicted", "--"), ("robot", "actual", "-")):
+            x, y = scale * drive[name][:, :2].T
+            axes.plot(x, y, color=INK[ink], ls=style, lw=1.4, label=name)
+        x, y = scale * drive["robot"][0, :2]
+        axes.plot(x, y, "o", ms=5, mfc=INK["paper"], mec=INK["ink"])
+        axes.set(aspect="equal", xlabel=f"x, {unit}", ylabel=f"y, {unit}")
+        axes.margins(0.03)
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0)
+        label = f"{controller.name}: the same controller in the simulator and on the robot"
+        svg = to_svg(figure, label, prefix)
+    return Picture(
+        svg, f"{label}, start {which + 1}, the circle: {100 * _apart(drive):.1f} cm apart, median."
+    )
+
+
+def _apart(drive: dict[str, NDArray]) -> float:
+    """Return the median distance between simulator and robot, m."""
+    count = min(map(len, drive.values()))
+    off = drive["simulated"][:count, :2] - drive["robot"][:count, :2]
+    return float(np.median(np.linalg.norm(off, axis=1)))

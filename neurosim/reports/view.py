@@ -1,0 +1,370 @@
+"""A picture of a simulator's place, a task's outline, the robot in it and the path it took."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Polygon, Wedge
+from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import atomic_path
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers import FixedPlan, SavedController, read_controller
+from neurosim.controllers.plan import COMMAND_NAMES
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.stepped import SteppedRollouts
+from neurosim.reports.artefacts import task_of
+from neurosim.reports.course import Scene, bounds, draw_scene, planned_path, unit_of
+from neurosim.reports.svg import INK
+from neurosim.simulators import Simulator, read_simulator
+from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.tables.simulator import RADIUS
+from neurosim.tasks.base import Task
+
+SUFFIXES = (".png", ".svg", ".pdf")
+#: A controller of a task that is not registered here drives for so long, s.
+SECONDS = 20.0
+#: The path of a plan is followed in pieces of its commands of at most so long, s; where a
+#: simulator then says something else (by more than this, m and rad), poses are joined by arcs.
+_PIECE, _SAME = 0.1, 1e-3
+#: A robot whose size is not known is drawn as an arrow of this share of the picture.
+_ARROW = 0.02
+
+
+def draw_view(
+    place: str | Path,
+    out: str | Path,
+    *,
+    simulator: str | Path | None = None,
+    controller: str | Path | None = None,
+    pose: tuple[float, float, float] | None = None,
+    seconds: float | None = None,
+    noise: bool = False,
+    seed: int = 0,
+    overwrite: bool = False,
+) -> dict[str, Any]:
+    """Draw a simulator of any kind, or an arena, and what a controller does there, into a file.
+
+    Args:
+        place: the folder of a simulator, or the JSON file of an arena.
+        out: the picture, .png, .svg or .pdf.
+        simulator: folder of another simulator to drive in, in the arena that ``place`` has.
+        controller: folder of what drives, of any kind.
+        pose: x and y in cm, heading in degrees where it starts; by default where its task starts.
+        seconds: how long a controller that sees drives; by default as long as its task's trial.
+        noise: whether the simulator's noise (and the member of an ensemble) is drawn.
+        seed: of the noise and of a start that is drawn at random.
+        overwrite: whether a picture that stands at ``out`` is replaced.
+
+    Returns:
+        ``pose`` (m, m, rad) at the end; ``readings`` where there are sensors; of a controller the
+        ``path`` [N, 3], its ``steps``, and by its task's judgement of this one drive ``fitness``,
+        ``completes`` and ``reason``; ``note``, a sentence on what could not be done, or None.
+
+    Raises:
+        UserError: if a file is not what it should be, the robot does not fit where it is to
+            start, a controller does not fit the simulator, there is a controller and no
+            simulator, or a picture is not to be replaced.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in SUFFIXES:
+        raise UserError(f"{out}: a picture ends in {', '.join(SUFFIXES)}")
+    if out.exists() and not overwrite:
+        raise UserError(f"{out} exists; name another picture, or add --overwrite to replace it")
+    found, arena = _place(place, simulator)
+    rng = np.random.default_rng(seed)
+    saved = task = note = None
+    if controller is not None:
+        if found is None:
+            raise UserError("a path needs a simulator to drive in: give --simulator")
+        saved = read_controller(controller)
+        task, note = _task(saved, Path(controller) / "controller.json", found)
+    start = _start(found, arena, task, pose, rng)
+    path, stops, result = start[None], None, {}
+    if saved is not None and task is not None and found is not None:
+        evaluator, episode = Evaluator(found, task, saved.controller), task.episode
+        if seconds is not None:
+            episode = replace(episode, steps=max(round(seconds / episode.step), 1))
+        trajectory = _drive(found, saved, episode, start, rng if noise else None)
+        path, stops = _path(found, saved, episode, trajectory, noise)
+        result = {"path": path, "steps": trajectory.commands.shape[-2]}
+        if note is None:
+            judged = evaluator.task.judge(trajectory)
+            reason, completes = int(judged.reason[0, 0]), bool(judged.success[0, 0])
+            result |= {
+                "fitness": float(judged.fitness[0, 0]),
+                "completes": completes,
+                "reason": None if completes else task.reasons[reason],
+            }
+    result["pose"], result["note"] = path[-1], note
+    place_shapes = [] if arena is None else arena.shapes()
+    if found is not None:
+        place_shapes = found.outline()
+        if found.reading_names:
+            generator = torch.Generator().manual_seed(seed) if noise else None
+            standing = found.start(torch.from_numpy(path[-1:]))
+            result["readings"] = found.sense(standing, generator)[0].numpy()
+    figure = picture(
+        Scene.of(task, place_shapes), path, stops, simulator=found, readings=result.get("readings")
+    )
+    with atomic_path(out) as partial:
+        figure.savefig(partial, dpi=160)
+    return result
+
+
+def picture(
+    scene: Scene,
+    path: NDArray[np.float64],
+    stops: NDArray[np.float64] | None = None,
+    *,
+    simulator: Simulator | None = None,
+    readings: NDArray | None = None,
+) -> Figure:
+    """Return the picture; the robot stands at the end of its path [N, 3] (m, m, rad).
+
+    Args:
+        scene: place and outline of the task.
+        path: where the robot was.
+        stops: [K, 3] where commands of a plan ended, or None.
+        simulator: knows the robot's size and where its sensors look; None: an arena alone.
+        readings: [S] of the sensors at the end, or None.
+    """
+    low, high = bounds(scene, [path[:, :2]])
+    scale, unit = unit_of(low, high)
+    extent = float(np.max(high - low))
+    low, high = low - 0.03 * extent, high + 0.03 * extent
+    width = 7.0
+    height = float(np.clip(width * (high - low)[1] / (high - low)[0], 2.5, 9.0))
+    bars = readings is not None
+    figure = Figure((width + 0.6, height + (1.9 if bars else 0.5)), layout="constrained")
+    FigureCanvasAgg(figure)
+    figure.set_facecolor(INK["paper"])
+    grid = figure.add_gridspec(2 if bars else 1, 1, height_ratios=[height, 1.2] if bars else [1])
+    axes = figure.add_subplot(grid[0])
+    draw_scene(axes, scene, scale)
+    (x1, y1), (x2, y2) = scale * low, scale * high
+    axes.set(xlim=(x1, x2), ylim=(y1, y2), aspect="equal")
+    _draw_path(axes, path, stops, scale)
+    radius = RADIUS if simulator is None else simulator.radius
+    bearings = None if simulator is None else simulator.bearings
+    if radius is not None and readings is not None and bearings is not None:
+        _wedges(axes, path[-1], readings, bearings, radius, scale)
+    _robot(axes, path[-1], radius, scale, _ARROW * extent)
+    _labels(axes, f"x, {unit}", f"y, {unit}")
+    if readings is not None and simulator is not None:
+        _bars(figure.add_subplot(grid[1]), readings, simulator.reading_names, bearings)
+    return figure
+
+
+def _place(
+    place: str | Path, simulator: str | Path | None
+) -> tuple[Simulator | None, Arena | None]:
+    """Return the simulator to drive in, if any, and the arena, if there is one."""
+    if not Path(place).is_dir():
+        arena = Arena.read(place)
+    elif simulator is None:
+        found = read_simulator(place)
+        return found, getattr(found, "arena", None)
+    else:
+        arena = getattr(read_simulator(place), "arena", None)
+        if arena is None:
+            raise UserError(f"{place} has no arena to drive in; name that of --simulator alone")
+    if simulator is None:
+        return None, arena
+    found = read_simulator(simulator)
+    if not hasattr(found, "changed") or not hasattr(found, "arena"):
+        raise UserError(f"{simulator}: a simulator of the kind {found.kind} has no arena")
+    return found.changed(arena=arena), arena
+
+
+class _Unknown(Task):
+    """A task that is not registered here, as far as a controller's file tells."""
+
+    def __init__(self, saved: SavedController, readings: bool):
+        self.name = saved.task["name"]  # type: ignore[misc]
+        self.start = saved.start
+        settings = saved.task.get("settings") or {}
+        steps = [settings.get(name) for name in ("step", "duration")]
+        known = [s for s in steps if isinstance(s, int | float) and 0.001 <= s <= 10]
+        self._step, self._readings = float(known[0]) if known else 0.1, readings
+
+    @property
+    def episode(self) -> Episode:
+        return Episode(self._step, max(round(SECONDS / self._step), 1), readings=self._readings)
+
+
+def _task(saved: SavedController, json: Path, simulator: Simulator) -> tuple[Task, str | None]:
+    """Return a controller's task, and a sentence where it is not registered here."""
+    task = task_of(saved.task, json)
+    if task is not None:
+        return task, None
+    return _Unknown(saved, bool(simulator.reading_names)), (
+        f"the task {saved.task['name']} is not registered on this computer: its outline is not "
+        "drawn, and the drive is not judged"
+    )
+
+
+def _start(
+    simulator: Simulator | None,
+    arena: Arena | None,
+    task: Task | None,
+    pose: tuple[float, float, float] | None,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    """Return where the robot starts: as given, where its task says, or at a free place."""
+    radius = RADIUS if simulator is None or simulator.radius is None else simulator.radius
+    if task is not None and simulator is not None:
+        drawn = task.draw_starts(simulator, 1, rng)
+    elif arena is not None:
+        drawn = arena.free_poses(1, radius, rng)
+    else:
+        drawn = None if simulator is None else simulator.free_poses(1, rng)
+    if pose is not None:
+        start = np.array([pose[0] / 100, pose[1] / 100, math.radians(pose[2])])
+    elif drawn is None:
+        start = np.asarray((0.0, 0.0, 0.0) if task is None else task.start, np.float64)
+    else:
+        own = None if arena is None else arena.start
+        start = drawn[0] if own is None else np.array(own)
+    if arena is not None:
+        arena.check_start(start, radius)
+    return start
+
+
+def _drive(
+    simulator: Simulator,
+    saved: SavedController,
+    episode: Episode,
+    start: NDArray[np.float64],
+    rng: np.random.Generator | None,
+) -> Trajectory:
+    """Return the trajectory [1, 1, ...] of one robot: as expected, or with noise from ``rng``."""
+    family = saved.controller
+    rollouts = simulator.rollouts(family, episode) or SteppedRollouts(simulator, family, episode)
+    if rng is not None:
+        draws = rollouts.draw(start[None], rng)
+    else:
+        draws = Draws(start[None], np.array([-1]) if simulator.members > 1 else None)
+    return rollouts.run(saved.genes[None], draws)
+
+
+def _path(
+    simulator: Simulator,
+    saved: SavedController,
+    episode: Episode,
+    trajectory: Trajectory,
+    noise: bool,
+) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
+    """Return the poses [N, 3] on the way, and of a plan those at the ends of commands [K, 3].
+
+    What happens during a command is what the simulator says of its pieces, where that leads to
+    the same place; else the arc of constant twist.
+    """
+    assert trajectory.poses is not None
+    poses = trajectory.poses[0, 0]
+    if not saved.controller.blind:
+        return poses, None
+    commands, active = saved.controller.commands(saved.genes[None], 0.0)
+    given = commands[0][active[0]]
+    ends = np.flatnonzero(active[0]) + 1
+    if tuple(saved.controller.outputs) == COMMAND_NAMES and not noise:
+        parts = np.maximum(np.ceil(given[:, 2] / _PIECE - 1e-9), 1).astype(int)
+        pieces = [
+            (left, right, duration / count)
+            for (left, right, duration), count in zip(given.tolist(), parts.tolist(), strict=True)
+            for _ in range(count)
+        ]
+        cut = replace(saved, controller=FixedPlan(tuple(pieces)), genes=np.empty(0))
+        fine = _drive(simulator, cut, episode, poses[0], None).poses
+        assert fine is not None
+        if np.abs(fine[0, 0, np.cumsum(parts)] - poses[ends]).max() < _SAME:
+            return fine[0, 0], poses[ends]
+    return planned_path(np.concatenate([poses[[0, *ends]], poses[-1:]])), poses[ends]
+
+
+def _draw_path(axes: Axes, path: NDArray, stops: NDArray | None, scale: float) -> None:
+    if len(path) < 2:
+        return
+    x, y = scale * path[:, :2].T
+    axes.plot(x, y, color=INK["predicted"], lw=1.4, solid_joinstyle="round", zorder=2)
+    if stops is not None:
+        axes.plot(*(scale * stops[:, :2].T), "o", ms=4, mew=0, color=INK["predicted"], zorder=3)
+    axes.plot(x[0], y[0], "o", ms=6, mfc=INK["paper"], mec=INK["predicted"], mew=1.4, zorder=3)
+    axes.annotate(
+        "start", (x[0], y[0]), (6, 6), textcoords="offset points", fontsize=8,
+        color=INK["predicted"], path_effects=[withStroke(linewidth=3, foreground=INK["board"])],
+        zorder=3,
+    )  # fmt: skip
+
+
+def _wedges(
+    axes: Axes, pose: NDArray, readings: NDArray, bearings: NDArray, radius: float, scale: float
+) -> None:
+    """Draw what each sensor reads, in the direction in which it looks."""
+    (x, y), heading, size = scale * pose[:2], math.degrees(pose[2]), scale * radius
+    for bearing, reading in zip(np.degrees(bearings), readings, strict=True):
+        if math.isfinite(bearing):
+            middle, reach = heading + bearing, size * (1.08 + 1.3 * float(reading))
+            axes.add_patch(
+                Wedge(
+                    (x, y), reach, middle - 9, middle + 9, width=reach - 1.08 * size,
+                    fc=INK["actual"], ec="none", alpha=0.85, zorder=4,
+                )
+            )  # fmt: skip
+
+
+def _robot(axes: Axes, pose: NDArray, radius: float | None, scale: float, arrow: float) -> None:
+    """Draw the robot: a disc with an arrow, or the arrow alone where its size is not known."""
+    (x, y), theta = scale * pose[:2], pose[2]
+    size = scale * (arrow if radius is None else radius)
+    if radius is not None:
+        axes.add_patch(Circle((x, y), size, fc=INK["paper"], ec=INK["ink"], lw=1.6, zorder=5))
+    nose = (0.95, 0.0), (-0.45, 0.55), (-0.2, 0.0), (-0.45, -0.55)
+    turn = np.array([[math.cos(theta), -math.sin(theta)], [math.sin(theta), math.cos(theta)]])
+    corners = np.array([x, y]) + 0.8 * size * np.array(nose) @ turn.T
+    axes.add_patch(Polygon(corners, fc=INK["ink"], ec="none", zorder=6))
+
+
+def _bars(axes: Axes, readings: NDArray, names: Sequence[str], bearings: NDArray | None) -> None:
+    places = np.arange(len(readings))
+    axes.bar(places, np.ones(len(readings)), 0.62, color=INK["grid"])
+    axes.bar(places, readings, 0.62, color=INK["actual"])
+    for place, reading in zip(places, readings, strict=True):
+        axes.annotate(
+            f"{reading:.2f}", (place, reading), (0, 2), textcoords="offset points", ha="center",
+            fontsize=7.5, color=INK["ink"],
+        )  # fmt: skip
+    labels = [name.removeprefix("sensor_") for name in names]
+    if bearings is not None:
+        looks = [
+            f"{degrees:+.0f}°" if degrees == degrees else "" for degrees in np.degrees(bearings)
+        ]
+        labels = [
+            f"{label}\n{look}".replace("-", "\N{MINUS SIGN}")
+            for label, look in zip(labels, looks, strict=True)
+        ]
+    axes.set_xticks(places, labels)
+    axes.set_ylim(0, 1.25)
+    axes.set_yticks([0, 0.5, 1])
+    where = "" if bearings is None else ", and where it looks (to the left)"
+    _labels(axes, f"sensor{where}", "reading")
+
+
+def _labels(axes: Axes, x: str, y: str) -> None:
+    axes.set_facecolor("none")
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.spines[["left", "bottom"]].set_color(INK["muted"])
+    axes.tick_params(colors=INK["muted"], labelsize=8)
+    axes.set_xlabel(x, fontsize=9, color=INK["ink"])
+    axes.set_ylabel(y, fontsize=9, color=INK["ink"])
