@@ -125,7 +125,7 @@ def follow(
         table[:, 6],
         table[:, 7],
         video.size,
-        tuple(found.told for found in founds),
+        tuple(found.as_dict() for found in founds),
     )
 
 

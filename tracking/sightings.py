@@ -107,7 +107,7 @@ def _colours(
     if founds is None:
         return {"colour": colours[0].name}, {"colour": colours[1].name}
     front, rear = unless_still(founds, values[:, 0:2], values[:, 2:4])
-    return front.told, rear.told
+    return front.as_dict(), rear.as_dict()
 
 
 def _fill(

@@ -1,5 +1,4 @@
-"""What every room stands on: errors for people, files that survive, planar poses, progress.
+"""The base layer: errors for users, files written whole, planar poses, progress.
 
-This is the cellar of the house: it imports nothing of the project, and every other room
-(``tracking`` included) may import it.
+It imports nothing of the project; every other package (``tracking`` included) may import it.
 """

@@ -1,4 +1,4 @@
-"""The front door: one verb a stage of the road."""
+"""The command line: one command a stage of the pipeline."""
 
 from neurosim.cli.main import main
 

@@ -176,7 +176,7 @@ def record(
 
 
 def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
-    from tracking.markers.palette import least_sure
+    from tracking.markers.palette import least_confident
 
     lines = [part.commands() for part in made]
     ends = [{line.session: line.time for line in part} for part in lines]  # of each session
@@ -187,15 +187,15 @@ def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
         "cut": sum(line.kind == "cut" for part in lines for line in part),
         "sessions": sum(part.sessions for part in made),
         "tracked": all(part.is_tracked for part in made),
-        "markers": least_sure([told for part in made for told in part.tracked_sessions()]),
+        "markers": least_confident([told for part in made for told in part.tracked_sessions()]),
         "robot_seconds": sum(sum(part.values()) for part in ends),
     }
 
 
 def _words(result: dict[str, Any]) -> str:
-    from tracking.markers.palette import in_words
+    from tracking.markers.palette import describe_colours
 
-    colours = in_words(result["markers"])
+    colours = describe_colours(result["markers"])
     return (
         f"{result['recording']}: {result['commands']} commands ({result['sent']} sent, "
         f"{result['cut']} cut at the line), "

@@ -69,7 +69,7 @@ def track(
     needs -o; without a calibration its poses are in pixels.
     """
     from tracking.markers.colours import colour_pair
-    from tracking.markers.palette import in_words, least_sure, warning
+    from tracking.markers.palette import describe_colours, least_confident, warning
     from tracking.track import track as track_
     from tracking.track import track_video
 
@@ -101,15 +101,15 @@ def track(
         for session in result["sessions"]:
             if session.get("warning"):
                 click.echo(f"session {session['session']}: {session['warning']}", err=True)
-        where, markers = recording, least_sure(result["sessions"])
+        where, markers = recording, least_confident(result["sessions"])
         then = "\n" + next_step("dataset", recording, "-o", "DATASET")
         remedy = "name others with --colours; neurosim watch shows what a click on each finds"
-    doubt = warning(markers)
-    if doubt:
-        click.echo(f"{recording}: {doubt}; {remedy}", err=True)
+    problem = warning(markers)
+    if problem:
+        click.echo(f"{recording}: {problem}; {remedy}", err=True)
     emit(
         result,
         as_json,
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
-        f"median quality {result['quality']:.2f}.\n{in_words(markers)}.{then}",
+        f"median quality {result['quality']:.2f}.\n{describe_colours(markers)}.{then}",
     )

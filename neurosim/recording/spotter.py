@@ -108,6 +108,6 @@ class Spotter:
         """Warn at the first sight, before anything is driven, of colours that are not sure."""
         self._judged = True
         front, rear = founds
-        doubt = warning({"front": front.told, "rear": rear.told})
-        if doubt:
-            self._say(doubt)
+        problem = warning({"front": front.as_dict(), "rear": rear.as_dict()})
+        if problem:
+            self._say(problem)

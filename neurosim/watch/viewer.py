@@ -21,7 +21,7 @@ from tracking.datasets.recordings import write_markers
 from tracking.live import Seen
 from tracking.markers.colours import Colour
 from tracking.markers.palette import Found
-from tracking.markers.pointing import Pointed, colour_at, told_apart
+from tracking.markers.pointing import Pointed, colour_at, distinguishable
 from tracking.poses import marker_poses
 
 #: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
@@ -167,7 +167,7 @@ class Viewer:
                 which: self._describe(which, colour)
                 for which, colour in zip(("front", "rear"), self._colours, strict=True)
             },
-            "apart": told_apart(*self._colours),
+            "apart": distinguishable(*self._colours),
             "corners": self.corners,
             "board": {**self._board, "height": self._height},
             "calibrated": self._camera is not None,
@@ -186,8 +186,8 @@ class Viewer:
             "name": colour.name,
             "swatch": named if found is None else found.rgb,
             "found": None if found is None else found.rgb,
-            "sure": None if sure is None else round(sure.sure, 2),
-            "doubt": None if found is None else found.told["doubt"],
+            "sure": None if sure is None else round(sure.confidence, 2),
+            "doubt": None if found is None else found.as_dict()["doubt"],
         }
 
     def _found(self, which: str) -> Found | None:
@@ -230,11 +230,11 @@ class Viewer:
         with self._change:
             front, rear = self._colours
             self._colours = (pointed.colour, rear) if which == "front" else (front, pointed.colour)
-            apart = told_apart(*self._colours)
+            apart = distinguishable(*self._colours)
             self._pointed[which] = pointed
             self._saved.discard("markers")
         self._start_afresh()
-        says = f"{which} marker: {pointed.colour.name}, {100 * pointed.sure:.0f} % sure"
+        says = f"{which} marker: {pointed.colour.name}, {100 * pointed.confidence:.0f} % confidence"
         if not apart:
             return f"{says}; too much like the other marker's: set that as well"
         others = pointed.places - 1
@@ -283,7 +283,7 @@ class Viewer:
             self._camera.write(path)
             then = f"--calibration {path}"
         else:
-            if not told_apart(*self._colours):
+            if not distinguishable(*self._colours):
                 raise UserError("the two markers' colours are too much alike; set them first")
             named = {
                 which: {**self._markers[which], "colour": colour.name, **self._told(which)}
@@ -297,7 +297,7 @@ class Viewer:
 
     def _told(self, which: str) -> dict[str, Any]:
         found = self._found(which)
-        return {} if found is None else {"rgb": found.rgb, "sure": round(found.sure, 3)}
+        return {} if found is None else {"rgb": found.rgb, "sure": round(found.confidence, 3)}
 
     def _find_camera(self) -> str:
         missing = [name for name in CORNERS if name not in self._corners]

@@ -1,4 +1,4 @@
-"""The virtual robot put together: the same road over a socket, in real time, and when it breaks."""
+"""The virtual robot put together: the interface over a socket, in real time, and when it breaks."""
 
 import os
 import subprocess

@@ -8,14 +8,14 @@ from tracking.markers.colours import chroma_plane, parse_colour
 from tracking.markers.markers import Look
 from tracking.markers.palette import (
     APART,
+    CONFIDENT,
     GREY,
     OTHER_HUE,
     RIVAL,
     STILL,
-    SURE_ENOUGH,
+    describe_colours,
     found_colour,
-    in_words,
-    least_sure,
+    least_confident,
     together,
     unless_still,
     warning,
@@ -45,7 +45,7 @@ def test_rgb_has_the_hue_chroma_and_luma_of_the_look():
     luma = float(bgr @ [0.114, 0.587, 0.299])
     found = found_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
     assert found.rgb == "#c82878"
-    assert found.sure == pytest.approx(1, abs=1e-4)
+    assert found.confidence == pytest.approx(1, abs=1e-4)
 
 
 def test_this_cameras_pink_and_blue():
@@ -53,7 +53,7 @@ def test_this_cameras_pink_and_blue():
     for found, paint in ((front, scene.PINK), (rear, scene.BLUE)):
         alpha, beta = chroma_plane(np.array(paint, np.float32))
         assert found.colour.hue == pytest.approx(math.atan2(beta, alpha), abs=0.08)
-        assert found.sure > 0.8
+        assert found.confidence > 0.8
 
 
 def test_less_sure_among_others_and_where_it_is_seldom_seen():
@@ -61,8 +61,8 @@ def test_less_sure_among_others_and_where_it_is_seldom_seen():
     among = find_colours([picture(1, lone=True)], NAMES)
     seldom = find_colours([picture(1), picture(2, robot=False)], NAMES)
     for which in (0, 1):
-        assert among[which].sure < 0.7 * alone[which].sure
-        assert seldom[which].sure == pytest.approx(0.5 * alone[which].sure)
+        assert among[which].confidence < 0.7 * alone[which].confidence
+        assert seldom[which].confidence == pytest.approx(0.5 * alone[which].confidence)
     assert find_colours([picture(2, robot=False)], NAMES) is None
     assert together([None]) is None
 
@@ -88,11 +88,13 @@ def test_a_survey_finds_what_came_into_view_later_and_fits_as_well():
     alone, among = picture(1), picture(1, lone=True)
     before = survey_of([alone])
     after = survey_of([alone] * 70 + [among] * 60)  # looked at: 1, 64 and 128
-    assert min(found.sure for found in before) > 0.8
-    assert max(found.sure for found in after) < 0.85 * min(found.sure for found in before)
-    assert {found.doubt for found in after} == {RIVAL}
+    assert min(found.confidence for found in before) > 0.8
+    assert max(found.confidence for found in after) < 0.85 * min(
+        found.confidence for found in before
+    )
+    assert {found.reason for found in after} == {RIVAL}
     pointed = survey_of([among], start=np.array([[145.0, 114.0], [115.0, 126.0]]))
-    assert min(found.sure for found in pointed) > 0.8
+    assert min(found.confidence for found in pointed) > 0.8
 
 
 def test_a_pair_far_apart_for_its_size_is_doubted():
@@ -101,9 +103,9 @@ def test_a_pair_far_apart_for_its_size_is_doubted():
         scene.paint_disc(image, (u, 100.0), 11.0, (18, 18, 18), fade=False)
         scene.paint_disc(image, (u, 100.0), 8.0, colour, fade=False)
     front, rear = survey_of([scene.finish(image, np.random.default_rng(0))])
-    assert max(front.sure, rear.sure) < SURE_ENOUGH
-    assert front.told["doubt"] == APART
-    told = warning({"front": front.told, "rear": rear.told})
+    assert max(front.confidence, rear.confidence) < CONFIDENT
+    assert front.as_dict()["doubt"] == APART
+    told = warning({"front": front.as_dict(), "rear": rear.as_dict()})
     assert f"front pink and rear blue: {APART}" in told
 
 
@@ -114,17 +116,17 @@ def test_marginal_names_and_greys_are_doubted_by_hand():
 
     hue, tolerance = (math.degrees(part) for part in (NAMES[0].hue, NAMES[0].tolerance))
     edge = found_colour(NAMES[0], look(hue + tolerance, 90.0), 0.0)
-    assert (edge.sure, edge.doubt) == (pytest.approx(math.exp(-0.5)), OTHER_HUE)
+    assert (edge.confidence, edge.reason) == (pytest.approx(math.exp(-0.5)), OTHER_HUE)
     grey = found_colour(NAMES[0], look(hue, 30.0), 0.25)
-    assert (grey.sure, grey.doubt) == (pytest.approx(0.5 * 0.8), GREY)
-    assert warning({"front": found_colour(NAMES[0], look(hue, 90.0), 0.0).told}) is None
+    assert (grey.confidence, grey.reason) == (pytest.approx(0.5 * 0.8), GREY)
+    assert warning({"front": found_colour(NAMES[0], look(hue, 90.0), 0.0).as_dict()}) is None
 
 
 def test_a_pair_that_never_moves_is_doubted():
     founds = find_colours([picture(1)], NAMES)
     front = np.array([[100.0, 100.0], [np.nan, np.nan], [100.2, 100.0]])
     still = unless_still(founds, front, front - (30.0, 0.0))
-    assert {(found.sure, found.doubt) for found in still} == {(0.5, STILL)}
+    assert {(found.confidence, found.reason) for found in still} == {(0.5, STILL)}
     # It turned about its front.
     turned = unless_still(founds, front, np.array([[70.0, 100.0], [np.nan] * 2, [100.0, 130.0]]))
     assert turned == tuple(founds)
@@ -135,5 +137,7 @@ def test_the_session_that_is_least_sure_is_told():
         return {which: {"colour": "red", "rgb": "#ff0000", "sure": sure} for which in "ab"}
 
     sessions = [{"markers": markers(0.9)}, {"left_out": "no"}, {"markers": markers(0.4)}]
-    assert in_words(least_sure(sessions)).startswith("a red is #ff0000 here (sure: 40 %), b ")
-    assert in_words(least_sure([])) == ""
+    assert describe_colours(least_confident(sessions)).startswith(
+        "a red is #ff0000 here (confidence: 40 %), b "
+    )
+    assert describe_colours(least_confident([])) == ""

@@ -6,7 +6,7 @@ import tracking_scene as scene
 
 from neurosim.base.errors import UserError
 from tracking.markers.colours import angle_between, parse_colour
-from tracking.markers.pointing import colour_at, told_apart
+from tracking.markers.pointing import colour_at, distinguishable
 
 
 @pytest.mark.parametrize(("which", "bgr"), [("front", scene.PINK), ("rear", scene.BLUE)])
@@ -19,7 +19,7 @@ def test_a_click_on_or_near_a_fading_marker_gives_its_colour(which, bgr, off):
     true = parse_colour(f"#{bgr[2]:02x}{bgr[1]:02x}{bgr[0]:02x}")
     assert abs(math.degrees(float(angle_between(found.colour.hue, true.hue)))) < 6
     assert found.places == 1
-    assert found.sure > 0.7
+    assert found.confidence > 0.7
 
 
 def test_a_second_patch_of_the_colour_is_counted_and_makes_it_less_sure():
@@ -28,7 +28,7 @@ def test_a_second_patch_of_the_colour_is_counted_and_makes_it_less_sure():
     scene.paint_disc(image, np.array([500.0, 400.0]), 7, scene.PINK)
     found = colour_at(scene.finish(image, np.random.default_rng(1)), front)
     assert found.places == 2
-    assert found.sure <= 0.7
+    assert found.confidence <= 0.7
 
 
 def test_grey_is_no_colour():
@@ -41,5 +41,5 @@ def test_grey_is_no_colour():
 
 def test_pink_and_blue_are_told_apart_and_two_pinks_are_not():
     pink, blue, red = (parse_colour(name) for name in ("pink", "blue", "red"))
-    assert told_apart(pink, blue)
-    assert not told_apart(pink, red)
+    assert distinguishable(pink, blue)
+    assert not distinguishable(pink, red)

@@ -298,7 +298,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
     ):
         wrong, done = told(colours, video)
         assert max(seen["sure"] for seen in wrong.values()) <= 0.5
-        assert "not sure that these are the robot's markers" in done.stderr
+        assert "may not be the robot's markers" in done.stderr
         assert "--click U,V" in done.stderr
     nothing, done = told("green,orange")
     assert nothing is None

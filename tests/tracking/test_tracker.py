@@ -272,10 +272,10 @@ def test_a_start_chooses_among_pairs():
     start = np.stack(truth) + 3.0
     tracker = Tracker(parse_colour("pink"), parse_colour("blue"), None, start)
     assert np.abs(pixels_of(tracker.update(frame, 0.0)) - truth).max() < 0.15
-    assert min(found.sure for found in tracker.found) > 0.9
+    assert min(found.confidence for found in tracker.found) > 0.9
     free = new_tracker()
     free.update(frame, 0.0)
-    assert max(found.sure for found in free.found) < 0.7
+    assert max(found.confidence for found in free.found) < 0.7
 
 
 def test_two_things_that_pass_each_other_are_forgotten():
@@ -295,4 +295,4 @@ def test_two_things_that_pass_each_other_are_forgotten():
             found.append(np.abs(pixels_of(sighting) - truth).max())
     assert len(found) >= 39
     assert max(found) < 0.15
-    assert min(each.sure for each in tracker.found) > 0.9
+    assert min(each.confidence for each in tracker.found) > 0.9

@@ -1,4 +1,4 @@
-"""This camera's idea of two named colours, and how sure it is."""
+"""The colours of two markers as a camera sees them, with a confidence."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from tracking.markers.markers import Look
 
 #: A marker with this much chroma (of 255) cannot be taken for grey.
 STRONG_CHROMA = 60.0
-#: Less sure than this, and a person should look.
-SURE_ENOUGH = 0.6
-#: A pair that never moved may be a thing of the same colours, and is this sure at most.
-STILL_SURE = 0.5
+#: Below this confidence a person should look.
+CONFIDENT = 0.6
+#: A pair that never moved may be a thing of the same colours, and has this confidence at most.
+STILL_CONFIDENCE = 0.5
 
 GREY = "it is close to grey"
 RIVAL = "something else of this colour fits nearly as well"
@@ -35,28 +35,27 @@ class Found:
         colour: as it was named, with the hue that was found.
         chroma: of 255.
         rgb: the rim's colour, ``#rrggbb``, free of the picture's cast.
-        sure: 0..1: how far its chroma is from grey, times how much better than any other patch
-            of its colour it fits the pair, times how well its hue fits the name, times how
+        confidence: 0..1: how far its chroma is from grey, times how much better than any other
+            patch of its colour it fits the pair, times how well its hue fits the name, times how
             close the pair stands together; over pictures, the mean.
-        doubt: what makes it least sure.
+        reason: what lowers the confidence most.
     """
 
     colour: Colour
     chroma: float
     rgb: str
-    sure: float
-    doubt: str = ""
+    confidence: float
+    reason: str = ""
 
-    @property
-    def told(self) -> dict[str, Any]:
-        """What files say of it."""
+    def as_dict(self) -> dict[str, Any]:
+        """Return what files hold of it."""
         return {
             "colour": self.colour.name,
             "rgb": self.rgb,
             "hue_deg": math.degrees(self.colour.hue) % 360,
             "chroma": self.chroma,
-            "sure": round(self.sure, 3),
-            "doubt": self.doubt if self.sure < SURE_ENOUGH else None,
+            "sure": round(self.confidence, 3),
+            "doubt": self.reason if self.confidence < CONFIDENT else None,
         }
 
 
@@ -102,50 +101,54 @@ def together(founds: Sequence[Found | None]) -> Found | None:
     middle = sorted(seen, key=lambda found: found.chroma)[len(seen) // 2]
     # Hues that differ from picture to picture are of different things.
     agreement = float(np.hypot(np.sin(hues).mean(), np.cos(hues).mean()))
-    sure = sum(found.sure for found in seen) / len(founds) * agreement
-    doubt = min(seen, key=lambda found: found.sure).doubt
-    return replace(middle, colour=replace(middle.colour, hue=hue), sure=sure, doubt=doubt)
+    confidence = sum(found.confidence for found in seen) / len(founds) * agreement
+    reason = min(seen, key=lambda found: found.confidence).reason
+    return replace(
+        middle, colour=replace(middle.colour, hue=hue), confidence=confidence, reason=reason
+    )
 
 
 def unless_still(founds: Sequence[Found], front: NDArray, rear: NDArray) -> tuple[Found, ...]:
-    """Return what was found, less sure where the pair [N, 2] and [N, 2] (pixels) never moves."""
+    """Return what was found, less confident where the pair, [N, 2] each (pixels), never moves."""
     apart = np.nanmedian(np.hypot(*(front - rear).T))
     both = np.concatenate([front, rear], axis=1)
     reach = np.max(np.nanmax(both, axis=0) - np.nanmin(both, axis=0))
     if reach > 0.5 * apart:
         return tuple(founds)
     return tuple(
-        replace(found, sure=STILL_SURE, doubt=STILL) if found.sure > STILL_SURE else found
+        replace(found, confidence=STILL_CONFIDENCE, reason=STILL)
+        if found.confidence > STILL_CONFIDENCE
+        else found
         for found in founds
     )
 
 
-def least_sure(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mapping[str, Any]]:
-    """Return the ``markers`` of that session of tracking.json in which they are least sure."""
-    told = [session["markers"] for session in sessions if "markers" in session]
+def least_confident(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mapping[str, Any]]:
+    """Return the ``markers`` of that session of tracking.json with the lowest confidence."""
+    found = [session["markers"] for session in sessions if "markers" in session]
 
-    def sure(markers: Mapping[str, Mapping[str, Any]]) -> float:
+    def confidence(markers: Mapping[str, Mapping[str, Any]]) -> float:
         return min(seen.get("sure", 1.0) for seen in markers.values())
 
-    return min(told, key=sure, default={})
+    return min(found, key=confidence, default={})
 
 
-def in_words(markers: Mapping[str, Mapping[str, Any]]) -> str:
-    """Say what files say of the colours of ``front`` and ``rear``, in a line."""
+def describe_colours(markers: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what files hold of the colours of ``front`` and ``rear``, in a line."""
     return ", ".join(
-        f"{where} {seen['colour']} is {seen['rgb']} here (sure: {100 * seen['sure']:.0f} %)"
+        f"{where} {seen['colour']} is {seen['rgb']} here (confidence: {100 * seen['sure']:.0f} %)"
         for where, seen in markers.items()
         if "rgb" in seen
     )
 
 
 def warning(markers: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """Return what a person should know of colours that are not sure; None where they are."""
-    doubts: dict[str, list[str]] = {}
+    """Return what a person should know of colours of low confidence; None where there are none."""
+    reasons: dict[str, list[str]] = {}
     for where, seen in markers.items():
         if seen.get("doubt"):
-            doubts.setdefault(seen["doubt"], []).append(f"{where} {seen['colour']}")
-    if not doubts:
+            reasons.setdefault(seen["doubt"], []).append(f"{where} {seen['colour']}")
+    if not reasons:
         return None
-    told = "; ".join(f"{' and '.join(which)}: {doubt}" for doubt, which in doubts.items())
-    return f"it is not sure that these are the robot's markers ({told})"
+    listed = "; ".join(f"{' and '.join(which)}: {reason}" for reason, which in reasons.items())
+    return f"these may not be the robot's markers ({listed})"

@@ -16,7 +16,7 @@ from tracking.markers.markers import LEAST_CHROMA, Picture
 REACH = 1 / 80
 #: Pixels this far in hue from the commonest one around a click are something else.
 SAME_HUE = math.radians(25)
-#: Hues nearer than this are not told apart safely, light and camera being what they are.
+#: Hues nearer than this cannot be distinguished safely, light and camera being what they are.
 APART = math.radians(40)
 
 
@@ -37,8 +37,8 @@ class Pointed:
     places: int
 
     @property
-    def sure(self) -> float:
-        """How sure it is that a marker of this colour will be found, 0..1."""
+    def confidence(self) -> float:
+        """The confidence that a marker of this colour will be found, 0..1."""
         strong = min(1.0, self.chroma / 90.0)
         return strong * (1.0 if self.places == 1 else 0.7 if self.places == 2 else 0.5)
 
@@ -87,6 +87,6 @@ def colour_around(frame: NDArray, pixel: ArrayLike) -> tuple[Colour, float, floa
     return colour, float(np.median(chroma[strongest])), float(own.mean())
 
 
-def told_apart(a: Colour, b: Colour) -> bool:
+def distinguishable(a: Colour, b: Colour) -> bool:
     """Return whether two markers of these colours cannot be taken for each other."""
     return abs(float(angle_between(a.hue, b.hue))) >= APART

@@ -114,7 +114,7 @@ class Tracker:
 
     @property
     def found(self) -> tuple[Found, Found] | None:
-        """This camera's colours of front and rear and how sure they are, once they were found."""
+        """This camera's colours of front and rear with confidence, once they were found."""
         return self._survey.found or self._forgotten
 
     def update(self, frame: NDArray, time: float) -> Sighting:
