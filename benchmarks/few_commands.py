@@ -18,9 +18,11 @@ import sys
 import numpy as np
 import torch
 from guided_recording import guided_rows, random_rows
-from neurosim.loop.plans import PlanSettings, RobustSettings, evolve_plan
 from robust_plans import TASK, drive, learned_from
 
+from neurosim.controllers import Plan
+from neurosim.loop.evolve import evolve_in
+from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.rounds import Rounds
 from neurosim.simulators import MotionNetwork
 from neurosim.training.guided import motor_data
@@ -63,8 +65,9 @@ def one_plan(
     simulator: MotionNetwork, robot: int, number: int, options: argparse.Namespace
 ) -> dict:
     """Evolve a robust plan and drive it; return its chance as said, and as found."""
-    settings = PlanSettings(commands=options.length, runs=options.runs, robust=RobustSettings())
-    plan = evolve_plan(simulator, TASK, settings, seed=77 + number, progress=False)[0]
+    settings = EvolveSettings(runs=options.runs, robust=RobustSettings())
+    family, seed = Plan(slots=options.length), 77 + number
+    plan = evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)[0]
     given = [command for command in plan.commands if command is not None]
     done = [drive(given, robot, 1000 * number + n) for n in range(options.drives)]
     return {"said": plan.probability, "completed": float(np.mean(done))}

@@ -29,10 +29,12 @@ from pathlib import Path
 import numba
 import numpy as np
 import torch
-from neurosim.loop.plan_course import Course
-from neurosim.loop.plans import Evolution, PlanSettings
-from neurosim.loop.rollouts import SteppedRollouts, rollouts
 
+from neurosim.controllers import Plan
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import Evolution
+from neurosim.loop.search import Search
+from neurosim.loop.settings import default_settings
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
@@ -119,18 +121,22 @@ def papers_size() -> MotionNetwork:
 
 
 def ours(simulator: MotionNetwork, name: str, runs: int, generations: int) -> dict:
-    settings = PlanSettings(commands=COMMANDS, runs=runs)
-    task = NineRectangles()
-    evolution = Evolution(Course(rollouts(simulator, task.start), task, settings), seed=0)
-    seconds = timed(evolution.generation, generations if runs == 1 else max(generations // 10, 5))
+    generation = evolution(simulator, runs).generation
+    seconds = timed(generation, generations if runs == 1 else max(generations // 10, 5))
     return row(name, seconds / runs)
 
 
 def pytorch(simulator: MotionNetwork, name: str, generations: int) -> dict:
-    settings = PlanSettings(commands=COMMANDS)
-    task = NineRectangles()
-    evolution = Evolution(Course(SteppedRollouts(simulator, task.start), task, settings), seed=0)
-    return row(name, timed(evolution.generation, generations))
+    return row(name, timed(evolution(simulator, 1, stepped=True).generation, generations))
+
+
+def evolution(simulator: MotionNetwork, runs: int, *, stepped: bool = False) -> Search:
+    """Return the first stage of an evolution, as ``neurosim evolve`` runs it."""
+    task, family = NineRectangles(), Plan(slots=COMMANDS)
+    settings = default_settings(family, task, runs=runs)
+    assert settings.genetic.population == POPULATION
+    evaluator = Evaluator(simulator, task, family, placing=settings.placing, stepped=stepped)
+    return Evolution(evaluator, settings, 0).stages[0]
 
 
 def mujoco_rollouts(plans: int) -> list[dict]:

@@ -23,13 +23,14 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from neurosim.loop.plans import PlanSettings, RobustSettings
-from neurosim.loop.write_plans import evolve
 
+from neurosim.controllers import Plan
 from neurosim.evolution import GeneticSettings
 from neurosim.lab import VirtualRig
 from neurosim.lab.camera.photographs import SQUARE, render_photographs
 from neurosim.lab.nxt.params import CameraParams
+from neurosim.loop.evolve import evolve
+from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.training.train import train
 from neurosim.trials.trial import run_trial
 from tracking.camera.calibrate import calibrate
@@ -86,14 +87,17 @@ def one_seed(folder: Path, calibration: Path, seed: int, options: argparse.Names
     train(options.dataset, simulator, seed=seed, generations=options.generations, **trainer)
     drives = []
     for length, kind in product(map(int, options.lengths.split(",")), kinds(options)):
-        settings = PlanSettings(commands=length, runs=options.runs)
+        settings = EvolveSettings(runs=options.runs)
         if options.paper:
             settings = replace(settings, genetic=GeneticSettings(), insertion=False)
         if kind == "robust":
             settings = replace(settings, robust=RobustSettings())
         out = folder / f"plan-{seed}-{length}-{kind}"
-        found = evolve(simulator, out, settings=settings, seed=seed, keep_all=True)
-        for number, (controller, plan) in enumerate(found):
+        how = {"settings": settings, "seed": seed, "keep_all": True}
+        found = evolve(simulator, "nine-rectangles", Plan(slots=length), out=out, **how)
+        for number, plan in enumerate(found):
+            many = f"{out.name}-{number + 1:02d}" if len(found) > 1 else out.name
+            controller = out.with_name(many)
             trial = folder / f"trial-{seed}-{length}-{kind}-{number}"
             noise = 1000 * seed + 20 * length + 2 * number + (kind == "robust")
             with VirtualRig(options.lab_seed, noise_seed=noise, start=plan.start) as rig:

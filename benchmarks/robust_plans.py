@@ -33,24 +33,21 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from neurosim.loop.plan_check import check_commands
-from neurosim.loop.plans import (
-    PlanResult,
-    PlanSettings,
-    RobustSettings,
-    evolve_plan,
-    improve_plans,
-)
-from neurosim.loop.rollouts import PLACING, RUN_DOWN
 from numba import njit, prange
 
+from neurosim.base.trajectory import RUN_DOWN, Trajectory
+from neurosim.controllers import FixedPlan, Plan, SavedController
 from neurosim.lab import VirtualRig
 from neurosim.lab.nxt import physics
 from neurosim.lab.nxt.params import LabParams
+from neurosim.loop.check import check
+from neurosim.loop.evolve import Result, evolve_in, improve
+from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.networks import ProductSummationNetwork
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.simulators import read_simulator
+from neurosim.simulators.base import PLACING, Simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.training.base import TrainingData
 from neurosim.training.train import MEMBERS, train, training_data
@@ -175,13 +172,14 @@ def learned_from(data: TrainingData, seed: int, *, members: int = MEMBERS, noise
 def one_set(simulator, length: int, number: int, options: argparse.Namespace) -> list[dict]:
     """Evolve plans of the three kinds and some of lesser quality; drive them all."""
     seed = 1000 * length + number
-    settings = PlanSettings(commands=length, runs=options.runs, generations=options.generations)
+    settings = EvolveSettings(runs=options.runs, generations=options.generations)
     robust = replace(settings, robust=RobustSettings(generations=options.robust_generations))
     half = replace(robust, robust=RobustSettings(generations=options.robust_generations // 8))
-    found = {"without noise": evolve_plan(simulator, TASK, settings, seed=seed, progress=False)}
-    start = found["without noise"]
+    family = Plan(slots=length)
+    start = evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)
+    found = {"without noise": start}
     for kind, how in (("robust", robust), ("halfway", half)):
-        found[kind] = improve_plans(simulator, TASK, start, how, seed=seed, progress=False)
+        found[kind] = improved(simulator, start, family, how, seed)
     found["lesser runs"] = found["without noise"][1:3] + found["robust"][1:3]
     if number % options.bound_every == 0:
         found["bound"] = bound(found["robust"][:1], length, seed, options)
@@ -193,19 +191,26 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
     ]
 
 
-def bound(start: list[PlanResult], length: int, seed: int, options: argparse.Namespace):
+def improved(simulator, start: list[Result], family: Plan, how: EvolveSettings, seed: int):
+    """Evolve plans robustly on, each in a run of its own."""
+    genes = [family.encode(plan.commands) for plan in start]
+    return improve(simulator, TASK, family, genes, how, seed=seed, progress=False)
+
+
+def bound(start: list[Result], length: int, seed: int, options: argparse.Namespace):
     """Evolve plans robustly on in the lab's own physics."""
     how = RobustSettings(generations=options.bound_generations, draws=16, selection_draws=128)
     how = replace(how, genetic=replace(how.genetic, population=50))
-    settings = PlanSettings(commands=length, runs=1, robust=how, final_draws=200)
+    settings = EvolveSettings(runs=1, robust=how, final_draws=200)
     lab = LabPhysics(LabParams.drawn(options.lab_seed))
-    return improve_plans(lab, TASK, start, settings, seed=seed, progress=False)
+    return improved(lab, start, Plan(slots=length), settings, seed)
 
 
-def driven(simulator, plan: PlanResult, kind, length, seed, options) -> dict:
+def driven(simulator, plan: Result, kind, length, seed, options) -> dict:
     """Return what was predicted of a plan and what happened to it."""
     given = [command for command in plan.commands if command is not None]
-    check = check_commands(given, simulator, TASK, draws=2048, seed=seed + 77)
+    alone = SavedController(FixedPlan(tuple(given)), np.empty(0), TASK.describe(), TASK.start)
+    said = check(alone, simulator, TASK, draws=2048, seed=seed + 77)
     truth = [drive(given, options.lab_seed, 100 * seed + n) for n in range(options.drives)]
     brick = [
         drive_brick(given, options.lab_seed, 100 * seed + n)
@@ -215,8 +220,8 @@ def driven(simulator, plan: PlanResult, kind, length, seed, options) -> dict:
         "kind": kind,
         "length": length,
         "commands": given,
-        "predicted": check.probability,
-        "members": check.members,
+        "predicted": said.probability,
+        "members": said.members,
         "completed": int(sum(truth)),
         "drives": len(truth),
         "completed_brick": int(sum(brick)),
@@ -290,12 +295,15 @@ def drive_brick(given: list, lab_seed: int, seed: int) -> bool:
 
 def judged(path: np.ndarray, segment: np.ndarray, commands: int) -> bool:
     given = np.append(np.ones(commands, bool), False)
-    return bool(TASK.evaluate_track(path, segment, given).completes[0])
+    sent = np.zeros((commands + 1, 3))
+    track = Trajectory.of_track(np.arange(len(path)), path, segment, sent, given)
+    return bool(TASK.judge(track).success)
 
 
-class LabPhysics:
-    """The lab's own physics as a simulator (see simulators.base): what no learner has."""
+class LabPhysics(Simulator):
+    """The lab's own physics as a simulator: what no learner has."""
 
+    kind, has_noise = "lab-physics", True
     state_names = ("x", "y", "theta", *(f"lab_{n}" for n in range(int(physics.S.SIZE))))
     command_names = ("left", "right", "duration")
 

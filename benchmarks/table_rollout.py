@@ -30,14 +30,19 @@ from pathlib import Path
 import numba
 import numpy as np
 import torch
-from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
+from neurosim.base.trajectory import Trajectory
+from neurosim.controllers import Network
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import Evolution
+from neurosim.loop.settings import default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
-from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, Trajectory, avoidance
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 
 STEPS = 500
+FAMILY = Network(tuple(f"sensor_{number}" for number in range(8)))
 
 
 def main() -> None:
@@ -92,12 +97,11 @@ def networks(count: int) -> np.ndarray:
 
 
 def ours(simulator: TableSimulator, batch: int, repeats: int) -> float:
-    trials, genes = TableTrials(simulator, ObstacleAvoidance(steps=STEPS)), networks(batch)
-    rng = np.random.default_rng(0)
+    evaluator = Evaluator(simulator, ObstacleAvoidance(steps=STEPS), FAMILY)
+    genes, rng = networks(batch), np.random.default_rng(0)
 
     def drive() -> None:
-        starts = simulator.arena.free_poses(trials.task.starts, simulator.radius, rng)
-        trials.fitness(genes, starts, rng)
+        evaluator.merit(genes, evaluator.draw(1, rng))
 
     drive()
     return batch * STEPS / median(drive, repeats)
@@ -120,7 +124,7 @@ def pytorch(simulator: TableSimulator, batch: int, steps: int) -> float:
             all_readings.append(readings)
             all_commands.append(commands)
         readings, commands = (torch.stack(v, 1).numpy() for v in (all_readings, all_commands))
-        avoidance(Trajectory(readings, commands))
+        avoidance(Trajectory(None, commands, 0.1, readings))
 
     drive()
     return robots * steps / median(drive, 3)
@@ -169,12 +173,12 @@ def kheperax(batch: int, repeats: int) -> float | None:
 
 def evolution(simulator: TableSimulator, generations: int) -> float:
     """Return the seconds of 200 generations."""
-    trials = TableTrials(simulator, ObstacleAvoidance(steps=STEPS))
-    population = NetworkEvolution(NetworkSettings(), seed=0)
-    population.generation(trials)
+    evaluator = Evaluator(simulator, ObstacleAvoidance(steps=STEPS), FAMILY)
+    search = Evolution(evaluator, default_settings(FAMILY, evaluator.task), 0).stages[0]
+    search.generation()
     began = time.perf_counter()
     for _ in range(generations):
-        population.generation(trials)
+        search.generation()
     return 200 / generations * (time.perf_counter() - began)
 
 

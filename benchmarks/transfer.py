@@ -40,11 +40,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from neurosim.loop.evolve_networks import AGAIN, CHOICE_STARTS, TRIALS_AGAIN, choose
-from neurosim.loop.network_evolution import NetworkEvolution, NetworkSettings, TableTrials
 
+from neurosim.base.trajectory import Draws, Episode
+from neurosim.controllers import Network
 from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
 from neurosim.lab.khepera.rig import SerialCable
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.loop.evolve import Evolution
+from neurosim.loop.reality import RealSearch
+from neurosim.loop.settings import default_settings
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.sampling import SampleSettings, sample, sampled_reaction
 from neurosim.simulators import TableSimulator
@@ -57,6 +61,7 @@ from neurosim.trials.reality import RobotTrials
 
 TABLES = ("samples", "tenth", "formulas")
 TASK = ObstacleAvoidance()
+FAMILY = Network(tuple(f"sensor_{number}" for number in range(8)))
 PATH_STARTS, PATH_STEPS = 10, 100
 
 
@@ -194,23 +199,31 @@ def formulas() -> SensorTable:
 def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, float]:
     """Evolve in a simulator and on, and return what is told of a run."""
     simulator = simulator_of(kind, folder)
-    trials, arena = TableTrials(simulator, TASK), paper_arena()
-    evolution = NetworkEvolution(NetworkSettings(), robot)
-    for _ in range(options.generations):
-        population = evolution.population.copy()
-        evolution.generation(trials)
-    genes, _, _ = choose(trials, population, robot)
-    starts = arena.free_poses(CHOICE_STARTS, simulator.radius, np.random.default_rng([robot, 1]))
-    noisy = trials.drive(genes[None], starts, np.random.default_rng(robot))
-    quiet = trials.drive(genes[None], starts[:PATH_STARTS], steps=PATH_STEPS)
+    evaluator, arena = Evaluator(simulator, TASK, FAMILY), paper_arena()
+    settings = default_settings(FAMILY, TASK, generations=options.generations)
+    evolution = Evolution(evaluator, settings, robot)
+    evolution.run(progress=False)
+    genes, drives = evolution.best()[0], evaluator.rollouts
+    rng = np.random.default_rng([robot, 1])
+    starts = arena.free_poses(settings.selection, simulator.radius, rng)
+    noisy = drives.run(genes[None], drives.draw(starts, np.random.default_rng(robot)))
+    paths = rollouts_of(simulator, FAMILY, Episode(TASK.duration, PATH_STEPS, readings=True))
+    quiet = paths.run(genes[None], Draws(starts[:PATH_STARTS]))
     row = {
         "simulated": per_trial(noisy),
-        "simulated_without_noise": per_trial(trials.drive(genes[None], starts)),
+        "simulated_without_noise": per_trial(drives.run(genes[None], Draws(starts))),
     }
     lab_arena = LabArena.of(arena)
     rig = in_the_lab(robot, options, noise_seed=robot, arena=lab_arena, start=starts[0])
     with rig, rig.robot as driver:
-        real = RobotTrials(driver, TASK, simulator.reaction.hold)
+        real = RobotTrials(
+            driver,
+            evaluator,
+            place=lambda pose: rig.lab.place(*pose),
+            pose=lambda _: lambda: rig.lab.pose,
+            about={},
+            hold=simulator.reaction.hold,
+        )
 
         def put_down(network: np.ndarray, start: np.ndarray) -> Any:
             real.rest()
@@ -229,16 +242,13 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
         row["robot"] = from_starts(genes)
         row["change"] = row["robot"] / row["simulated"] - 1.0
         row["change_without_noise"] = row["robot"] / row["simulated_without_noise"] - 1.0
+        after = RealSearch(evolution.stages[0], real, lambda: None)
         for _ in range(options.on_robot):
-            population = evolution.population.copy()
-            fitness = evolution.generation(real)
+            after.generation()
         if options.on_robot:
-            row["mean_first"] = evolution.mean[options.generations]
-            row["mean_last"] = evolution.mean[-1]
-            best = population[np.argsort(-fitness)[:AGAIN]]
-            rng = np.random.default_rng([robot, 3])
-            again = np.mean([real(best, rng) for _ in range(TRIALS_AGAIN)], axis=0)
-            row["robot_after"] = from_starts(best[again.argmax()])
+            row["mean_first"], row["mean_last"] = float(after.mean[0][0]), float(after.mean[-1][0])
+            after.choose(robot)
+            row["robot_after"] = from_starts(after.chosen)
     return row
 
 

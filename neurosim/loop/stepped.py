@@ -88,7 +88,7 @@ class _Trial:
             self._generator = torch.Generator().manual_seed(int(draws.seeds[0]) % 2**63)
         starts = self._each(torch.from_numpy(np.asarray(draws.starts, np.float64)))
         if draws.member is None:
-            self._state = simulator.start(starts)
+            self._state = simulator.start(starts, self._generator)
         else:
             self._state = simulator.start_as(starts, self._each(torch.from_numpy(draws.member)))
         self._poses = [self._state[:, :3]]

@@ -54,6 +54,34 @@ def test_a_rollout_by_hand():
     assert poses[0] == pytest.approx(np.array(expected))
 
 
+class Loaded(IdealWheels):
+    """Carries what weighs differently in every drive, and is as much slower; drawn at its start."""
+
+    has_noise = True
+    state_names = (*IdealWheels.state_names, "load")
+
+    def start(self, pose, generator=None):
+        load = torch.zeros(len(pose), 1, dtype=pose.dtype)
+        if generator is not None:
+            load = torch.rand(load.shape, generator=generator, dtype=pose.dtype)
+        return torch.cat([super().start(pose), load], dim=1)
+
+    def step(self, state, command, generator=None):
+        slower = command * torch.tensor([1.0, 1.0, 0.0])
+        slower = command - 0.1 * state[:, 5:] * slower
+        return torch.cat([super().step(state[:, :5], slower), state[:, 5:]], dim=1)
+
+
+def test_what_is_drawn_at_the_start_differs_from_outcome_to_outcome():
+    plans = GivenPlans(np.array([[[40.0, 40, 1]]]), np.array([[True]]))
+    drives = SteppedRollouts(Loaded(), plans, EPISODE)
+    draws = drives.draw(np.tile(TASK.start, (50, 1)), 3, None)
+    ends = drives.run(plans.rows, draws).poses[0, :, -1, 1]
+    assert 0.18 <= ends.min() < 0.185
+    assert 0.195 < ends.max() <= 0.2
+    assert expected(drives, plans, TASK.start)[0, -1, 1] == pytest.approx(0.2)
+
+
 class Coasting(IdealWheels):
     """Rolls on for 5 cm when its motors stop."""
 
