@@ -237,3 +237,24 @@ def test_table_2_is_the_papers(tmp_path, dataset):
     assert table["paper"]["dtheta"] == {"mse": 26.412, "mean_absolute_error": 3.585, "unit": "deg"}
     assert (table["paper"]["dx"]["mse"], table["paper"]["dy"]["mse"]) == (12.909, 18.559)
     assert set(PAPER) == set(table["errors"])
+
+
+@pytest.fixture
+def threads():
+    """A function that sets the number of PyTorch's threads, until the test is over."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
+    tmp_path, threads, robot_data, make_dataset
+):
+    # PyTorch cuts up products over so many rows among its threads.
+    make_dataset(*robot_data(1300, 1)).write(tmp_path / "data")
+    settings = {"candidates": 60, "parents": 6, "children": 30}
+    options = QUICK_ENSEMBLE | {"hidden": (10, 1), "settings": settings}
+    for count in (1, 2):
+        threads(count)
+        train(tmp_path / "data", tmp_path / str(count), generations=8, seed=1, **options)
+    assert outcome(tmp_path / "1") == outcome(tmp_path / "2")

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from neurosim.base.threads import one_thread
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived
@@ -131,11 +132,11 @@ class EnsembleTrainer:
             zone = tuple(self._finished[0]["dead_zone"].tolist())
             derived = Derived.of(self._finished[0]["derived"])
             settings = replace(settings, dead_zone=zone, derived=derived)
+        if not seen.all():
+            data = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
         # Searches differ by seed too, for all that is drawn in them.
-        if seen.all():
+        with one_thread():
             return self._make(data, settings, self._seed + search)
-        share = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
-        return self._make(share, settings, self._seed + search)
 
     def advance(self) -> Tensor:
         """Work one generation of a search; return its least mean squared error so far, [3]."""
@@ -147,7 +148,11 @@ class EnsembleTrainer:
         return mse
 
     def result(self) -> MotionNetwork:
-        """Return the ensemble with its noise model."""
+        """Return the ensemble with its noise model, the same on any number of cores."""
+        with one_thread():
+            return self._result()
+
+    def _result(self) -> MotionNetwork:
         found = []
         for number, state in enumerate(self._finished):
             search = self._begin(number)
@@ -215,7 +220,8 @@ class EnsembleTrainer:
         finished, self._done = state["done"].tolist()
         self._finished = [part(f"finished.{number}.") for number in range(finished)]
         self._search = self._begin(finished)
-        self._search.load(part("search."))
+        with one_thread():
+            self._search.load(part("search."))
 
 
 def searches(rows: int) -> int:
