@@ -317,9 +317,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
 @pytest.mark.parametrize(
     ("clicks", "says"),
     [
-        (["--click", "422,178"], "expected two of them"),
-        (["--click", "422,178", "--click", "x,y"], "expected two of them"),
-        (["--click", "422,178", "--click", "9,nan"], "expected two of them"),
+        (["--click", "422,178"], "give it twice"),
         (["--click", "5,5", "--click", "9,9"], "only grey"),
         (["--click", "9000,5", "--click", "9,9"], "outside of the picture"),
         (["--click", "5,5", "--click", "9,9", "--colours", "red,blue"], "leave out --colours"),
@@ -332,6 +330,16 @@ def test_clicks_that_will_not_do(tmp_path, frames, clicks, says):
     )
     assert done.exit_code == 1
     assert says in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("click", ["x,y", "9,nan", "422"])
+def test_a_click_is_two_numbers(tmp_path, frames, click):
+    write_video(tmp_path / "bare.avi", frames[:3])
+    words = [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), "--click", click]
+    done = CliRunner().invoke(verb, words)
+    assert done.exit_code == 2
+    assert f"'{click}'" in done.stderr
     assert not (tmp_path / "out").exists()
 
 
