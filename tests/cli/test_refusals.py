@@ -542,3 +542,40 @@ def test_a_dataset_of_two_robots(refused, copy, tmp_path):
     said = refused("dataset", "a", "recording", "-o", "d")
     assert "a and recording are of different robots (robot of the lab: 0 and 1)" in said
     assert "--mixed" in said
+
+
+@pytest.mark.parametrize("by", ["cause", "context"])
+def test_ctrl_c_within_compiled_code_is_an_interruption_however_often_it_is_wrapped(
+    monkeypatch, capsys, by
+):
+    def wrapped(**_):
+        error = KeyboardInterrupt()
+        for _ in range(2):
+            outer = SystemError("returned a result with an exception set")
+            setattr(outer, f"__{by}__", error)
+            error = outer
+        raise error
+
+    monkeypatch.setattr(cli, "main", wrapped)
+    with pytest.raises(SystemExit) as stop:
+        main()
+    said = capsys.readouterr().err
+    assert stop.value.code == 130
+    assert said.count("\n") == 1
+    assert "re-run with --resume to continue" in said
+
+
+def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
+    def failing(**_):
+        raise SystemError("something else") from ValueError("x")
+
+    monkeypatch.setattr(cli, "main", failing)
+    with pytest.raises(SystemError, match="something else"):
+        main()
+
+
+def test_a_verb_still_has_the_name_that_it_had():
+    assert cli.get_command(click.Context(cli), "tables") is cli.commands["build-tables"]
+    shown = CliRunner().invoke(cli, ["--help"]).stdout
+    assert "build-tables" in shown
+    assert "\n  tables" not in shown
