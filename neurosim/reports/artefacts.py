@@ -57,12 +57,14 @@ class Artefact:
         path: the folder.
         meta: its JSON.
         content: the dataset, the simulator or the saved controller itself; of others None.
+        recording: what recording.json says, of a trial.
     """
 
     kind: str
     path: Path
     meta: dict[str, Any]
     content: Any = None
+    recording: dict[str, Any] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -124,8 +126,6 @@ class Artefact:
 @dataclass
 class Trial(Artefact):
     """A controller at work, with the recording that it was."""
-
-    recording: dict[str, Any] = field(default_factory=dict)
 
     @property
     def by_command(self) -> bool:

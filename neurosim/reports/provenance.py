@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from importlib import metadata
 from typing import Any
 
-from neurosim.reports.artefacts import Artefact, Artefacts, Trial, files_of
+from neurosim.reports.artefacts import Artefact, Artefacts, files_of
 from neurosim.reports.page import Block, Section, Table
 
 #: Keys that are the content itself, or stand elsewhere on the page.
@@ -79,10 +79,8 @@ def _sources(artefact: Artefact) -> list[tuple[str, str]]:
 
 
 def _settings(artefact: Artefact) -> list[list[str]]:
-    meta = dict(artefact.meta)
-    if isinstance(artefact, Trial):
-        # A trial is a recording, too: robot, camera and sessions stand in the recording's JSON.
-        meta = {**artefact.recording, **meta}
+    # A trial is a recording, too: robot, camera and sessions stand in the recording's JSON.
+    meta = {**artefact.recording, **artefact.meta}
     rows: list[list[str]] = []
     for key, value in meta.items():
         if key not in _CONTENT:
