@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any
 
 import numba
@@ -141,7 +142,7 @@ class Evaluator:
         batch = max(at_once // (outcomes * (steps + 1)), 1)
         return (slice(first, first + batch) for first in range(0, individuals, batch))
 
-    @property
+    @cached_property
     def steps(self) -> int:
         """How many steps a trial has, the stop at its end included."""
         if self.controller.blind:
