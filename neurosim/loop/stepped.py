@@ -16,7 +16,7 @@ from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, observe
 from neurosim.controllers.goals import Goals
 from neurosim.networks.control import NOT_READINGS
-from neurosim.simulators.base import Simulator, as_seed, put_down
+from neurosim.simulators.base import Simulator, as_seed, draw_members, put_down
 
 
 class SteppedRollouts:
@@ -44,8 +44,7 @@ class SteppedRollouts:
         starts = put_down(starts, placing, generator)
         member = None
         if simulator.members > 1:
-            order = torch.randperm(count, generator=generator)
-            member = (torch.arange(count) % simulator.members)[order].numpy()
+            member = draw_members(count, simulator.members, generator)
         if simulator.has_noise and simulator.noise_width:
             noise = simulator.draw_noise(count, self._steps(), generator).numpy()
             return Draws(starts, member, noise)

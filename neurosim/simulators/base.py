@@ -160,6 +160,15 @@ def as_seed(rng: np.random.Generator | int) -> int:
     return rng if isinstance(rng, int) else int(rng.integers(2**62))
 
 
+def draw_members(count: int, members: int, generator: torch.Generator) -> NDArray[np.int64]:
+    """Return which member each of so many outcomes moves as, in random order.
+
+    As many of each as can be: what is left to chance is noise in the fitness.
+    """
+    order = torch.randperm(count, generator=generator)
+    return (torch.arange(count) % members)[order].numpy()
+
+
 def put_down(
     starts: NDArray[np.float64], placing: tuple[float, float] | None, generator: torch.Generator
 ) -> NDArray[np.float64]:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.networks.control_kernels import act, observe
-from neurosim.simulators.base import as_seed, put_down
+from neurosim.simulators.base import as_seed, draw_members, put_down
 from neurosim.simulators.closed_loop import ClosedLoop
 from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread
 from neurosim.simulators.motion.plan_kernels import Ensemble, _inputs, displacements, lay_out
@@ -44,8 +44,7 @@ class MotionClosedLoop(ClosedLoop):
         starts = put_down(starts, placing, generator)
         member = None
         if simulator.members > 1:
-            order = torch.randperm(count, generator=generator)
-            member = (torch.arange(count) % simulator.members)[order].numpy()
+            member = draw_members(count, simulator.members, generator)
         if simulator.noise is None:
             return Draws(starts, member)
         return Draws(starts, member, simulator.draw_noise(count, self.steps, generator).numpy())

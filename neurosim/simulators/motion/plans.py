@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned
-from neurosim.simulators.base import as_seed, put_down
+from neurosim.simulators.base import as_seed, draw_members, put_down
 from neurosim.simulators.motion.plan_kernels import drawn_poses, lay_out, mean_poses
 
 
@@ -40,9 +40,7 @@ class MotionPlans:
         simulator, count = self._simulator, len(starts)
         generator = torch.Generator().manual_seed(as_seed(rng))
         starts = put_down(starts, placing, generator)
-        # As many of each member as can be: what is left to chance is noise in the fitness.
-        member = torch.arange(count) % simulator.members
-        member = member[torch.randperm(count, generator=generator)].numpy()
+        member = draw_members(count, simulator.members, generator)
         genes = np.zeros((1, self._controller.genes))
         steps = self._controller.commands(genes, self._rest)[0].shape[1]
         if simulator.noise is None:
