@@ -174,11 +174,6 @@ def absolute(predicted: np.ndarray, actual: np.ndarray) -> list[float]:
     return [table[name]["mean_absolute_error"] for name in OUTPUTS]
 
 
-def first(rows: Dataset, count: int) -> Dataset:
-    table = rows.table.iloc[:count].reset_index(drop=True)
-    return Dataset(table, rows.inputs, rows.outputs, rows.meta)
-
-
 def read_floor(path: Path | None) -> list[float] | None:
     if path is None or not path.exists():
         return None
@@ -261,7 +256,7 @@ def main() -> None:
         table = result["rows"].setdefault(count, {})
         for name, learn in learners(options).items():
             repeats = 1 if name == "ideal unicycle" else seeds
-            table[name] = judge(learn, first(earlier, count), later, repeats, drives)
+            table[name] = judge(learn, earlier.part(slice(count)), later, repeats, drives)
             if not options.json:
                 print(line(name, table[name], floor), flush=True)
         if medians and not options.json:

@@ -50,6 +50,7 @@ def dataset(
     result = {
         "dataset": str(out),
         "rows": len(made.table),
+        "within": len(made.within),
         "left_out": left_out,
         "motor_delays": delays,
     }
@@ -63,7 +64,6 @@ def dataset(
     emit(
         result,
         as_json,
-        f"{out}: {len(made.table)} rows; left out: {reasons or 'none'}.\n"
-        + late
-        + next_step("train", out, "-o", "SIMULATOR"),
+        f"{out}: {len(made.table)} rows, {len(made.within)} poses within them; left out: "
+        f"{reasons or 'none'}.\n" + late + next_step("train", out, "-o", "SIMULATOR"),
     )

@@ -43,6 +43,8 @@ def _rows(artefact: Artefact, dataset: Dataset) -> list[Block]:
         f"{artefact.name}: {len(dataset)} usable rows, one per command, with the inputs "
         f"{', '.join(dataset.inputs)}; {total} commands were left out."
     )
+    if len(dataset.within):
+        text += f" {len(dataset.within)} poses at instants within commands are there, too."
     if moving.size:
         text += (
             f" Commands that move the robot by more than 1 cm displace it by "

@@ -15,6 +15,7 @@ from tracking.datasets import dataset as dataset_module
 from tracking.datasets.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
 from tracking.datasets.displacements import Settings, Track, fit_pose
 from tracking.datasets.recordings import Poses, Recording
+from tracking.datasets.within import WITHIN, choose_instants
 
 TRACK_WIDTH, FULL_SPEED = 0.13, 0.5
 DELAY = 0.04  # motors answer later than one frame at 30 per second
@@ -110,11 +111,80 @@ def test_rows_hold_the_displacement_in_the_robots_frame(tmp_path):
     assert sum(dataset.meta["left_out"].values()) == 0
 
 
+def test_poses_within_commands_are_those_of_the_frames(tmp_path):
+    path = write_recording(tmp_path / "rec", [SESSION])
+    dataset = build([path], tmp_path / "out")
+    pose = drive([(t, a, b) for _, kind, t, a, b, _ in SESSION if kind[:4] != "lamp"], 8.0)
+    starts = [1.0, 2.0, 4.0, 4.5]
+    for row, time, *moved in dataset.within.itertuples(index=False):
+        expected = se2.between(pose(starts[row]), pose(starts[row] + time))
+        assert moved == pytest.approx(expected, abs=5e-6)
+    # By hand: frames are at 0.011 + n / 30 - 0.3 s. Wanted are 0.125, 0.25, 0.375, 0.5 s and
+    # fifths of the second 0.2, 0.4, 0.6, 0.8 s.
+    frames = 0.011 - 0.3 + FRAME * np.arange(300) - 1.0
+    wanted = [0.125, 0.2, 0.25, 0.375, 0.4, 0.5, 0.6, 0.8]
+    nearest = [frames[np.abs(frames - time).argmin()] for time in wanted]
+    first = dataset.within[dataset.within["row"] == 0]
+    assert first["time"].tolist() == pytest.approx(nearest, abs=1e-6)
+    # Left 40 %, right 20 %, for the time since the motors answered: an arc to the right.
+    arc = se2.exp(twist(40, 20) * (first["time"].to_numpy() - DELAY)[:, None])
+    assert first[["dx", "dy", "dtheta"]].to_numpy() == pytest.approx(arc, abs=5e-6)
+
+
+def test_frames_in_which_the_robot_was_lost_are_no_poses_within(tmp_path):
+    def edit(poses):
+        gone = (poses.time > 2.1) & (poses.time < 2.3)
+        poses.pose[gone] = np.nan
+
+    dataset = build([write_recording(tmp_path / "rec", [SESSION], edit=edit)], tmp_path / "out")
+    time = dataset.within.loc[dataset.within["row"] == 1, "time"]
+    assert not time.between(0.1, 0.3).any()
+    assert time.tolist()[:2] == pytest.approx([0.011 + 2 / 30, 0.011 + 9 / 30], abs=1e-6)
+
+
+def test_poses_within_count_from_when_the_motors_answered(tmp_path):
+    rng = np.random.default_rng(1)
+    speeds = rng.uniform(-50, 50, (60, 2)).round(1)
+    lines = [(n, "command", 1.0 * n, *pair, 1.0) for n, pair in enumerate(speeds.tolist(), 1)]
+    lines.append((None, "stop", 61.0, 0.0, 0.0, None))
+    path = write_recording(tmp_path / "rec", [lines])
+    late = build([path], tmp_path / "late")
+    (delay,) = late.meta["motor_delays"]
+    assert delay["corrected"]
+    sent = build([path], tmp_path / "sent", correct_delay=False)
+    begin = {False: 5.0, True: 5.0 + delay["delay"]}
+    pose = drive([line[2:5] for line in lines], 62.0)
+    for dataset, corrected in ((sent, False), (late, True)):
+        assert dataset.table["command"][4] == 5
+        for _, time, *moved in dataset.within.query("row == 4").itertuples(index=False):
+            expected = se2.between(pose(begin[corrected]), pose(begin[corrected] + time))
+            assert moved == pytest.approx(expected, abs=2e-3)
+
+
+@given(
+    st.lists(st.integers(-10, 200), unique=True, max_size=150),
+    st.floats(0.1, 4.0),
+)
+@settings(max_examples=60, deadline=None)
+def test_the_choice_of_instants(frames, duration):
+    times = np.sort(np.array(frames, float)) * FRAME + 0.004
+    chosen = choose_instants(times, duration)
+    inside = (times > 1e-6) & (times < duration - 1e-6)
+    assert len(chosen) <= WITHIN
+    assert (np.diff(chosen) > 0).all()
+    assert inside[chosen].all()
+    assert (len(chosen) > 0) == inside.any()
+    if inside.sum() > 3 * duration / FRAME - 3:
+        assert len(chosen) >= 4
+
+
 def test_round_trip_and_sources(tmp_path):
     path = write_recording(tmp_path / "rec", [SESSION])
     written = build([path], tmp_path / "out")
     read = Dataset.read(tmp_path / "out")
     pd.testing.assert_frame_equal(read.table, written.table)
+    pd.testing.assert_frame_equal(read.within, written.within)
+    assert read.meta["within"] == len(read.within) > 20
     assert (read.inputs, read.outputs) == (tuple(MOTOR_INPUTS), ("dx", "dy", "dtheta"))
     assert [source["path"] for source in read.meta["sources"]] == [
         "rec/commands.csv",
@@ -123,7 +193,7 @@ def test_round_trip_and_sources(tmp_path):
     assert all(len(source["sha256"]) == 64 for source in read.meta["sources"])
     assert read.meta["rows"] == 4
     build([path], tmp_path / "again")
-    for name in ("dataset.csv", "dataset.json"):
+    for name in ("dataset.csv", "dataset.json", "within.csv"):
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "again" / name).read_bytes()
 
 
@@ -295,6 +365,83 @@ def test_datasets_without_rows_or_cut_short(folder, tmp_path):
         Dataset.read(tmp_path / "nowhere")
 
 
+@pytest.fixture
+def seen(folder, tmp_path):
+    """The dataset of ``folder`` with poses within its first, third and fourth command."""
+    instants = {0: (0.5,), 2: (0.25, 0.5, 1.0), 3: (0.75,)}
+    rows = [
+        row
+        | {"within": [{"time": t, "dx": t, "dy": 0.0, "dtheta": -t} for t in instants.get(n, ())]}
+        for n, row in enumerate(Dataset.read(folder).table.to_dict("records"))
+    ]
+    units = {"prev_v": "m/s", "v": "m/s", "duration": "s"}
+    make(rows, units, sources=[], left_out={}, settings={}).write(tmp_path / "seen")
+    return tmp_path / "seen"
+
+
+def test_poses_within_go_with_their_rows(seen, tmp_path):
+    dataset = Dataset.read(seen)
+    assert dataset.within.columns.tolist() == ["row", "time", "dx", "dy", "dtheta"]
+    assert dataset.within["row"].tolist() == [0, 2, 2, 2, 3]
+    earlier, later = dataset.split(0.6)
+    assert earlier.within["row"].tolist() == [0]
+    assert later.within["row"].tolist() == [0, 0, 0, 1]
+    assert later.within["time"].tolist() == [0.25, 0.5, 1.0, 0.75]
+    assert (earlier.meta["within"], later.meta["within"]) == (1, 4)
+    last = dataset.part(slice(-2, None))
+    assert (last.table["command"].tolist(), last.within["row"].tolist()) == ([4, 5], [0])
+    later.write(tmp_path / "later")
+    pd.testing.assert_frame_equal(Dataset.read(tmp_path / "later").within, later.within)
+    with pytest.raises(ValueError, match="step 1"):
+        dataset.part(slice(None, None, 2))
+
+
+def test_a_dataset_without_poses_within(folder, seen):
+    assert not (folder / "within.csv").exists()
+    dataset = Dataset.read(folder)
+    assert (len(dataset.within), dataset.meta["within"]) == (0, 0)
+    assert dataset.within.dtypes.tolist() == Dataset.read(seen).within.dtypes.tolist()
+    document = json.loads((folder / "dataset.json").read_text())
+    del document["within"]  # as it was written before there were any
+    (folder / "dataset.json").write_text(json.dumps(document))
+    assert Dataset.read(folder).meta["within"] == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        (
+            "3,0.75",
+            "5,0.75",
+            r"within\.csv, line 6, field 'row': expected a row of dataset.*0 to 4",
+        ),
+        ("0,0.5", "-1,0.5", r"within\.csv, line 2, field 'row': expected a row of dataset"),
+        ("3,0.75", f"{10**30},0.75", r"line 6, field 'row': expected a row of dataset"),
+        ("3,0.75", "1,0.75", r"line 6, field 'row': expected rows in order"),
+        ("3,0.75", "3.5,0.75", r"line 6, field 'row': expected a whole number"),
+        ("3,0.75", "3,1.01", r"line 6, field 'time': expected at most the duration"),
+        ("2,0.25", "2,0.0", r"line 3, field 'time': expected a number above 0"),
+        ("2,0.5,", "2,0.25,", r"line 4, field 'time': expected times that increase"),
+        ("2,0.5,0.5", "2,0.5,nan", r"line 4, field 'dx': expected a finite number"),
+        (",dtheta", ",turn", r"field 'dtheta': this column is missing"),
+        ("3,0.75,0.75,0.0,-0.75\n", "", r"within\.csv: holds 4 poses where dataset\.json says 5"),
+    ],
+)
+def test_bad_poses_within_are_named(seen, old, new, message):
+    path = seen / "within.csv"
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(FileError, match=message):
+        Dataset.read(seen)
+
+
+def test_poses_within_that_are_gone(seen):
+    (seen / "within.csv").unlink()
+    with pytest.raises(FileError, match=r"within\.csv: no such file"):
+        Dataset.read(seen)
+
+
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
@@ -304,6 +451,8 @@ def test_datasets_without_rows_or_cut_short(folder, tmp_path):
         ("inputs", [], "expected a list of {name, unit}"),
         ("inputs", [{"name": "v"}, {"name": "v"}], "names a column twice"),
         ("outputs", [{"name": "dx"}], "expected dx, dy, dtheta"),
+        ("within", "many", "field 'within': expected a number of poses, found 'many'"),
+        ("within", -1, "field 'within': expected a number of poses"),
     ],
 )
 def test_bad_json_is_named_by_field(folder, key, value, message):

@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
 from tracking.datasets.dataset import Dataset
+from tracking.datasets.logs import Settings, pieces
 from tracking.datasets.mrclam import import_mrclam
 
 
@@ -23,7 +25,42 @@ def test_the_real_robots_rows_and_the_ideal_unicycles_errors(shared_data, tmp_pa
     assert [round(value, 2) for value in found] == [0.58, 0.38, 1.52]
     durations = dataset.table["duration"]
     assert (durations.min(), durations.max()) == (0.5, 3.0)
-    assert len(Dataset.read(tmp_path / "out")) == 565
+    read = Dataset.read(tmp_path / "out")
+    assert len(read) == 565
+    pd.testing.assert_frame_equal(read.within, dataset.within)
+    counts = dataset.within.groupby("row").size()
+    assert (len(counts), counts.max()) == (565, 8)
+    assert len(dataset.within) == read.meta["within"]
+
+
+def test_the_real_robots_poses_within_commands_are_those_of_its_track(shared_data, tmp_path):
+    # From the files themselves, slowly: where the robot was, seen from the piece's beginning.
+    folder = shared_data / "utias"
+    dataset = import_mrclam(folder, tmp_path / "out")
+    odometry = np.loadtxt(next(folder.glob("*Odometry*")))
+    truth = np.loadtxt(next(folder.glob("*Groundtruth*")))
+    truth[:, 3] = np.unwrap(truth[:, 3])
+
+    def pose(time):
+        return np.array([np.interp(time, truth[:, 0], column) for column in truth[:, 1:].T])
+
+    settings = Settings()
+    starts = [
+        odometry[start, 0]
+        for start, end in pieces(odometry[:, 0], odometry[:, 1:], settings.longest)
+        if start and odometry[end, 0] - odometry[start, 0] > settings.shortest - 2e-3
+    ]
+    assert len(starts) == 565
+    for row, time, *moved in dataset.within.iloc[::97].itertuples(index=False):
+        expected = se2.between(pose(starts[row]), pose(starts[row] + time))
+        assert moved == pytest.approx(expected, abs=1e-5)
+    # Near its end a command has moved the robot most of the way.
+    last = dataset.within.groupby("row").last()
+    share = last["time"] / dataset.table["duration"]
+    assert 0.7 < share.median() < 0.9
+    steady = dataset.table["v"] == dataset.table["v"].max()
+    reached = (last["dx"] / dataset.table["dx"])[steady]
+    assert reached.median() == pytest.approx(share[steady].median(), abs=0.1)
 
 
 def write(folder: Path, odometry, truth, names=("Robot1_Odometry.dat", "Robot1_Groundtruth.dat")):
@@ -57,6 +94,12 @@ def test_pieces_of_a_run_by_hand(tmp_path):
     assert dataset.output_array()[:, 2] == pytest.approx(dataset.table["duration"], abs=1e-2)
     assert np.abs(dataset.output_array()[:, :2]).max() < 1e-9
     assert dataset.meta["left_out"] == {"too short": 0, "first": 1, "gap": 0}
+    # 0.125, 0.25, 0.375, 0.5 s and fifths of 2.94 s, each at the nearest sample of 0.07 s.
+    first = dataset.within[dataset.within["row"] == 0]
+    samples = [2, 4, 5, 7, 8, 17, 25, 34]
+    assert first["time"].tolist() == pytest.approx([0.07 * n for n in samples], abs=2e-6)
+    assert first["dtheta"].tolist() == pytest.approx(first["time"].tolist(), abs=1e-2)
+    assert first[["dx", "dy"]].abs().to_numpy().max() < 1e-9
 
 
 def test_a_gap_in_either_file_leaves_its_pieces_out(tmp_path):

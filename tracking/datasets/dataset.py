@@ -3,7 +3,9 @@
 A dataset is a folder: ``dataset.csv`` with the columns ``recording, command, <inputs>,
 <outputs>, quality``, and ``dataset.json``, which names inputs and outputs with their units,
 says from which files the rows came and counts by reason what was left out. Another robot's
-inputs may be others, which is why the names stand in the file.
+inputs may be others, which is why the names stand in the file. Where the robot was seen while
+commands were going on, ``within.csv`` holds poses at some instants of them
+(:mod:`tracking.datasets.within`).
 
 The outputs are the displacement (dx, dy, dtheta) of the middle of the axle in the robot's frame
 at the command's start, REP 103: the dy of Pretorius et al. (2009) is dx here, its dx is -dy.
@@ -13,7 +15,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +27,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
+from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
 
@@ -45,12 +48,16 @@ class Dataset:
         outputs: names of the output columns.
         meta: what dataset.json says: inputs and outputs [{name, unit}], sources
             [{path, sha256}], rows, left_out {reason: count}, settings, and more.
+        within: poses at instants within the commands, columns row (place in ``table``), time
+            (s since the command's beginning), dx, dy (m), dtheta (rad) since that beginning, in
+            the robot's frame there; in the order of row and time, no lines where there are none.
     """
 
     table: pd.DataFrame
     inputs: tuple[str, ...]
     outputs: tuple[str, ...]
     meta: dict[str, Any]
+    within: pd.DataFrame = field(default_factory=within_commands.none_within)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -80,11 +87,17 @@ class Dataset:
                 f"the dataset has {len(self)} row{'s' * (len(self) != 1)}, too few to hold out "
                 f"{held_out:.0%} of them; record more commands"
             )
-        return self._part(slice(None, earlier)), self._part(slice(earlier, None))
+        return self.part(slice(None, earlier)), self.part(slice(earlier, None))
 
-    def _part(self, rows: slice) -> Dataset:
-        table = self.table.iloc[rows].reset_index(drop=True)
-        return Dataset(table, self.inputs, self.outputs, {**self.meta, "rows": len(table)})
+    def part(self, rows: slice) -> Dataset:
+        """Return a run of rows, a slice with step 1, with the poses within them."""
+        first, last, step = rows.indices(len(self))
+        if step != 1:
+            raise ValueError("a part of a dataset is a run of rows: a slice with step 1")
+        table = self.table.iloc[first:last].reset_index(drop=True)
+        within = within_commands.part_of(self.within, first, last)
+        meta = {**self.meta, "rows": len(table), "within": len(within)}
+        return Dataset(table, self.inputs, self.outputs, meta, within)
 
     def write(self, folder: str | Path) -> None:
         """Write the dataset to a new folder, whole or not at all.
@@ -95,7 +108,10 @@ class Dataset:
         with files.new_folder(folder) as partial:
             columns = {name: self.table[name].tolist() for name in self.table.columns}
             files.write_csv(partial / "dataset.csv", columns)
-            files.write_json(partial / "dataset.json", FORMAT, VERSION, self.meta)
+            if len(self.within):
+                within_commands.write(partial / "within.csv", self.within)
+            meta = {**self.meta, "within": len(self.within)}
+            files.write_json(partial / "dataset.json", FORMAT, VERSION, meta)
 
     @classmethod
     def read(cls, folder: str | Path) -> Dataset:
@@ -103,7 +119,8 @@ class Dataset:
 
         Raises:
             FileError: naming file, line and field: a missing file or column, another version,
-                a word or NaN where a number belongs, no rows, or fewer rows than were written.
+                a word or NaN where a number belongs, no rows, fewer rows or poses than were
+                written, or a pose that is not within a command.
         """
         folder = Path(folder)
         if not folder.is_dir():
@@ -129,7 +146,12 @@ class Dataset:
             line = int(np.argmax(table["duration"] <= 0)) + 2
             raise FileError(csv_path, "expected a number above 0", line=line, field="duration")
         meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
-        return cls(table, inputs, outputs, meta)
+        expected = meta.get("within")
+        if expected is not None and (type(expected) is not int or expected < 0):
+            what = f"expected a number of poses, found {expected!r:.60}"
+            raise FileError(json_path, what, field="within")
+        within = within_commands.read(folder / "within.csv", expected, table)
+        return cls(table, inputs, outputs, {**meta, "within": len(within)}, within)
 
 
 def _names(path: Path, field: str, columns: list) -> tuple[str, ...]:
@@ -153,7 +175,9 @@ def make(
     """Make a dataset of rows.
 
     Args:
-        rows: one mapping per row, with recording, command, every input and output, quality.
+        rows: one mapping per row, with recording, command, every input and output, quality; and
+            ``within``, where there are any, the poses within the command in the order of time:
+            a sequence of mappings with time, dx, dy, dtheta.
         inputs: name of every input column -> its unit.
         sources: path and sha256 of the files that the rows came from.
         left_out: reason -> count of what gave no row.
@@ -167,17 +191,20 @@ def make(
         reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
         where = " and ".join(dict.fromkeys(source["path"] for source in sources))
         raise UserError(f"{where}: no usable command (left out: {reasons or 'none'})")
-    table = pd.DataFrame(rows)[["recording", "command", *inputs, *OUTPUTS, "quality"]]
+    names = ("recording", "command", *inputs, *OUTPUTS, "quality")
+    table = pd.DataFrame({name: [row[name] for row in rows] for name in names})
+    within = within_commands.table_of([row.get("within", ()) for row in rows])
     meta = {
         "inputs": [{"name": name, "unit": unit} for name, unit in inputs.items()],
         "outputs": [{"name": name, "unit": unit} for name, unit in OUTPUTS.items()],
         "rows": len(table),
+        "within": len(within),
         "left_out": dict(left_out),
         "settings": dict(settings),
         "sources": list(sources),
         **more,
     }
-    return Dataset(table, tuple(inputs), tuple(OUTPUTS), meta)
+    return Dataset(table, tuple(inputs), tuple(OUTPUTS), meta, within)
 
 
 def build(

@@ -24,6 +24,7 @@ from neurosim.base import se2
 from neurosim.base.errors import UserError
 from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.datasets.recordings import CommandLine, Poses, Recording
+from tracking.datasets.within import choose_instants, poses_within
 
 #: Why a command is left out of a dataset.
 REASONS = {
@@ -78,7 +79,9 @@ class Displacements:
 
     Attributes:
         rows: one dict per usable command, keys command, prev_left, prev_right, left, right
-            (percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1).
+            (percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1), and ``within``,
+            the tracked poses at some frames within the command
+            (:func:`tracking.datasets.within.poses_within`).
         left_out: reason -> count of the commands that gave no row.
         sent: every command as often as it was sent, dicts with left, right, duration, attempt
             (from 1) and ``fate``: ``cut``, ``completed`` or ``other``.
@@ -135,6 +138,18 @@ class Track:
         chosen = slice(min(int(first), after - 2), after + 1)
         pose = fit_pose(self.times[chosen] - time, self.poses[chosen])
         return pose, float(self.quality[after - 1 : after + 1].min())
+
+    def within(self, begin: float, duration: float) -> tuple[NDArray, NDArray]:
+        """Return some of the frames within a command that begins at ``begin`` and lasts so long.
+
+        Returns:
+            times: (K,) s since ``begin``.
+            poses: (K, 3) the frames' own poses, not fitted.
+        """
+        since = slice(*np.searchsorted(self.times, (begin, begin + duration)))
+        times = self.times[since] - begin
+        chosen = choose_instants(times, duration)
+        return times[chosen], self.poses[since][chosen]
 
     def trouble(self, start: float, end: float) -> str | None:
         """Return why the stretch from ``start`` to ``end`` is of no use, or None."""
@@ -270,8 +285,8 @@ def _displacement(
     line: CommandLine,
     after: CommandLine,
     settings: Settings,
-) -> dict[str, float] | str:
-    """Return dx, dy, dtheta and quality of a completed command, or why there are none."""
+) -> dict[str, Any] | str:
+    """Return a completed command's dx, dy, dtheta, quality, within, or why there are none."""
     if track is None or track.last_time < after.time:
         return "incomplete"
     steady = before.time + settings.settling if before is not None else -np.inf
@@ -283,4 +298,12 @@ def _displacement(
     if trouble is not None:
         return trouble
     dx, dy, dtheta = (float(value) for value in se2.between(start[0], end[0]))
-    return {"dx": dx, "dy": dy, "dtheta": dtheta, "quality": min(start[1], end[1])}
+    # A command that was held longer than planned has ended, by its row, when it was to end.
+    times, poses = track.within(line.time, min(line.duration, after.time - line.time))
+    return {
+        "dx": dx,
+        "dy": dy,
+        "dtheta": dtheta,
+        "quality": min(start[1], end[1]),
+        "within": poses_within(times, start[0], poses),
+    }

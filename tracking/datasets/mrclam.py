@@ -4,57 +4,31 @@ K. Leung, Y. Halpern, T. Barfoot, H. Liu, "The UTIAS multi-robot cooperative loc
 mapping dataset", IJRR 30(8), 2011. Text files of numbers between blanks, comments after ``#``:
 an odometry file with time (s), commanded forward velocity (m/s) and angular velocity (rad/s),
 and a ground-truth file with time (s), x, y (m) and heading (rad). Times may be unix times, and
-the two files need have neither times nor rates in common.
-
-A command is held from its sample to the first sample that differs. Such a run, cut from its
-beginning into pieces of at most 3 s, gives one row for every piece of at least 0.5 s; the
-previous command of a piece is that of the sample just before its first.
+the two files need have neither times nor rates in common. How such a log becomes rows is said in
+:mod:`tracking.datasets.logs`; poses within commands are taken at samples of the odometry.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import files, se2
+from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from tracking.datasets.dataset import Dataset, make
+from tracking.datasets.logs import REASONS, Log, Settings, inputs_of, rows_of
 
 #: Inputs of a robot that is commanded by its velocities, with units.
-VELOCITY_INPUTS = {
-    "prev_v": "m/s",
-    "prev_w": "rad/s",
-    "v": "m/s",
-    "w": "rad/s",
-    "duration": "s",
-}
+VELOCITY_INPUTS = inputs_of({"v": "m/s", "w": "rad/s"})
 
 _COLUMNS = {
     "odometry": ("time", "v", "w"),
     "groundtruth": ("time", "x", "y", "heading"),
 }
-#: Times are written to the millisecond; a piece of 60 samples at 20 Hz lasts 3 s give or take one.
-_ROUNDING = 1e-3
-
-
-@dataclass(frozen=True)
-class Settings:
-    """How runs of equal commands become rows.
-
-    Attributes:
-        shortest: shortest piece that gives a row, s.
-        longest: longest piece, s.
-        longest_gap: a piece is left out if either file is silent for longer within it, s.
-    """
-
-    shortest: float = 0.5
-    longest: float = 3.0
-    longest_gap: float = 0.5
 
 
 def import_mrclam(
@@ -85,93 +59,21 @@ def import_mrclam(
             f"({odometry[0, 0]:.3f} to {odometry[-1, 0]:.3f} s and "
             f"{truth[0, 0]:.3f} to {truth[-1, 0]:.3f} s)"
         )
-    rows, left_out = _rows(odometry, truth, found["odometry"].stem, settings)
+    poses = np.column_stack([truth[:, 1], truth[:, 2], np.unwrap(truth[:, 3])])
+    seen = np.ones(len(odometry), bool)
+    stem = found["odometry"].stem
+    log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
+    rows, left_out = rows_of(log, ("v", "w"), settings)
     dataset = make(
         rows,
         VELOCITY_INPUTS,
         sources=[{"path": path.name, "sha256": files.sha256(path)} for path in found.values()],
         left_out=left_out,
         settings=asdict(settings),
+        reasons=REASONS,
     )
     dataset.write(out)
     return dataset
-
-
-def _rows(
-    odometry: NDArray, truth: NDArray, recording: str, settings: Settings
-) -> tuple[list[dict], dict[str, int]]:
-    time = odometry[:, 0]
-    left_out = Counter({"too short": 0, "first": 0, "gap": 0})
-    kept = []
-    for start, end in pieces(odometry, settings):
-        if time[end] - time[start] < settings.shortest - _ROUNDING:
-            left_out["too short"] += 1
-        elif start == 0:
-            left_out["first"] += 1  # nobody knows what came before it
-        elif _has_gap(time[start : end + 1], truth[:, 0], settings.longest_gap):
-            left_out["gap"] += 1
-        else:
-            kept.append((start, end))
-    if not kept:
-        return [], dict(left_out)
-    starts, ends = np.array(kept).T
-    moved = se2.between(_poses(truth, time[starts]), _poses(truth, time[ends]))
-    rows = [
-        {
-            "recording": recording,
-            "command": number,
-            "prev_v": odometry[start - 1, 1],
-            "prev_w": odometry[start - 1, 2],
-            "v": odometry[start, 1],
-            "w": odometry[start, 2],
-            "duration": round(time[end] - time[start], 6),
-            "dx": displacement[0],
-            "dy": displacement[1],
-            "dtheta": displacement[2],
-            "quality": 1.0,
-        }
-        for number, (start, end, displacement) in enumerate(
-            zip(starts, ends, moved, strict=True), start=1
-        )
-    ]
-    return rows, dict(left_out)
-
-
-def pieces(odometry: NDArray, settings: Settings) -> Iterator[tuple[int, int]]:
-    """Yield first and end sample of every piece of equal commands, the short ones too.
-
-    Args:
-        odometry: (N, 3) time, v, w. The last sample only ends the run before it: nobody
-            knows how long it was held itself.
-        settings: the longest piece.
-    """
-    time = odometry[:, 0]
-    changes = np.flatnonzero((np.diff(odometry[:, 1:], axis=0) != 0).any(axis=1)) + 1
-    ends = [*changes.tolist(), len(odometry) - 1]
-    start = 0
-    for run_end in ends:
-        while start < run_end:
-            reach = time[start] + settings.longest + _ROUNDING
-            end = min(int(np.searchsorted(time, reach, side="right")) - 1, run_end)
-            end = max(end, start + 1)  # a single step longer than a piece: a gap
-            yield start, end
-            start = end
-
-
-def _has_gap(samples: NDArray, truth_times: NDArray, longest: float) -> bool:
-    if (np.diff(samples) > longest).any():
-        return True
-    first = int(np.searchsorted(truth_times, samples[0], side="right")) - 1
-    last = int(np.searchsorted(truth_times, samples[-1], side="left"))
-    if first < 0 or last >= len(truth_times):
-        return True
-    return bool((np.diff(truth_times[first : last + 1]) > longest).any())
-
-
-def _poses(truth: NDArray, times: NDArray) -> NDArray:
-    heading = np.unwrap(truth[:, 3])
-    columns = (truth[:, 1], truth[:, 2], heading)
-    return np.stack([np.interp(times, truth[:, 0], column) for column in columns], axis=-1)
 
 
 def read_numbers(path: Path, columns: Sequence[str]) -> NDArray:

@@ -1,0 +1,153 @@
+"""Poses at instants within commands, beside the displacement at each command's end.
+
+A camera sees the robot in every frame, also while a command is going on: how the robot gets up
+to speed, and which way round it goes. ``within.csv`` in the folder of a dataset holds a few of
+these poses for each command, with the columns ``row, time, dx, dy, dtheta``:
+
+- ``row``: the place of the command in dataset.csv, from 0, never decreasing;
+- ``time``: seconds since the command's beginning, above 0, at most the command's duration, and
+  increasing within a row;
+- ``dx, dy`` (m), ``dtheta`` (rad): the displacement since the command's beginning, in the
+  robot's frame at that beginning (REP 103, headings not wrapped), like a row's outputs. A
+  command's end is in dataset.csv and not repeated here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from neurosim.base import files, se2
+from neurosim.base.errors import FileError
+
+COLUMNS = ("row", "time", "dx", "dy", "dtheta")
+
+#: At most so many instants of a command; half of them are in its first EARLY seconds, in which
+#: the motors get up to speed.
+WITHIN, EARLY = 8, 0.5
+
+#: Times and poses are kept to a microsecond, a micrometre and a microradian.
+_DIGITS = 6
+
+
+def choose_instants(times: NDArray, duration: float) -> NDArray:
+    """Choose the instants within a command whose poses are kept; no random numbers.
+
+    Half of :data:`WITHIN` instants are spread evenly over the first :data:`EARLY` seconds, half
+    over the whole command. Of each, the nearest time at which the robot was seen is taken, once.
+
+    Args:
+        times: (N,) increasing, when the robot was seen, s since the command's beginning; those
+            that are not within the command are passed over.
+        duration: of the command, s.
+
+    Returns:
+        (K,) places in ``times``, increasing, K at most WITHIN.
+    """
+    # Rounded, they must still be above 0 and before the end.
+    margin = 10.0**-_DIGITS
+    usable = np.flatnonzero((times > margin) & (times < duration - margin))
+    if len(usable) == 0:
+        return usable
+    half = WITHIN // 2
+    early = min(EARLY, duration) * np.arange(1, half + 1) / half
+    whole = duration * np.arange(1, half + 1) / (half + 1)
+    wanted = np.concatenate([early, whole])
+    nearest = np.abs(times[usable][None, :] - wanted[:, None]).argmin(axis=1)
+    return usable[np.unique(nearest)]
+
+
+def poses_within(times: NDArray, start: NDArray, poses: NDArray) -> list[dict[str, float]]:
+    """Return what a row of a dataset has as ``within``.
+
+    Args:
+        times: (K,) s since the command's beginning.
+        start: (3,) pose at the command's beginning, m, m, rad.
+        poses: (K, 3) poses at ``times``, in the same frame.
+
+    Returns:
+        K dicts with time, dx, dy, dtheta.
+    """
+    moved = np.column_stack([times, se2.between(start, poses)]).round(_DIGITS)
+    return [dict(zip(COLUMNS[1:], map(float, values), strict=True)) for values in moved]
+
+
+def table_of(within: Sequence[Sequence[dict[str, float]]]) -> pd.DataFrame:
+    """Return the table of the poses of all rows, given row by row."""
+    rows = [{"row": row, **pose} for row, poses in enumerate(within) for pose in poses]
+    return _table({name: [each[name] for each in rows] for name in COLUMNS})
+
+
+def none_within() -> pd.DataFrame:
+    """Return a table without poses."""
+    return table_of(())
+
+
+def part_of(within: pd.DataFrame, first: int, last: int) -> pd.DataFrame:
+    """Return the poses of a run of rows of a dataset, numbered anew from 0.
+
+    Args:
+        within: the poses of the whole dataset.
+        first: the first row that is kept.
+        last: the row after the last one that is kept.
+    """
+    kept = within[within["row"].between(first, last, inclusive="left")]
+    return kept.assign(row=kept["row"] - first).reset_index(drop=True)
+
+
+def write(path: Path, within: pd.DataFrame) -> None:
+    """Write within.csv."""
+    files.write_csv(path, {name: within[name].to_numpy() for name in COLUMNS})
+
+
+def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
+    """Read and check within.csv; without the file and a count of its poses there are none.
+
+    Args:
+        path: of within.csv.
+        expected: how many poses dataset.json says that there are, None where it says nothing.
+        table: the rows of the dataset.
+
+    Raises:
+        FileError: naming line and field of what is wrong, or if poses are missing.
+    """
+    if not path.exists() and not expected:
+        return none_within()
+    columns = {"row": files.integer} | dict.fromkeys(COLUMNS[1:], files.number)
+    found = files.read_csv(path, columns)
+    # A number too large for an array is as far out as the one after the last row.
+    found["row"] = [min(max(row, -1), len(table)) for row in found["row"]]
+    within = _table(found)
+    if expected is not None and len(within) != expected:
+        raise FileError(
+            path,
+            f"holds {len(within)} poses where dataset.json says {expected}; "
+            "it may have been cut short",
+        )
+    row, time = within["row"].to_numpy(), within["time"].to_numpy()
+    same = np.diff(row, prepend=-1) == 0
+    outside = (row < 0) | (row >= len(table))
+    _refuse(path, outside, "row", f"expected a row of dataset.csv, 0 to {len(table) - 1}")
+    _refuse(path, np.diff(row, prepend=0) < 0, "row", "expected rows in order")
+    _refuse(path, time <= 0, "time", "expected a number above 0")
+    if "duration" in table:
+        late = time > table["duration"].to_numpy()[row]
+        _refuse(path, late, "time", "expected at most the duration of the command")
+    backwards = same & (np.diff(time, prepend=0.0) <= 0)
+    _refuse(path, backwards, "time", "expected times that increase within a row")
+    return within
+
+
+def _refuse(path: Path, wrong: NDArray, field: str, what: str) -> None:
+    if wrong.any():
+        raise FileError(path, what, line=int(np.argmax(wrong)) + 2, field=field)
+
+
+def _table(columns: dict[str, list]) -> pd.DataFrame:
+    kinds = {name: np.int64 if name == "row" else np.float64 for name in COLUMNS}
+    return pd.DataFrame({name: np.array(columns[name], kinds[name]) for name in COLUMNS})
