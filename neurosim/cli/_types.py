@@ -139,6 +139,38 @@ class Listed(_Named):
         return ",".join(shown(self.kind, part) for part in value)
 
 
+class Pairs(_Named):
+    """Names, each with a word that it stands for: ``x=pos_x,y=pos_y``; a name alone is itself.
+
+    Args:
+        name: such as ``NAME=COLUMN,...``.
+        example: for messages.
+        alone: whether a name may stand alone.
+    """
+
+    def __init__(self, name: str, example: str, alone: bool = False):
+        self.name, self._example, self._alone = name, example, alone
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> dict[str, str]:
+        """Return the word of each name, in their order."""
+        if not isinstance(value, str):
+            return dict(value)
+        found: dict[str, str] = {}
+        for part in value.split(","):
+            name, given, word = (side.strip() for side in part.partition("="))
+            word = word if given else name
+            if not (name and word) or not (given or self._alone):
+                self.fail(f"{part!r}: expected {self.name}, such as {self._example}", param, ctx)
+            if name in found:
+                self.fail(f"{name!r} is named twice", param, ctx)
+            found[name] = word
+        return found
+
+    def shown(self, value: dict[str, str]) -> str:
+        """Return names and words as they are typed."""
+        return ",".join(f"{name}={word}" for name, word in value.items())
+
+
 class Json(click.ParamType):
     """A value written as JSON."""
 

@@ -2,12 +2,38 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import click
 
-from neurosim.cli._common import emit, json_option, next_step
-from neurosim.cli._types import PATH
+from neurosim.base.errors import UserError
+from neurosim.cli._common import emit, is_given, json_option, next_step
+from neurosim.cli._types import PATH, POSITIVE, Pairs
+
+#: Options of some sources only: parameter -> the sources.
+_ONLY: dict[str, tuple[str, ...]] = {
+    "as_sent": ("recording",),
+    "mixed": ("recording",),
+    **dict.fromkeys(("longest", "shortest", "longest_gap"), ("mrclam", "csv")),
+    **dict.fromkeys(
+        ("columns", "units", "rows", "from_rest", "length", "angle", "time", "y", "frame"), ("csv",)
+    ),
+}
+
+
+def _unit(name: str, values: list[str], help: str) -> Callable[[Callable], Callable]:
+    choice = click.Choice(values)
+    return click.option(
+        f"--{name}", type=choice, default=values[0], show_default=True, help=f"csv: {help}"
+    )
+
+
+def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Callable]:
+    return click.option(
+        f"--{name}", type=POSITIVE, default=default, show_default=True, help=f"csv, mrclam: {help}"
+    )
 
 
 @click.command()
@@ -16,10 +42,11 @@ from neurosim.cli._types import PATH
 @click.option(
     "--from",
     "source",
-    type=click.Choice(["recording", "mrclam"]),
+    type=click.Choice(["recording", "mrclam", "csv"]),
     default="recording",
     show_default=True,
-    help="mrclam: the UTIAS files *_Odometry.dat and *_Groundtruth.dat.",
+    help="mrclam: the UTIAS files *_Odometry.dat and *_Groundtruth.dat. csv: logs of time, pose "
+    "and command, or files with a line for each command (docs/own-data.md).",
 )
 @click.option(
     "--as-sent",
@@ -28,31 +55,104 @@ from neurosim.cli._types import PATH
     "answer.",
 )
 @click.option("--mixed", is_flag=True, help="Allow recordings of different robots.")
+@click.option(
+    "--columns",
+    type=Pairs("NAME=COLUMN,...", "time=t,x=pos_x,v=speed", alone=True),
+    help="csv: what the file calls its columns. Names are time, x, y, heading of a log; duration "
+    "(or start, end), dx, dy, dtheta (or x0, y0, heading0, x1, y1, heading1) of rows; any other "
+    "is a command, and prev_ with its name, in rows, the command before.",
+)
+@click.option(
+    "--units",
+    type=Pairs("NAME=UNIT,...", "v=m/s,w=rad/s"),
+    help="csv: units of the commands, to be shown.  [default: m/s of v, rad/s of w]",
+)
+@click.option(
+    "--rows",
+    is_flag=True,
+    help="csv: each line is a command, not a sample; needed where the columns do not say so.",
+)
+@click.option(
+    "--from-rest",
+    is_flag=True,
+    help="csv, rows: the robot stood before each command; otherwise the line above came before.",
+)
+@_unit("length", ["m", "cm", "mm"], "unit of x, y, dx, dy.")
+@_unit("angle", ["rad", "deg"], "unit of headings and dtheta.")
+@_unit("time", ["s", "ms", "us", "ns"], "unit of times and durations.")
+@_unit(
+    "y",
+    ["left", "right"],
+    "where y points, looking along x; right (pictures, y down) has headings clockwise.",
+)
+@_unit("frame", ["body", "world"], "frame of dx, dy: the robot's at the start, or heading0's.")
+@_seconds("longest", 3.0, "cut a command that is held into pieces of at most so many s.")
+@_seconds("shortest", 0.5, "leave out pieces shorter than so many s.")
+@_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
 @json_option
 def dataset(
-    recordings: tuple[Path, ...], out: Path, source: str, as_sent: bool, mixed: bool, as_json: bool
+    recordings: tuple[Path, ...],
+    out: Path,
+    source: str,
+    as_sent: bool,
+    mixed: bool,
+    columns: dict[str, str] | None,
+    units: dict[str, str] | None,
+    rows: bool,
+    from_rest: bool,
+    longest: float,
+    shortest: float,
+    longest_gap: float,
+    as_json: bool,
+    **conventions: str,
 ) -> None:
     """Turn RECORDINGS that were tracked into rows of (command -> displacement).
 
-    A guided recording's rounds are recordings; its folder stands for all of them.
+    A guided recording's rounds are recordings; its folder stands for all of them. With --from,
+    RECORDINGS are files.
     """
     from neurosim.recording.rounds import parts_of
     from tracking.datasets.dataset import build
-    from tracking.datasets.mrclam import import_mrclam
+    from tracking.datasets.logs import Settings
 
-    if source == "mrclam":
-        made = import_mrclam(list(recordings), out)
-    else:
+    for name, sources in _ONLY.items():
+        if is_given(name) and source not in sources:
+            option = "--" + name.replace("_", "-")
+            raise UserError(f"{option} is for --from {' or '.join(sources)}, not {source}")
+    if source == "recording":
         parts = [part for folder in recordings for part in parts_of(folder)]
         made = build(parts, out, correct_delay=not as_sent, mixed=mixed)
+    else:
+        pieces = Settings(shortest, longest, longest_gap)
+        if source == "mrclam":
+            from tracking.datasets.mrclam import import_mrclam
+
+            made = import_mrclam(list(recordings), out, settings=pieces)
+        else:
+            from tracking.datasets.csv_files import Conventions, import_csv
+
+            made = import_csv(
+                recordings,
+                out,
+                columns=columns,
+                units=units,
+                rows=rows or None,
+                from_rest=from_rest,
+                conventions=Conventions(**conventions),
+                settings=pieces,
+            )
+    warnings = [*made.meta.get("warnings", ()), *_too_few(len(made))]
+    for warning in warnings:
+        click.echo(f"warning: {warning}", err=True)
     left_out = made.meta.get("left_out", {})
     delays = made.meta.get("motor_delays", [])
-    result = {
+    result: dict[str, Any] = {
         "dataset": str(out),
         "rows": len(made.table),
         "within": len(made.within),
         "left_out": left_out,
         "motor_delays": delays,
+        "warnings": warnings,
     }
     late = "".join(
         f"{each['recording']}, session {each['session']}: the motors answered "
@@ -67,3 +167,11 @@ def dataset(
         f"{out}: {len(made.table)} rows, {len(made.within)} poses within them; left out: "
         f"{reasons or 'none'}.\n" + late + next_step("train", out, "-o", "SIMULATOR"),
     )
+
+
+def _too_few(rows: int) -> list[str]:
+    from tracking.datasets.dataset import FEWEST_ROWS
+
+    if rows >= FEWEST_ROWS:
+        return []
+    return [f"{rows} row{'s' * (rows != 1)}; neurosim train needs at least {FEWEST_ROWS}"]

@@ -12,7 +12,7 @@ from neurosim.reports.accuracy import AXES
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 from neurosim.training.evaluate import READABLE, UNITS
-from tracking.datasets.dataset import Dataset
+from tracking.datasets.dataset import MOTOR_INPUTS, Dataset
 
 _MARKERS = ("front", "rear")
 
@@ -48,9 +48,11 @@ def _rows(artefact: Artefact, dataset: Dataset) -> list[Block]:
     if moving.size:
         text += (
             f" Commands that move the robot by more than 1 cm displace it by "
-            f"{100 * moving.mean():.1f} cm on average (about 25 cm in the paper)."
+            f"{100 * moving.mean():.1f} cm on average"
         )
+        text += " (about 25 cm in the paper)." if dataset.inputs == tuple(MOTOR_INPUTS) else "."
     blocks: list[Block] = [Text(text)]
+    blocks += [Text(f"Warning: {said}.") for said in artefact.meta.get("warnings", ())]
     if left_out:
         meaning = artefact.meta.get("reasons", {})
         rows = [

@@ -37,6 +37,9 @@ FORMAT, VERSION = "neurosim-dataset", 1
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
 
+#: Nothing can be learned from fewer rows; importers warn, training refuses.
+FEWEST_ROWS = 20
+
 
 @dataclass
 class Dataset:

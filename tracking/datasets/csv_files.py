@@ -1,0 +1,591 @@
+"""Datasets from tables of numbers that anything can write: logs, and lists of commands.
+
+Two shapes of file are read. A **log** has a line for every sample: the time, the pose, and the
+command that was in force. It is cut into rows as :mod:`tracking.datasets.logs` says. A file of
+**rows** has a line for every command: the command, how long it lasted, and by how much the robot
+was displaced, or its poses before and after.
+
+The first line names the columns. Fields are separated by commas, semicolons, tabs or blanks;
+numbers have a decimal point. Lengths, angles and times are taken to SI and frames to REP 103 (x
+forward, y left, heading counter-clockwise); commands stay in the units that they have.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import files, se2
+from neurosim.base.errors import FileError, UserError
+from tracking.datasets import logs
+from tracking.datasets.dataset import OUTPUTS, Dataset, make
+
+#: Columns of a log, beside the commands.
+LOG = ("time", "x", "y", "heading")
+#: How long a command of a file of rows lasted, and what it did to the robot.
+LASTED = ("duration",), ("start", "end")
+MOVED = tuple(OUTPUTS)
+POSES = ("x0", "y0", "heading0", "x1", "y1", "heading1")
+_RESERVED = {*LOG, "duration", "start", "end", *MOVED, *POSES}
+#: Columns that a dataset has anyway.
+_TAKEN = {"recording", "command", "quality", "row"}
+
+#: Commands that are found by themselves, where no column is named as one; and their units.
+_USUAL = (("v", "w"), ("left", "right"))
+_USUAL_UNITS = {"v": "m/s", "w": "rad/s"}
+
+#: What one of them is in SI.
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+#: Small robots are slower than this; a larger number probably has another unit (m/s, rad/s).
+FASTEST, FASTEST_TURN = 20.0, 50.0
+
+#: Between poses farther apart (s), headings may differ by any angle.
+_NEAR = 0.5
+
+#: Why a line of a file of rows is left out of a dataset.
+ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not known"}
+
+_ABSENT = {"", "nan", "na", "n/a", "null", "none"}
+_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Conventions:
+    """What the numbers of a file mean.
+
+    Attributes:
+        length: unit of x, y, dx, dy: m, cm or mm.
+        angle: unit of headings and dtheta: rad or deg.
+        time: unit of times and durations: s, ms, us or ns.
+        y: where y points to, seen along x: left, as in mathematics, with headings
+            counter-clockwise; or right, as in pictures, whose y points down, with headings
+            clockwise.
+        frame: of the dx, dy in a file of rows: body, the robot's at the command's beginning, or
+            world, the frame of ``heading0``.
+    """
+
+    length: str = "m"
+    angle: str = "rad"
+    time: str = "s"
+    y: str = "left"
+    frame: str = "body"
+
+    def __post_init__(self) -> None:
+        known = {
+            "length": LENGTHS,
+            "angle": ANGLES,
+            "time": TIMES,
+            "y": ("left", "right"),
+            "frame": ("body", "world"),
+        }
+        for setting in fields(self):
+            value, values = getattr(self, setting.name), known[setting.name]
+            if value not in values:
+                raise UserError(f"{setting.name} must be one of {', '.join(values)}, not {value!r}")
+
+    def poses(self, numbers: NDArray) -> NDArray:
+        """Return poses or displacements (N, 3) in SI and with y to the left."""
+        length, angle = LENGTHS[self.length], ANGLES[self.angle]
+        side = 1.0 if self.y == "left" else -1.0
+        return numbers * (length, side * length, side * angle)
+
+
+def import_csv(
+    paths: Sequence[str | Path] | str | Path,
+    out: str | Path,
+    *,
+    columns: Mapping[str, str] | None = None,
+    units: Mapping[str, str] | None = None,
+    rows: bool | None = None,
+    from_rest: bool = False,
+    conventions: Conventions | None = None,
+    settings: logs.Settings | None = None,
+) -> Dataset:
+    """Turn logs, or files with a line for each command, into a dataset.
+
+    Args:
+        paths: the files, all of one shape and with the same columns, in the order of their
+            recording.
+        out: the folder to write; inputs are those of the command before (``prev_...``), the
+            command's, and the duration.
+        columns: our name -> the file's name of a column. Ours are time, x, y, heading of a log;
+            of rows duration (or start, end), and dx, dy, dtheta (or x0, y0, heading0, x1, y1,
+            heading1). Those that are not named here are looked up by their own name. Any other
+            name is a command's, in this order; ``prev_`` and such a name is, in a file of rows,
+            the command before. Without commands v, w or left, right are looked for.
+        units: command's name -> its unit, for people to read; by default m/s of v, rad/s of w.
+        rows: whether a line is a command rather than a sample; by default what the columns say.
+        from_rest: of rows: the robot stood before each command. Otherwise the command before is
+            that of the line above, and the robot stood before the first.
+        conventions: units and frames.
+        settings: how runs of equal commands in a log become rows.
+
+    Returns:
+        The dataset; what is odd about its numbers stands in ``meta["warnings"]``, a sentence each.
+
+    Raises:
+        FileError: naming file, line and column of what is missing or wrong.
+        UserError: if columns or units make no sense, no row is left, or ``out`` is taken.
+    """
+    conventions, settings = conventions or Conventions(), settings or logs.Settings()
+    columns, units = dict(columns or {}), dict(units or {})
+    files.check_new_folder(out)
+    found = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    names = _names_of(found)
+    tables = [_Table(path, columns) for path in found]
+    shape = _shape(tables[0], rows)
+    commands = _commands(tables[0], shape)
+    for name in units:
+        if name not in commands:
+            raise UserError(f"a unit is given for {name}, which is no command; {_listed(commands)}")
+    units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
+    if shape == "log" and from_rest:
+        raise UserError("a log says itself what came before a command; leave out --from-rest")
+    if conventions.frame == "world" and (shape == "log" or not tables[0].has_any(MOVED)):
+        raise UserError("--frame world is for files of rows with dx, dy; poses are in it anyway")
+    left_out: Counter[str] = Counter()
+    made: list[dict[str, Any]] = []
+    warnings: list[str] = []
+    logged: list[tuple[Path, logs.Log]] = []
+    for name, table in zip(names, tables, strict=True):
+        if shape == "log":
+            log = _log(table, name, commands, conventions, warnings)
+            part, out_of_it = logs.rows_of(log, commands, settings)
+            logged.append((table.path, log))
+        else:
+            part, out_of_it = _rows(table, name, commands, from_rest, conventions)
+        made += part
+        left_out.update(out_of_it)
+    if not made and logged:
+        _explain(*logged[0], left_out, settings)
+    dataset = make(
+        made,
+        logs.inputs_of(units),
+        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in found],
+        left_out=left_out,
+        settings={
+            "shape": shape,
+            "columns": columns,
+            **asdict(conventions),
+            **(asdict(settings) if shape == "log" else {"from_rest": from_rest}),
+        },
+        reasons=logs.REASONS if shape == "log" else ROW_REASONS,
+    )
+    dataset.meta["warnings"] = warnings + _warnings(dataset, units, conventions)
+    dataset.write(out)
+    return dataset
+
+
+def _names_of(paths: Sequence[Path]) -> list[str]:
+    """Return a name of its own for each file, its stem if these differ."""
+    if not paths:
+        raise UserError("name at least one file")
+    resolved = [path.resolve() for path in paths]
+    for place, path in enumerate(resolved):
+        if path in resolved[:place]:
+            raise UserError(f"{paths[place]} is named twice; its commands would count double")
+    stems = [path.stem for path in paths]
+    return stems if len(set(stems)) == len(stems) else [str(path) for path in paths]
+
+
+def _listed(names: Sequence[str]) -> str:
+    return f"commands are {', '.join(names)}"
+
+
+# The two shapes
+
+
+def _shape(table: _Table, rows: bool | None) -> str:
+    """Return ``log`` or ``rows``."""
+    if rows is not None:
+        return "rows" if rows else "log"
+    mapped = set(table.columns) & _RESERVED
+    if mapped and not mapped & set(LOG):
+        return "rows"
+    if all(table.has(name) for name in LOG) or mapped & set(LOG):
+        return "log"
+    if table.has_any(MOVED) or table.has_any(POSES):
+        return "rows"
+    if any(table.has(name) for name in LOG):
+        return "log"
+    raise FileError(
+        table.path,
+        "expected a log with time, x, y, heading, or a line for each command with duration, dx, "
+        f"dy, dtheta; found {table.found()}: say which column is which, such as --columns "
+        "time=t,x=pos_x",
+        line=table.header_line,
+    )
+
+
+def _commands(table: _Table, shape: str) -> list[str]:
+    """Return the names of the commands' columns."""
+    names = [name for name in table.columns if name not in _RESERVED]
+    before = [name for name in names if name.startswith("prev_")]
+    names = [name for name in names if name not in before]
+    other = set(LOG) if shape == "rows" else _RESERVED - set(LOG)
+    for name in table.columns:
+        if name in other:
+            what = "with a line for each command" if shape == "rows" else "that is a log"
+            raise UserError(f"{name} is no column of a file {what}; leave it out of --columns")
+        if name in _TAKEN:
+            raise UserError(f"a command cannot be called {name}; give it another name")
+    for name in before:
+        if shape == "log":
+            raise UserError(f"a log says itself what came before a command; leave out {name}")
+        if names and name.removeprefix("prev_") not in names:
+            raise UserError(f"{name} is the command before of none; {_listed(names)}")
+    if names:
+        return names
+    for usual in _USUAL:
+        if all(table.has(name) for name in usual):
+            return list(usual)
+    raise FileError(
+        table.path,
+        f"which columns are the command? found {table.found()}; name them, such as --columns "
+        "v=speed,w=omega",
+        line=table.header_line,
+    )
+
+
+def _log(
+    table: _Table,
+    name: str,
+    commands: Sequence[str],
+    conventions: Conventions,
+    warnings: list[str],
+) -> logs.Log:
+    """Read a log."""
+    time = table.numbers("time") * TIMES[conventions.time]
+    values = table.array(commands)
+    raw = table.array(LOG[1:], optional=True)
+    if len(time) < 2:
+        raise FileError(table.path, f"holds {len(time)} samples; a log needs two or more")
+    table.check_increasing("time", time)
+    seen = np.isfinite(raw).all(axis=1)
+    if not seen.any():
+        raise FileError(table.path, "no line has a pose: x, y and heading are never all given")
+    poses = conventions.poses(raw[seen])
+    steps = np.abs(np.diff(poses[:, 2]))[np.diff(time[seen]) < _NEAR]
+    # Headings in radians are within one turn, or have no large steps.
+    turned = np.abs(poses[:, 2]).max() > 2 * np.pi + 0.1 and (steps > np.pi).any()
+    if turned and conventions.angle == "rad":
+        warnings.append(
+            f"{table.path}: the heading jumps by {steps.max():.3g} rad from one line to the next; "
+            "is it in degrees (--angle deg)?"
+        )
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    return logs.Log(name, time, values, seen, time[seen], poses)
+
+
+def _explain(
+    path: Path, log: logs.Log, left_out: Mapping[str, int], settings: logs.Settings
+) -> None:
+    """Say why a whole log gives no row, where that can be said.
+
+    Raises:
+        UserError: if so.
+    """
+    apart = float(np.median(np.diff(log.time)))
+    if apart > settings.longest_gap:
+        raise UserError(
+            f"{path}: samples are {apart:g} s apart, and no more than {settings.longest_gap:g} s "
+            "may be missing: is --time right? If so, give a longer --longest-gap"
+        )
+    if left_out["too short"] > sum(left_out.values()) / 2:
+        raise UserError(
+            f"{path}: no command is held for {settings.shortest:g} s: name the columns of what "
+            "was sent, not of speeds that were measured, look whether --time is right, or give a "
+            "lower --shortest"
+        )
+
+
+def _rows(
+    table: _Table,
+    recording: str,
+    commands: Sequence[str],
+    from_rest: bool,
+    conventions: Conventions,
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """Read a file with a line for each command."""
+    values = table.array(commands)
+    before = _before(table, commands, values, from_rest)
+    duration = _duration(table, conventions)
+    moved = _displacement(table, conventions)
+    seen = np.isfinite(moved).all(axis=1)
+    rows = [
+        {
+            "recording": recording,
+            "command": line + 1,
+            **dict(zip((f"prev_{name}" for name in commands), before[line], strict=True)),
+            **dict(zip(commands, values[line], strict=True)),
+            "duration": duration[line],
+            **dict(zip(MOVED, moved[line], strict=True)),
+            "quality": 1.0,
+        }
+        for line in np.flatnonzero(seen).tolist()
+    ]
+    return rows, {"not seen": int((~seen).sum())}
+
+
+def _before(table: _Table, commands: Sequence[str], values: NDArray, from_rest: bool) -> NDArray:
+    """Return the command before each line's (N, C)."""
+    names = [f"prev_{name}" for name in commands]
+    if table.has_any(names):
+        if from_rest:
+            raise UserError(
+                f"{table.path} says what came before each command ({', '.join(names)}); leave "
+                "out --from-rest"
+            )
+        return table.array(names)
+    before = np.zeros_like(values)
+    if not from_rest:
+        before[1:] = values[:-1]
+    return before
+
+
+def _duration(table: _Table, conventions: Conventions) -> NDArray:
+    """Return how long each line's command lasted (N,), s."""
+    scale = TIMES[conventions.time]
+    lasted, timed = LASTED
+    if table.has_any(lasted) or not table.has_any(timed):
+        duration = table.numbers("duration") * scale
+        table.refuse(duration <= 0, "duration", "expected a number above 0")
+        return duration
+    start, end = (table.numbers(name) * scale for name in timed)
+    table.refuse(end <= start, "end", "a command must end after its start")
+    table.check_increasing("start", start)
+    return np.round(end - start, 6)
+
+
+def _displacement(table: _Table, conventions: Conventions) -> NDArray:
+    """Return by how much each line's command displaced the robot (N, 3), NaN where not known."""
+    if table.has_any(MOVED) or not table.has_any(POSES):
+        moved = conventions.poses(table.array(MOVED, optional=True))
+        if conventions.frame == "world":
+            angle = table.numbers("heading0", optional=True)
+            origin = np.column_stack([np.zeros((len(angle), 2)), angle])
+            turned = conventions.poses(origin)
+            ahead = np.column_stack([moved[:, :2], turned[:, 2] + moved[:, 2]])
+            return se2.between(turned, ahead)
+        return moved
+    before, after = (
+        conventions.poses(table.array(names, optional=True)) for names in (POSES[:3], POSES[3:])
+    )
+    headings = np.concatenate([before[:, 2], after[:, 2]])
+    headings = headings[np.isfinite(headings)]
+    if headings.size and np.ptp(headings) <= 2 * np.pi + 1e-3:
+        # Headings that never leave one turn are wrapped: the robot turned the shorter way round.
+        turn = after[:, 2] - before[:, 2]
+        after[:, 2] -= 2 * np.pi * np.round(turn / (2 * np.pi))
+    return se2.between(before, after)
+
+
+def _warnings(dataset: Dataset, units: Mapping[str, str], conventions: Conventions) -> list[str]:
+    """Return sentences on numbers that look as if they had another unit."""
+    said = []
+    duration = dataset.table["duration"].to_numpy()
+    dx, dy, dtheta = dataset.output_array().T
+    speed, rate = (np.hypot(dx, dy) / duration).max(), (np.abs(dtheta) / duration).max()
+    if speed > FASTEST:
+        said.append(
+            f"the robot moves by up to {speed:.3g} m/s: are --length {conventions.length} and "
+            f"--time {conventions.time} right?"
+        )
+    if rate > FASTEST_TURN:
+        said.append(
+            f"the robot turns by up to {rate:.3g} rad/s: are --angle {conventions.angle} and "
+            f"--time {conventions.time} right?"
+        )
+    for name, unit in units.items():
+        limit = {"m/s": FASTEST, "rad/s": FASTEST_TURN}.get(unit, math.inf)
+        largest = dataset.table[name].abs().max()
+        if largest > limit:
+            said.append(
+                f"the command {name} is up to {largest:.3g} {unit}: is that its unit? "
+                f"Otherwise name it, such as --units {name}=mm/s"
+            )
+    return said
+
+
+# Files
+
+
+class _Table:
+    """The lines of a file, and the columns that are asked for.
+
+    Attributes:
+        path: the file.
+        columns: our name -> the file's name.
+        header_line: where the names stand, from 1.
+    """
+
+    def __init__(self, path: Path, columns: Mapping[str, str]):
+        self.path, self.columns = path, columns
+        lines = [
+            (place, line)
+            for place, line in enumerate(_text(path).splitlines(), start=1)
+            if line.strip()
+        ]
+        if not lines:
+            raise FileError(path, "is empty; expected a line with the names of the columns", line=1)
+        first = _header_place([line for _, line in lines])
+        self.header_line, header = lines[first]
+        header = header[1:].lstrip() if header.startswith("#") else header
+        self._split, self._decimal_comma = _splitter(header)
+        self._header = [name.strip() for name in self._split(header)]
+        if all(_is_number(name) for name in self._header if name):
+            raise FileError(
+                path,
+                "expected a line with the names of the columns, found numbers; write one above "
+                "them, such as time,x,y,heading,v,w",
+                line=self.header_line,
+            )
+        self._lines: list[int] = []
+        self._fields: list[list[str]] = []
+        for place, line in lines[first + 1 :]:
+            if line.startswith("#"):
+                continue
+            try:
+                row = self._split(line)
+            except csv.Error as error:
+                raise FileError(path, f"is not CSV ({error})", line=place) from None
+            if len(row) != len(self._header):
+                what = f"expected {len(self._header)} fields ({self.found()}), found {len(row)}"
+                if not self._decimal_comma and len(row) > len(self._header):
+                    what += "; numbers need a decimal point, not a comma"
+                raise FileError(path, what, line=place)
+            self._lines.append(place)
+            self._fields.append(row)
+        if not self._fields:
+            raise FileError(path, "holds the names of columns and no line of numbers")
+
+    def found(self) -> str:
+        """Return the names of the file's columns, for messages."""
+        return ", ".join(name for name in self._header if name)
+
+    def has(self, name: str) -> bool:
+        """Return whether there is a column for one of our names."""
+        return self.columns.get(name, name) in self._header
+
+    def has_any(self, names: Sequence[str]) -> bool:
+        """Return whether any of our names has a column, or is said to have one."""
+        return any(name in self.columns or self.has(name) for name in names)
+
+    def array(self, names: Sequence[str], *, optional: bool = False) -> NDArray:
+        """Return columns (N, len(names))."""
+        return np.column_stack([self.numbers(name, optional=optional) for name in names])
+
+    def numbers(self, name: str, *, optional: bool = False) -> NDArray:
+        """Return a column (N,) by our name; NaN where a number is not given, if it may be absent.
+
+        Raises:
+            FileError: if there is no such column, there are two, or a field is no number.
+        """
+        theirs = self.columns.get(name, name)
+        if theirs not in self._header:
+            of = "" if theirs == name else f" ({name})"
+            raise FileError(
+                self.path,
+                f"there is no such column{of}; found {self.found()}: say which it is, with "
+                f"--columns {name}=NAME",
+                line=self.header_line,
+                field=theirs,
+            )
+        if self._header.count(theirs) > 1:
+            raise FileError(
+                self.path, "there are two such columns", line=self.header_line, field=theirs
+            )
+        place = self._header.index(theirs)
+        parse = _optional if optional else files.number
+        found = np.empty(len(self._fields))
+        for row, values in enumerate(self._fields):
+            text = values[place].strip()
+            try:
+                found[row] = parse(text)
+            except ValueError:
+                raise FileError(
+                    self.path,
+                    self._no_number(text, optional),
+                    line=self._lines[row],
+                    field=theirs,
+                ) from None
+        return found
+
+    def _no_number(self, text: str, optional: bool) -> str:
+        if _DECIMAL_COMMA.fullmatch(text):
+            return f"a number needs a decimal point, not a comma, found {text!r}"
+        nothing = " or nothing" if optional else ""
+        return f"expected a finite number{nothing}, found {text!r:.60}"
+
+    def refuse(self, wrong: NDArray, name: str, what: str) -> None:
+        """Raise a FileError at the first line that is wrong (N,), if any is."""
+        if wrong.any():
+            line = self._lines[int(np.argmax(wrong))]
+            raise FileError(self.path, what, line=line, field=self.columns.get(name, name))
+
+    def check_increasing(self, name: str, times: NDArray) -> None:
+        """Refuse times (N,) that stand still or go backwards."""
+        steps = np.diff(times, prepend=-np.inf)
+        self.refuse(steps == 0, name, "the same time stands in two lines")
+        self.refuse(steps < 0, name, "the clock goes backwards")
+
+
+def _text(path: Path) -> str:
+    try:
+        text = path.read_text(encoding="utf-8-sig")  # with or without a byte order mark
+    except FileNotFoundError:
+        raise FileError(path, "no such file") from None
+    except IsADirectoryError:
+        raise FileError(path, "is a folder; expected a CSV file") from None
+    except UnicodeDecodeError:
+        raise FileError(path, "is not text; save it as CSV in UTF-8") from None
+    if "\0" in text:
+        raise FileError(path, "is not text; save it as CSV in UTF-8")
+    return text
+
+
+def _header_place(lines: Sequence[str]) -> int:
+    """Return which line has the names: the first one, or the last remark where numbers follow."""
+    place = 0
+    while place < len(lines) - 1 and lines[place].startswith("#"):
+        place += 1
+    if place and all(map(_is_number, re.split(r"[,;\s]+", lines[place].strip(" ,;\t")))):
+        place -= 1
+    return place
+
+
+def _splitter(header: str) -> tuple[Callable[[str], list[str]], bool]:
+    """Return what splits a line into its fields, and whether commas may stand in these."""
+    delimiter = next((mark for mark in ("\t", ";", ",") if mark in header), None)
+    if delimiter is None:
+        return str.split, True
+
+    def split(line: str) -> list[str]:
+        quoted = '"' in line
+        return next(csv.reader([line], delimiter=delimiter)) if quoted else line.split(delimiter)
+
+    return split, delimiter != ","
+
+
+def _optional(text: str) -> float:
+    return math.nan if text.lower() in _ABSENT else files.number(text)
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text.replace(",", "."))
+    except ValueError:
+        return False
+    return True
