@@ -573,8 +573,9 @@ def _splitter(header: str) -> tuple[Callable[[str], list[str]], bool]:
         return str.split, True
 
     def split(line: str) -> list[str]:
-        quoted = '"' in line
-        return next(csv.reader([line], delimiter=delimiter)) if quoted else line.split(delimiter)
+        if '"' not in line:
+            return line.split(delimiter)
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
 
     return split, delimiter != ","
 
