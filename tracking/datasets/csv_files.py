@@ -57,6 +57,9 @@ _NEAR = 0.5
 #: Why a line of a file of rows is left out of a dataset.
 ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not known"}
 
+#: Beyond this a number is a mistake, and what is computed from it may not be finite.
+_LARGEST = 1e30
+
 _ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 _DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
@@ -397,7 +400,8 @@ def _warnings(dataset: Dataset, units: Mapping[str, str], conventions: Conventio
     said = []
     duration = dataset.table["duration"].to_numpy()
     dx, dy, dtheta = dataset.output_array().T
-    speed, rate = (np.hypot(dx, dy) / duration).max(), (np.abs(dtheta) / duration).max()
+    with np.errstate(over="ignore"):
+        speed, rate = (np.hypot(dx, dy) / duration).max(), (np.abs(dtheta) / duration).max()
     if speed > FASTEST:
         said.append(
             f"the robot moves by up to {speed:.3g} m/s: are --length {conventions.length} and "
@@ -464,7 +468,7 @@ class _Table:
             if len(row) != len(self._header):
                 what = f"expected {len(self._header)} fields ({self.found()}), found {len(row)}"
                 if not self._decimal_comma and len(row) > len(self._header):
-                    what += "; numbers need a decimal point, not a comma"
+                    what += "; write numbers with a decimal point, should they have commas"
                 raise FileError(path, what, line=place)
             self._lines.append(place)
             self._fields.append(row)
@@ -514,6 +518,8 @@ class _Table:
             text = values[place].strip()
             try:
                 found[row] = parse(text)
+                if abs(found[row]) > _LARGEST:
+                    raise ValueError
             except ValueError:
                 raise FileError(
                     self.path,
