@@ -18,6 +18,7 @@ from neurosim.cli._types import Numbers, Quantity
 from neurosim.cli.main import cli, main, run_plugin
 from neurosim.lab import VirtualRig
 from neurosim.robots.registry import ROBOTS
+from tracking.datasets.dataset import Dataset
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device files")
 
@@ -456,11 +457,9 @@ def test_a_recording_that_was_not_tracked(refused, copy):
 
 
 def test_a_dataset_too_small_to_split(refused, copy, tmp_path):
-    path = copy("dataset") / "dataset.csv"
-    path.write_text("\n".join(path.read_text().splitlines()[:6]) + "\n")
-    document = json.loads((tmp_path / "dataset" / "dataset.json").read_text())
-    document["rows"] = 5
-    (tmp_path / "dataset" / "dataset.json").write_text(json.dumps(document))
+    whole = Dataset.read(copy("dataset"))
+    shutil.rmtree(tmp_path / "dataset")
+    whole.part(slice(5)).write(tmp_path / "dataset")
     assert "record more commands" in refused("train", "dataset", "-o", "s", "--generations", 2)
 
 
