@@ -200,7 +200,7 @@ def _check_names(simulator: Simulator) -> None:
     unknown = sorted(set(simulator.domain) - set(names))
     _require(not unknown, f"domain has limits of {unknown}, which are no commands ({names})")
     for name, (low, high) in simulator.domain.items():
-        _require(low < high, f"domain[{name!r}] must be lowest and highest, not {low}, {high}")
+        _require(low <= high, f"domain[{name!r}] must be lowest and highest, not {low}, {high}")
     _require(simulator.members >= 1, f"members must be at least 1, not {simulator.members}")
 
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
+from motion_networks import random_motion_network
 from simulators_of_tests import Walker, motion_network, tables
 
 import neurosim as ns
@@ -17,7 +18,12 @@ from neurosim.controllers import Function, Network, Plan, Recurrent
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.settings import RobustSettings, default_settings
 
-SIMULATORS = {"tables": tables, "motion-network": motion_network, "walker": Walker}
+SIMULATORS = {
+    "tables": tables,
+    "motion-network": motion_network,
+    "motion-network, driven": random_motion_network,
+    "walker": Walker,
+}
 
 
 def controller(kind, simulator, task):
@@ -104,7 +110,7 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
 
 @pytest.mark.parametrize("task", ["nine-rectangles", "obstacle-avoidance", "go-to", "far"])
 @pytest.mark.parametrize("kind", ["plan", "network", "recurrent"])
-@pytest.mark.parametrize("simulator", ["tables", "motion-network"])
+@pytest.mark.parametrize("simulator", ["tables", "motion-network", "motion-network, driven"])
 def test_compiled_rollouts_are_the_stepped_ones(simulator, kind, task):
     sim, goal, family = combined(simulator, kind, task)
     if task == "obstacle-avoidance" and (not sim.reading_names or kind == "plan"):

@@ -183,7 +183,7 @@ def learned(trainer: str, rows: int) -> Path:
             "hidden": (4, 3),
             "settings": {"population": 30, "tournament": 6},
         },
-        "exponents": {
+        "combined": {
             "generations": 6,
             "members": 4,
             "hidden": (10, 1),
@@ -200,7 +200,7 @@ def learned(trainer: str, rows: int) -> Path:
 
 def simulator() -> Any:
     """Return the simulator in which plans are evolved."""
-    return read_simulator(learned("exponents", 1300))
+    return read_simulator(learned("combined", 1300))
 
 
 def made_up_sensors() -> SensorTable:
@@ -337,14 +337,14 @@ def weights_of_ga():
     yield from tensors(learned("ga", 240))
 
 
-@result("weights exponents")
-def weights_of_exponents():
-    yield from tensors(learned("exponents", 240))
+@result("weights combined")
+def weights_of_combined():
+    yield from tensors(learned("combined", 240))
 
 
-@result("weights exponents, many rows")
+@result("weights combined, many rows")
 def weights_of_many_rows():
-    yield from tensors(learned("exponents", 1300))
+    yield from tensors(learned("combined", 1300))
 
 
 @result("weights gradient")
@@ -354,7 +354,7 @@ def weights_of_gradient():
 
 @result("errors and coverage")
 def errors_and_coverage():
-    for trainer in ("ga", "exponents", "gradient"):
+    for trainer in ("ga", "combined", "gradient"):
         meta = read_simulator(learned(trainer, 240)).meta
         for part in ("history", "test_errors", "test_coverage"):
             yield from numbers(meta[part])
@@ -363,7 +363,7 @@ def errors_and_coverage():
 @result("guided commands")
 def guided_commands():
     some = some_of_reference(90)
-    settings = GuidedSettings(members=3, generations=4, candidates=6)
+    settings = GuidedSettings(members=3, candidates=6)
     committee = Committee(motor_data(some.input_array(), some.output_array()), 5, settings)
     for command in choose(committee, RandomCommands(seed=3), range(20, 30), settings=settings):
         yield np.array(astuple(command), float)
@@ -491,7 +491,7 @@ def trajectories_compiled():
 
 @result("trajectories, motion network of few rows")
 def trajectories_of_few_rows():
-    yield from trajectories(read_simulator(learned("exponents", 240)), 50)
+    yield from trajectories(read_simulator(learned("combined", 240)), 50)
 
 
 @result("trajectories, motion network stepped")

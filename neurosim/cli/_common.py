@@ -12,6 +12,9 @@ from click.core import ParameterSource
 
 from neurosim.cli._types import PATH, NumberIn
 
+#: A share of the time that is not worth a warning.
+MOST_UNSUPPORTED = 0.05
+
 json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the result as JSON, for machines."
 )
@@ -57,6 +60,20 @@ def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -
         click.echo(json.dumps(result, indent=2, default=_plain))
     else:
         click.echo(text() if callable(text) else text)
+
+
+def warn_unsupported(share: float) -> None:
+    """Say on stderr that too much of what a simulator was asked is a guess.
+
+    Args:
+        share: of the time, in commands unlike any that it was made from.
+    """
+    if share > MOST_UNSUPPORTED:
+        click.echo(
+            f"neurosim: {100 * share:.0f} % of the commands (by time) are unlike any that the "
+            "simulator learned from; record some there: neurosim record --guided",
+            err=True,
+        )
 
 
 def next_step(*words: Any) -> str:

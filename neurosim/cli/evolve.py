@@ -20,6 +20,7 @@ from neurosim.cli._common import (
     next_step,
     resume_option,
     seed_option,
+    warn_unsupported,
 )
 from neurosim.cli._options import (
     Chosen,
@@ -278,6 +279,7 @@ def _say(
         "spread": best.predicted.get("spread"),
         "completes": best.predicted["completes"],
         "probability": best.predicted.get("probability"),
+        "unsupported": best.predicted["unsupported"],
         "commands": len(best.given) or None,
         "runs": runs,
         "runs_that_complete": complete,
@@ -304,11 +306,14 @@ def _say(
         )
     if chance is not None:
         text += f"Probability of success: {100 * chance:.1f} %.\n"
+    if unsupported := best.predicted["unsupported"]:
+        text += f"Unlike what the simulator learned from: {100 * unsupported:.1f} % of the time.\n"
     if task.episode.readings:
         text += next_step("view", simulator, "--controller", paths[0], "-o", "path.png")
     else:
         text += next_step("run", paths[0], "--calibration", "calibration.json", "-o", "TRIAL")
     emit(result, as_json, text)
+    warn_unsupported(best.predicted["unsupported"])
     if best.evolution["interrupted"]:
         resumable = Checkpoint(out, "evolution").begun
         how = ", continue with --resume" if resumable else ""

@@ -4,11 +4,17 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from neurosim.cli._common import emit, json_option, placing_option, seed_option
+from neurosim.cli._common import (
+    emit,
+    json_option,
+    placing_option,
+    seed_option,
+    warn_unsupported,
+)
 from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
@@ -20,6 +26,11 @@ if TYPE_CHECKING:
 @click.argument("simulator", type=PATH)
 @click.option("--draws", type=click.IntRange(min=1), default=4096, show_default=True)
 @placing_option
+@click.option(
+    "--extrapolate",
+    is_flag=True,
+    help="Commands may leave what the simulator learned from, which is only reported.",
+)
 @seed_option
 @json_option
 def plan_check(
@@ -27,6 +38,7 @@ def plan_check(
     simulator: Path,
     draws: int,
     placing: tuple[float, float],
+    extrapolate: bool,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -37,8 +49,10 @@ def plan_check(
     from neurosim.loop.check import check
 
     scatter = (placing[0] / 1000.0, math.radians(placing[1]))
-    found = check(controller, simulator, draws=draws, seed=seed, placing=scatter)
+    how: dict[str, Any] = {"placing": scatter, "extrapolate": extrapolate}
+    found = check(controller, simulator, draws=draws, seed=seed, **how)
     emit(found.as_dict(), as_json, lambda: _in_words(found))
+    warn_unsupported(found.unsupported)
 
 
 def _in_words(check: Check) -> str:
@@ -52,6 +66,10 @@ def _in_words(check: Check) -> str:
         lines.append(
             f"The members of the simulator's ensemble say {_percent(low)} to {_percent(high)}."
         )
+    lines.append(
+        f"Unlike any command that the simulator learned from: {_percent(check.unsupported)} of "
+        "the time."
+    )
     last = len(check.spread) - 1
     if check.failures:
         lines += ["", "Where it fails most often:"]

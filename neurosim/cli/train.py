@@ -28,10 +28,10 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @choice_options(
     "--trainer",
     "neurosim.training.trainers.registry:TRAINERS",
-    default="exponents",
-    help="How it is trained. exponents searches for the exponents of product units and solves for "
-    "the other weights; in ga, the paper's, every weight is a gene; gradient trains perceptrons, "
-    "to compare with.",
+    default="combined",
+    help="How it is trained. combined fits a model of the drive, and product units and a Gaussian "
+    "process to what that leaves, weighed by cross-validation; in ga, the paper's, every weight of "
+    "three networks of whole commands is a gene; gradient trains perceptrons, to compare with.",
     of=lambda trainer: trainer.settings_type,
 )
 @settings_options(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from typing import Any
 
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
 from neurosim.controllers.base import Controller
+from neurosim.controllers.plan import COMMAND_NAMES, Plan
 from neurosim.networks.control import GOAL_INPUTS
 
 #: By name: what takes settings as keywords and returns a :class:`Controller`.
@@ -55,7 +57,27 @@ def make_controller(
         settings["outputs"] = names
         limits = [simulator.domain.get(name, (-100.0, 100.0)) for name in names]
         settings.setdefault("scale", tuple(max(map(abs, pair)) for pair in limits))
+    if simulator is not None and kind == "plan":
+        settings = {**_within(simulator), **settings}
     return CONTROLLERS.make(kind, settings)
+
+
+def _within(simulator: Any) -> dict[str, Any]:
+    """Return settings of plans whose defaults leave what a simulator was made from."""
+    found: dict[str, Any] = {}
+    if tuple(simulator.command_names) != COMMAND_NAMES:
+        return found
+    speeds = [simulator.domain[name] for name in COMMAND_NAMES[:-1] if name in simulator.domain]
+    fastest = max((abs(end) for pair in speeds for end in pair), default=math.inf)
+    if fastest * (1.0 + simulator.slack) < Plan.max_speed:
+        found["max_speed"] = max(fastest, 1.0)
+    low, high = simulator.domain.get("duration", (0.0, math.inf))
+    slack = simulator.slack * (high - low) if math.isfinite(high) else 0.0
+    shortest, longest = Plan.durations
+    if shortest < low - slack or longest > high + slack:
+        shortest = min(max(shortest, low), high)
+        found["durations"] = shortest, max(min(longest, high), shortest)
+    return found
 
 
 def _is_settings(maker: Any) -> bool:

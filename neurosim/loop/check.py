@@ -14,7 +14,7 @@ from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import SavedController, read_controller
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import check_uncertain
-from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.base import PLACING, Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
@@ -55,6 +55,7 @@ class Check:
             the end of the trial.
         spread: radius (m) about the mean position that holds 95 % of the outcomes.
         turn: standard deviation of the heading, likewise, rad.
+        unsupported: share of the time in commands unlike any that the simulator was made from.
     """
 
     probability: float
@@ -66,6 +67,7 @@ class Check:
     after: tuple[int, ...]
     spread: tuple[float, ...]
     turn: tuple[float, ...]
+    unsupported: float
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for JSON, in SI units."""
@@ -80,6 +82,7 @@ def check(
     draws: int = 4096,
     seed: int = 0,
     placing: tuple[float, float] = PLACING,
+    extrapolate: bool = False,
 ) -> Check:
     """Try a controller in drawn outcomes of a simulator.
 
@@ -91,10 +94,12 @@ def check(
         seed: random seed.
         placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
             (rad).
+        extrapolate: whether commands of a plan may lie outside the simulator's domain; they count
+            as unsupported then.
 
     Raises:
-        UserError: if controller or simulator cannot be read or do not fit each other, or nothing
-            is uncertain in the simulator.
+        UserError: if controller or simulator cannot be read or do not fit each other, nothing is
+            uncertain in the simulator, or a plan's command lies outside of its domain.
     """
     if isinstance(controller, str | Path):
         controller = read_controller(controller)
@@ -103,6 +108,9 @@ def check(
     task = task or make_task(controller.task)
     check_uncertain(simulator)
     evaluator = Evaluator(simulator, task, controller.controller, placing=placing)
+    if controller.controller.blind and not extrapolate:
+        commands, given = controller.controller.commands(controller.genes[None], 0.0)
+        check_commands(simulator, commands[given], "the commands")
     starts, drawn = evaluator.starts(draws, np.random.default_rng(seed))
     if not drawn:
         starts = np.tile(np.asarray(controller.start, np.float64), (draws, 1))
@@ -120,6 +128,7 @@ def check(
         after=after,
         spread=spread,
         turn=turn,
+        unsupported=float(evaluator.unsupported(trajectory)[0]),
     )
 
 

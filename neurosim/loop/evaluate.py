@@ -13,6 +13,7 @@ from typing import Any
 import numba
 import numpy as np
 import torch
+from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
@@ -21,7 +22,7 @@ from neurosim.base.threads import one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
-from neurosim.loop.objectives import Merit, objective_named, repeats_of
+from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators.base import PLACING, Rollouts, Simulator
 from neurosim.tasks.base import Judgement, Task
@@ -115,6 +116,7 @@ class Evaluator:
         draws: Draws,
         objective: str = "fitness",
         hints: Sequence[str] = (),
+        unsupported: float | None = None,
     ) -> tuple[Merit, dict[str, NDArray]]:
         """Return what individuals [P, G] are worth over outcomes; in parts, to bound memory.
 
@@ -124,15 +126,43 @@ class Evaluator:
             objective: one of :data:`neurosim.loop.objectives.OBJECTIVES`.
             hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
                 which crossover of plans pairs commands.
+            unsupported: who spends a larger share of the time than this in commands unlike any
+                that the simulator was made from ranks behind all others, as far as the simulator
+                knows of gaps; None: nobody does.
         """
         measure, parts, told = objective_named(objective), [], []
         for part in self._parts(len(genes), len(draws)):
             trajectory = self.run(genes[part], draws, reuse=True)
-            parts.append(measure(self.task, trajectory, self.task.judge(trajectory)))
+            part_merit = measure(self.task, trajectory, self.task.judge(trajectory))
+            if unsupported is not None and self.simulator.knows_gaps:
+                share = self.unsupported(trajectory)
+                part_merit = put_behind(part_merit, share, unsupported)
+            parts.append(part_merit)
             told.append([getattr(self, f"_{name}")(trajectory) for name in hints])
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         columns = [np.concatenate(part) for part in zip(*told, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))
+
+    def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
+        """Return the share [P] of the time that individuals spent in unsupported commands.
+
+        Those are unlike any that the simulator was made from (:meth:`Simulator.supported`); the
+        stop at the end of a trial does not count.
+        """
+        commands, active = trajectory.commands, trajectory.active
+        durations, shape = trajectory.durations, commands.shape[:-1]
+        if np.shape(durations) != shape:
+            durations = np.broadcast_to(durations, shape)
+        assert isinstance(durations, np.ndarray)
+        if active is None:
+            active = np.ones(shape, np.bool_)
+        if self.controller.blind:  # the same in all outcomes
+            commands, durations, active = commands[:, 0], durations[:, 0], active[:, 0]
+        if commands.shape[-1] < len(self.simulator.command_names):
+            commands = np.concatenate([commands, durations[..., None]], axis=-1)
+        supported = self.simulator.supported(commands)
+        rows = (len(commands), -1)
+        return _share(*(part.reshape(rows) for part in (supported, durations, active)))
 
     def _parts(self, individuals: int, outcomes: int) -> Iterator[slice]:
         """Cut individuals into parts whose trajectories are driven at once."""
@@ -176,6 +206,21 @@ class Evaluator:
         return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
 
 
+@njit(cache=True, nogil=True)
+def _share(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
+    """Return the share [P] of the time in active intervals [P, N] that are not supported."""
+    found = np.zeros(len(durations))
+    for p in range(len(durations)):
+        off = spent = 0.0
+        for n in range(durations.shape[1]):
+            time = durations[p, n] if active[p, n] else 0.0
+            spent += time
+            off += 0.0 if supported[p, n] else time
+        if spent > 0.0:
+            found[p] = off / spent
+    return found
+
+
 def rollouts_of(
     simulator: Simulator, controller: Controller, episode: Episode, *, stepped: bool = False
 ) -> Rollouts:
@@ -215,6 +260,30 @@ class Evaluate:
         Raises:
             UserError: if there are not as many genes as the controller has, or one is not finite.
         """
+        rows, single = self._rows(genes)
+        with self.evaluator.threads_for(len(rows) * len(self.draws)):
+            merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
+        found = merit.merit[0] if single else merit.merit
+        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+
+    def unsupported(self, genes: Any) -> Any:
+        """Return the share [P] of the time in commands unlike any that were recorded, or of one.
+
+        A fitness that comes of many such commands is a guess. It is a share of the time of the
+        controller's commands in these outcomes; of a simulator that does not say where nothing was
+        recorded, commands outside of its ranges count.
+
+        Raises:
+            UserError: as for the fitness.
+        """
+        rows, single = self._rows(genes)
+        with self.evaluator.threads_for(len(rows) * len(self.draws)):
+            share = self.evaluator.unsupported(self.evaluator.run(rows, self.draws))
+        found = share[0] if single else share
+        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+
+    def _rows(self, genes: Any) -> tuple[NDArray[np.float64], bool]:
+        """Return genes as rows, and whether there was but one."""
         rows = np.asarray(genes.detach().cpu() if isinstance(genes, Tensor) else genes, np.float64)
         single, rows = rows.ndim == 1, np.atleast_2d(rows)
         if rows.ndim != 2 or rows.shape[1] != self.genes:
@@ -222,10 +291,7 @@ class Evaluate:
         if not np.isfinite(rows).all():
             row = int(np.argwhere(~np.isfinite(rows))[0, 0])
             raise UserError(f"genes[{row}]: expected finite numbers, found {rows[row]!s:.60}")
-        with self.evaluator.threads_for(len(rows) * len(self.draws)):
-            merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
-        found = merit.merit[0] if single else merit.merit
-        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+        return rows, single
 
 
 def evaluate(

@@ -30,7 +30,7 @@ from neurosim.loop.optimisers import make_optimiser
 from neurosim.loop.reality import TRIALS_AGAIN, Reality, RealSearch
 from neurosim.loop.search import Search
 from neurosim.loop.settings import EvolveSettings, default_settings
-from neurosim.simulators.base import Simulator
+from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import named
 from neurosim.tasks.base import Task
@@ -53,6 +53,8 @@ class Result:
         probability: share of drawn outcomes that succeed; None where nothing is uncertain.
         expected_fitness: mean fitness over drawn outcomes, likewise.
         draws: how many outcomes these two are of.
+        unsupported: share of the time in commands unlike any that the simulator was made from; of
+            a controller that sees over drawn outcomes, where there are any.
         history: best and mean of every generation, {"best": [...], "mean": [...]}; after robust
             evolution also what it maximised, {"robust_best": ..., "robust_mean": ...}.
         run: which of the runs it came from.
@@ -69,6 +71,7 @@ class Result:
     probability: float | None
     expected_fitness: float | None
     draws: int
+    unsupported: float
     history: dict[str, Any]
     run: int
     interrupted: bool
@@ -112,7 +115,8 @@ class Evolution:
 
         Raises:
             UserError: if robust controllers are asked of a simulator in which nothing is
-                uncertain, or the optimiser does not exist.
+                uncertain, the optimiser does not exist, or plans may leave what the simulator was
+                made from.
         """
         self.evaluator, self.settings, self._seed = evaluator, settings, seed
         self._reality, self._real_generations = reality, real_generations
@@ -124,6 +128,8 @@ class Evolution:
             raise UserError("generations on a robot go on after one run, which is not made robust")
         if settings.robust is not None:
             check_uncertain(evaluator.simulator)
+        if not settings.extrapolate:
+            _check_reach(evaluator)
         optimiser = make_optimiser(settings.optimiser, evaluator.controller, settings, seed)
         self.stages = [
             Search(
@@ -132,6 +138,7 @@ class Evolution:
                 objective=settings.objective,
                 outcomes=settings.outcomes,
                 rng=np.random.default_rng(seed),
+                unsupported=settings.most_unsupported,
             )
         ]
 
@@ -236,6 +243,7 @@ class Evolution:
             refresh=robust.refresh,
             rng=np.random.default_rng([self._seed, 0x20B5]),
             kept=genes[:, 0],
+            unsupported=self.settings.most_unsupported,
         )
 
     def best(self) -> NDArray[np.float64]:
@@ -243,7 +251,8 @@ class Evolution:
         stage, settings, evaluator = self.stages[-1], self.settings, self.evaluator
         if self.real is not None and self.real.done:
             draws, candidates = self._selection()[0], self.real.candidates()
-            merit, _ = evaluator.merit(candidates, draws, settings.objective)
+            limit = settings.most_unsupported
+            merit, _ = evaluator.merit(candidates, draws, settings.objective, unsupported=limit)
             return candidates[[merit.merit.argmax()]]
         if len(self.stages) > 1:
             robust = settings.robust
@@ -281,12 +290,13 @@ class Evolution:
                 real = np.array(getattr(self.real, name), float).reshape(1, -1)
                 history[name] = np.concatenate([history[name], real], axis=1)
         drawn = self._drawn(best)
+        unsupported = evaluator.unsupported(expected)
         found = []
         for run in range(len(best)):
             fitness = float(mean_fitness(evaluator.task, judged.fitness[[run]])[0])
             probability = expected_fitness = spread = None
             if drawn is not None:
-                fitnesses, successes = drawn[run]
+                fitnesses, successes, unsupported[run] = drawn[run]
                 probability = float(successes.mean())
                 expected_fitness = float(mean_fitness(evaluator.task, fitnesses[None])[0])
                 if settings.outcomes and not settings.robust:
@@ -305,6 +315,7 @@ class Evolution:
                     probability=probability,
                     expected_fitness=expected_fitness,
                     draws=0 if drawn is None else drawn[run][0].size,
+                    unsupported=float(unsupported[run]),
                     history=self._history(history, run),
                     run=run,
                     interrupted=interrupted,
@@ -318,8 +329,8 @@ class Evolution:
             found["transfer"] = self.settings.generations
         return found
 
-    def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray]] | None:
-        """Return fitness and success [R] of each run's best over fresh outcomes."""
+    def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
+        """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
         evaluator, settings = self.evaluator, self.settings
         if not evaluator.simulator.uncertain:
             return None
@@ -329,17 +340,21 @@ class Evolution:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
         found = []
         for one in best:
-            judged, _ = evaluator.judge(one[None], draws)
-            found.append((judged.fitness[0], judged.success[0]))
+            judged, trajectory = evaluator.judge(one[None], draws)
+            unsupported = float(evaluator.unsupported(trajectory)[0])
+            found.append((judged.fitness[0], judged.success[0], unsupported))
         return found
 
-    def _worth(self, result: Result) -> float:
-        robust = self.settings.robust
+    def _worth(self, result: Result) -> tuple[bool, float]:
+        robust, limit = self.settings.robust, self.settings.most_unsupported
+        inside = True
+        if limit is not None and self.evaluator.simulator.knows_gaps:
+            inside = result.unsupported <= limit
         if robust is None:
-            return result.fitness
+            return inside, result.fitness
         value = result.expected_fitness if robust.objective == "fitness" else result.probability
         assert value is not None
-        return value
+        return inside, value
 
     def state(self) -> dict[str, Any]:
         """Return all that the next generations depend on, as arrays."""
@@ -373,6 +388,20 @@ class Evolution:
         if parts[2] and self._reality is not None:
             self.real = RealSearch(self.stages[0], self._reality, self._keep)
             self.real.load(parts[2])
+
+
+def _check_reach(evaluator: Evaluator) -> None:
+    """Refuse plans whose slowest or fastest commands lie outside of what the simulator knows.
+
+    Raises:
+        UserError: saying which command, and what the simulator knows.
+    """
+    controller = evaluator.controller
+    if not controller.blind:
+        return
+    genes = np.stack([np.zeros(controller.genes), np.ones(controller.genes)])
+    commands, active = controller.commands(genes, 0.0)
+    check_commands(evaluator.simulator, commands[active | (commands[..., -1] > 0)], "the commands")
 
 
 def _path(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, NDArray]:
@@ -646,6 +675,7 @@ def as_saved(
         "rest": result.rest.tolist(),
         "fitness": result.fitness,
         "completes": result.completes,
+        "unsupported": result.unsupported,
     }
     if result.spread is not None:
         predicted["spread"] = result.spread

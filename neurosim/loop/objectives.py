@@ -33,6 +33,9 @@ class Merit(NamedTuple):
     success: NDArray[np.float64]
 
 
+#: What is taken off an individual that ranks behind all others: more than any fitness.
+BEHIND = 1e9
+
 Objective = Callable[[Task, Trajectory, Judgement], Merit]
 
 
@@ -95,6 +98,26 @@ def objective_named(name: str) -> Objective:
 def repeats_of(name: str) -> int:
     """Return how often every start is to be met for an objective; see :func:`steady`."""
     return 2 if objective_named(name) is steady else 1
+
+
+def put_behind(merit: Merit, share: NDArray[np.float64], most: float) -> Merit:
+    """Return merits in which individuals rank behind all others that do too much of something.
+
+    Args:
+        merit: of individuals [P].
+        share: [P] how much of it each does, 0 to 1; less is better among them.
+        most: how much is not too much.
+    """
+    if share.max(initial=0.0) <= most:
+        return merit
+    return merit._replace(
+        merit=np.where(share > most, merit.merit - BEHIND * (1.0 + share), merit.merit)
+    )
+
+
+def is_behind(merit: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which merits are of individuals that :func:`put_behind` has put there."""
+    return merit < -0.5 * BEHIND
 
 
 def mean_fitness(task: Task, each: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -24,7 +24,7 @@ from neurosim.base.checkpoint import random_state, set_random_state
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.objectives import Merit, repeats_of
+from neurosim.loop.objectives import Merit, is_behind, repeats_of
 from neurosim.loop.optimisers import Optimiser
 
 #: Of a stage with drawn outcomes so many candidates of each run are looked at again: the best of
@@ -54,6 +54,7 @@ class Search:
         refresh: int = 1,
         rng: np.random.Generator,
         kept: NDArray[np.float64] | None = None,
+        unsupported: float | None = None,
     ):
         """Begin a stage.
 
@@ -66,9 +67,11 @@ class Search:
             rng: source of the outcomes.
             kept: [N, G] a candidate from before for each run; the best of each set of outcomes
                 is then remembered too, to be looked at again.
+            unsupported: see :meth:`Evaluator.merit`.
         """
         self._evaluator, self.optimiser = evaluator, optimiser
         self._objective, self._outcomes, self._refresh = objective, outcomes, refresh
+        self._unsupported = unsupported
         self.rng, self._draws = rng, None if outcomes else evaluator.expectation()
         self._hints = tuple(getattr(optimiser, "hints", ()))
         self.done = 0
@@ -108,13 +111,16 @@ class Search:
         """Return what populations [N, P, G] are worth, [N, P] each, and what else is to be told."""
         runs, size, _ = genes.shape
         merit, hints = self._evaluator.merit(
-            genes.reshape(runs * size, -1), draws, self._objective, self._hints
+            genes.reshape(runs * size, -1), draws, self._objective, self._hints, self._unsupported
         )
         shaped = {name: value.reshape(runs, size, -1) for name, value in hints.items()}
         return Merit(*(part.reshape(runs, size) for part in merit)), shaped
 
     def _remember(self, genes: NDArray, merit: Merit) -> None:
-        self.best.append(merit.shown.max(axis=1))
+        # Who ranks behind the others is not the best of them, however high the fitness.
+        shown = np.where(is_behind(merit.merit), -np.inf, merit.shown)
+        best = shown.max(axis=1)
+        self.best.append(np.where(np.isfinite(best), best, merit.shown.max(axis=1)))
         self.mean.append(merit.shown.mean(axis=1))
         self._population, self._merit, self.shown = genes, merit.merit, merit.shown
         runs, index = np.arange(len(genes)), merit.merit.argmax(axis=1)
@@ -138,7 +144,10 @@ class Search:
         """Return the candidate of each run that is best over other outcomes, [N, G]."""
         candidates = self.candidates()
         merit, _ = zip(
-            *(self._evaluator.merit(run, draws, self._objective) for run in candidates),
+            *(
+                self._evaluator.merit(run, draws, self._objective, unsupported=self._unsupported)
+                for run in candidates
+            ),
             strict=True,
         )
         best = np.stack([one.merit for one in merit]).argmax(axis=1)

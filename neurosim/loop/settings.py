@@ -76,6 +76,9 @@ class EvolveSettings:
         selection: Start poses from which the best of the last population is chosen, where outcomes
             are drawn.
         final_draws: Fresh outcomes from which the probability of success is estimated.
+        unsupported: Controllers rank behind all others that spend a larger share of the time than
+            this in commands unlike any that the simulator learned from.
+        extrapolate: Commands may leave what the simulator learned from, which is only reported.
     """
 
     optimiser: str = "ga"
@@ -89,12 +92,21 @@ class EvolveSettings:
     placing: tuple[float, float] = field(default=PLACING)
     selection: int = 50
     final_draws: int = 4096
+    unsupported: float = 0.1
+    extrapolate: bool = False
+
+    @property
+    def most_unsupported(self) -> float | None:
+        """The share of the time above which a controller ranks behind; None: none does."""
+        return None if self.extrapolate else self.unsupported
 
     def __post_init__(self) -> None:
         _at_least_one(self, "generations", "runs", "selection", "final_draws")
         objective_named(self.objective)
         if self.outcomes < 0:
             raise UserError(f"outcomes must not be negative, not {self.outcomes}")
+        if not 0 <= self.unsupported <= 1:
+            raise UserError(f"unsupported is a share of the time, 0 to 1, not {self.unsupported}")
         if min(self.placing) < 0:
             raise UserError("the scatter of the start pose must not be negative")
 

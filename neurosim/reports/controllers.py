@@ -182,6 +182,7 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         "spread of a trial": lambda one: _figure(one, "spread"),
         "completes": _completes,
         "probability of success": _chance,
+        "unlike what was recorded": _unsupported,
         "outcomes drawn": lambda one: _figure(one, "draws"),
         "generations": _generations,
         "mean at transfer, at the end": _before_and_after,
@@ -195,7 +196,8 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         [head[k] for k in shown],
         [[row[k] or "-" for k in shown] for row in rows],
         note="Completes: whether the path that the simulator expects, without noise, does the "
-        "task. Probability: over drawn outcomes.",
+        "task. Probability: over drawn outcomes. Unlike what was recorded: commands near "
+        "none that the simulator learned from; what it says of them is a guess.",
     )
 
 
@@ -220,6 +222,11 @@ def _completes(controller: Artefact) -> str:
 def _chance(controller: Artefact) -> str:
     chance = controller.meta["predicted"].get("probability")
     return "" if chance is None else f"{chance:.1%}"
+
+
+def _unsupported(controller: Artefact) -> str:
+    share = controller.meta["predicted"].get("unsupported")
+    return f"{share:.1%} of the time" if share else ""
 
 
 def _generations(controller: Artefact) -> str:

@@ -68,6 +68,8 @@ class Simulator:
             made of, ``z`` [B, noise_width], in place of a generator; see :meth:`draw_noise`.
         domain: lowest and highest value of the command's columns that it was made from, by name;
             a column that is not named has no limits.
+        slack: commands may leave the domain by this share of its width.
+        knows_gaps: whether :meth:`supported` tells gaps within the domain.
         radius: of the robot, m; None: its size is not known.
         bearings: where each sensor looks, [S] rad to the left of straight ahead, NaN where one
             sees nothing; None: it is not known.
@@ -81,6 +83,8 @@ class Simulator:
     has_noise: bool = False
     noise_width: int = 0
     radius: float | None = None
+    slack: float = 0.05
+    knows_gaps: bool = False
 
     @property
     def bearings(self) -> NDArray[np.float64] | None:
@@ -96,6 +100,17 @@ class Simulator:
     def uncertain(self) -> bool:
         """Whether drawn outcomes differ: there is noise, or members that disagree."""
         return self.has_noise or self.members > 1
+
+    def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether commands [..., C] are like some that it was made from, [...].
+
+        That is within the domain; a simulator that knows more of them may say more.
+        """
+        found = np.asarray(np.isfinite(commands).all(-1))
+        for place, name in enumerate(self.command_names):
+            low, high = _limits(self, name)
+            found &= (commands[..., place] >= low) & (commands[..., place] <= high)
+        return found
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
@@ -179,9 +194,16 @@ def put_down(
     return starts + scatter * np.array([placing[0], placing[0], placing[1]])
 
 
-#: Commands may leave the domain by this share of its width: the largest that was recorded is not
-#: quite the largest that was meant.
-_SLACK = 0.05
+def _limits(simulator: Simulator, name: str) -> tuple[float, float]:
+    """Return the lowest and highest command of a column that is not refused.
+
+    The largest that was recorded is not quite the largest that was meant.
+    """
+    low, high = simulator.domain.get(name, (-np.inf, np.inf))
+    if not np.isfinite(high - low):
+        return low, high
+    more = simulator.slack * (high - low or max(abs(low), abs(high)))
+    return low - more, high + more
 
 
 def check_commands(simulator: Simulator, commands: NDArray, where: str = "commands") -> None:
@@ -203,8 +225,8 @@ def check_commands(simulator: Simulator, commands: NDArray, where: str = "comman
         low, high = simulator.domain.get(name, (-np.inf, np.inf))
         if name == "duration":
             low = max(low, 0.0)
-        slack = _SLACK * (high - low) if np.isfinite(high - low) else 0.0
-        wrong = ~np.isfinite(column) | (column < low - slack) | (column > high + slack)
+        least, most = _limits(simulator, name)
+        wrong = ~np.isfinite(column) | (column < least) | (column > most)
         if name == "duration":
             wrong |= column <= 0.0
         if wrong.any():

@@ -3,14 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.network import follows
+
+
+class Within(NamedTuple):
+    """Poses within commands, [K] each.
+
+    Attributes:
+        row: of the command.
+        time: since its beginning, s.
+        moved: displacement since its beginning, [K, 3] m, m, rad.
+    """
+
+    row: Tensor
+    time: Tensor
+    moved: Tensor
 
 
 @dataclass(frozen=True)
@@ -21,16 +37,53 @@ class TrainingData:
         inputs: names and units of the inputs, [{name, unit}].
         x: inputs, [N, I], float64, in the dataset's units.
         y: displacements, [N, 3], in m, m and rad.
+        within: poses within the commands, where they are known.
+        scale: what inputs are divided by, [I]; None: the largest magnitude of each.
     """
 
     inputs: list[dict[str, str]]
     x: Tensor
     y: Tensor
+    within: Within | None = None
+    scale: Tensor | None = None
 
     @property
     def input_scale(self) -> Tensor:
-        """The largest magnitude of each input, [I]: scaled inputs lie in [-1, 1]."""
-        return _not_zero(self.x.abs().amax(0))
+        """What inputs are divided by, [I]: scaled inputs lie in [-1, 1]."""
+        if self.scale is not None:
+            return self.scale
+        scale = self.x.abs().amax(0)
+        names = [entry["name"] for entry in self.inputs]
+        # A speed before a command is measured as the command is.
+        for place, name in enumerate(names):
+            before = f"prev_{name}"
+            if before in names:
+                largest = torch.maximum(scale[place], scale[names.index(before)])
+                scale[place] = scale[names.index(before)] = largest
+        return _not_zero(scale)
+
+    def once(self) -> TrainingData:
+        """Return the data without rows that are there already: they would count twice."""
+        rows = torch.cat([self.x, self.y], dim=1).numpy()
+        first = np.sort(np.unique(rows, axis=0, return_index=True)[1])
+        return self if len(first) == len(rows) else self.part(torch.from_numpy(first))
+
+    def part(self, rows: Tensor | slice) -> TrainingData:
+        """Return some of the rows, by their places or a slice of them, scaled by themselves."""
+        chosen = torch.arange(len(self.x))[rows]
+        within = self.within
+        if within is not None:
+            place = torch.full((len(self.x),), -1)
+            place[chosen] = torch.arange(len(chosen))
+            kept = place[within.row] >= 0
+            row, time, moved = (part[kept] for part in within)
+            within = Within(place[row], time, moved)
+        return replace(self, x=self.x[chosen], y=self.y[chosen], within=within)
+
+    @property
+    def follows(self) -> Tensor:
+        """Whether each row's command followed that of the row before it, [N] bool."""
+        return follows([entry["name"] for entry in self.inputs], self.x)
 
     @property
     def scaled_inputs(self) -> Tensor:

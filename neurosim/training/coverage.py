@@ -45,7 +45,7 @@ def central_ranks(
     """Return :func:`central` of what followed commands, by outcomes that a simulator draws.
 
     Args:
-        inputs: [N, I], in the simulator's units and order.
+        inputs: [N, I], in the simulator's units and order, in the order of time.
         actual: [N, 3] dx, dy (m), dtheta (rad).
 
     Returns:
@@ -54,22 +54,23 @@ def central_ranks(
     if simulator.noise is None:
         return None
     generator = torch.Generator().manual_seed(seed)
-    drawn = draw_displacements(simulator, torch.tensor(inputs), DRAWS, generator).numpy()
+    x = simulator.chained(torch.tensor(inputs))
+    drawn = draw_displacements(simulator, x, DRAWS, generator).numpy()
     return central(drawn, actual)
 
 
 def draw_displacements(
-    simulator: MotionNetwork, inputs: Tensor, draws: int, generator: torch.Generator
+    simulator: MotionNetwork, x: Tensor, draws: int, generator: torch.Generator
 ) -> Tensor:
-    """Return displacements [D, N, 3] drawn for inputs [N, I]: a member and noise in each draw."""
-    drawn = torch.empty(draws, len(inputs), 3, dtype=torch.float64)
+    """Return displacements [D, N, 3] drawn for scaled inputs [N, I], each with member and noise."""
+    drawn = torch.empty(draws, len(x), 3, dtype=torch.float64)
     members = torch.arange(draws) % simulator.members
-    for part in torch.arange(len(inputs)).split(_ROWS):
-        x = inputs[part]
-        mean = torch.stack([simulator.displacement(x, m) for m in range(simulator.members)])
+    for part in torch.arange(len(x)).split(_ROWS):
+        own = x[part]
+        mean = torch.stack([simulator.displacement_of(own, m) for m in range(simulator.members)])
         means = mean[members].flatten(0, 1)
         z = simulator.noise.draw(len(means), 1, generator)[:, 0]
-        noisy = simulator.disturbed(x.repeat(draws, 1), means, z)
+        noisy = simulator.disturbed(own.repeat(draws, 1), means, z)
         drawn[:, part] = noisy.unflatten(0, (draws, -1))
     return drawn
 

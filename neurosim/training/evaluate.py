@@ -101,7 +101,7 @@ def _held_out_share(network: MotionNetwork, dataset: str | Path) -> float | None
 def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
     """Return the displacements (N, 3) that a simulator predicts for a dataset's rows."""
     inputs = torch.tensor(rows.input_array(), device=network.genes.device)
-    return network.displacement(inputs).cpu().numpy()
+    return network.displacement_of(network.chained(inputs)).cpu().numpy()
 
 
 def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str, Any]]:

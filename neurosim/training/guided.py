@@ -1,7 +1,7 @@
 """Choosing the commands to record next: those that an ensemble disagrees about most.
 
-Query by committee (Seung, Opper and Sompolinsky, Query by committee, COLT 1992): simulators learned
-from different parts of the rows so far disagree about commands that these rows say little about.
+Query by committee (Seung, Opper and Sompolinsky, Query by committee, COLT 1992): the members of an
+ensemble that learned from the rows so far disagree about commands that these rows say little about.
 What a command's outcome would tell is how much of that disagreement it takes away, which is less
 where the outcome is noisy (Cohn, Ghahramani and Jordan, Active learning with statistical models,
 JAIR 4, 1996). The best of a few random commands is taken, not the best of all: so what is chosen
@@ -22,16 +22,12 @@ from torch import Tensor
 from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.base.files import sha256
-from neurosim.networks import ProductSummationNetwork
 from neurosim.recording.commands import Command, CommandSource, RandomCommands
 from neurosim.recording.rounds import Pose
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion.derived import Derived
 from neurosim.training.base import TrainingData
 from neurosim.training.error_size import size_features, size_weights
-from neurosim.training.train import MIN_ROWS
-from neurosim.training.trainers.exponents import ExponentsSettings, ExponentsTrainer
-from neurosim.training.uncertainty.ensemble import Share
+from neurosim.training.train import MIN_ROWS, learn
 from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
 from tracking.datasets.displacements import displacements
 from tracking.datasets.recordings import Recording
@@ -52,49 +48,34 @@ class GuidedSettings:
     """How commands are chosen.
 
     Attributes:
-        members: simulators that vote.
-        share: of the rows that each learns from.
-        generations: of each search; shorter than for a simulator that is to be used.
+        members: of the ensemble that votes.
         candidates: random commands of which the best is taken.
     """
 
-    members: int = 8
-    share: float = 0.8
-    generations: int = 16
+    members: int = 16
     candidates: int = 8
 
 
 class Committee:
-    """Simulators that learned from different parts of the same rows.
+    """An ensemble that learned from the rows so far.
 
     Args:
         data: the rows so far, inputs as :data:`tracking.datasets.dataset.MOTOR_INPUTS`.
-        seed: of which rows each sees, and of the searches.
+        seed: of the training.
         settings: of the choice.
     """
 
     def __init__(self, data: TrainingData, seed: int, settings: GuidedSettings | None = None):
-        self._settings = settings = settings or GuidedSettings()
-        rows = len(data.x)
-        # What all rows tell of dead zones and derived inputs holds for every part of them.
-        state = _search(data, ExponentsSettings(), seed).state()
-        trained = ExponentsSettings(
-            dead_zone=tuple(state["dead_zone"].tolist()), derived=Derived.of(state["derived"])
-        )
-        generator = torch.Generator().manual_seed(seed)
-        self._members = []
-        for number in range(settings.members):
-            seen = torch.randperm(rows, generator=generator)[: round(settings.share * rows)]
-            seen = seen.sort().values
-            part = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
-            self._members.append(_learned(part, trained, settings.generations, seed + number))
-        mean = self.displacements(data.x).mean(0)
-        self._noise = _ErrorSize(self._members[0], data.x, mean - data.y)
+        settings = settings or GuidedSettings()
+        self._ensemble = learn(data, seed, members=settings.members, noise=False)
+        mean = self._ensemble.displacement_of(self._ensemble.chained(data.x))
+        self._noise = _ErrorSize(self._ensemble, data.x, mean - data.y)
         self._usual = self._noise(data.x).square().mean(0)
 
     def displacements(self, x: Tensor) -> Tensor:
         """Return what every member says, [M, N, 3] (m, m, rad), of inputs [N, I]."""
-        return torch.stack([member.displacement(x) for member in self._members])
+        members = range(self._ensemble.members)
+        return torch.stack([self._ensemble.displacement(x, member) for member in members])
 
     def worth(self, x: Tensor) -> Tensor:
         """Return how much of the disagreement the outcomes of inputs [N, I] would take away, [N].
@@ -113,20 +94,6 @@ def taken_away(variance: Tensor, noise: Tensor) -> Tensor:
         noise: variance of the outcome about its mean.
     """
     return variance.square() / (variance + noise)
-
-
-def _search(data: TrainingData, settings: ExponentsSettings, seed: int) -> ExponentsTrainer:
-    network = ProductSummationNetwork(data.x.shape[1], *ExponentsTrainer.default_hidden)
-    return ExponentsTrainer(data, network, settings, seed)
-
-
-def _learned(
-    data: TrainingData, settings: ExponentsSettings, generations: int, seed: int
-) -> MotionNetwork:
-    trainer = _search(data, settings, seed)
-    for _ in range(generations):
-        trainer.advance()
-    return trainer.result()
 
 
 class _ErrorSize:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -17,8 +18,9 @@ from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.base.generations import run_generations
 from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import write_motion
-from neurosim.training.base import TrainingData
+from neurosim.training.base import TrainingData, Within
 from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
@@ -126,24 +128,24 @@ def train(
         "sha256": files.sha256(Path(dataset) / "dataset.csv"),
         "virtual": bool(rows.meta.get("virtual", False)),
     }
-    try:
-        network = kind.make_network(len(rows.inputs), hidden, activations)
-        learner = EnsembleTrainer(
-            kind,
-            data,
-            network,
-            chosen,
-            seed,
-            device,
-            members=members,
-            generations=generations,
-            noise=noise,
-        )
-    except ValueError as error:
-        raise UserError(f"trainer {trainer!r} has invalid settings: {error}") from None
-
+    poses = Path(dataset) / "within.csv"
+    if poses.exists():
+        source["within_sha256"] = files.sha256(poses)
+    learner = new_learner(
+        data,
+        seed,
+        trainer=trainer,
+        settings=chosen,
+        members=members,
+        noise=noise,
+        generations=generations,
+        hidden=hidden,
+        activations=activations,
+        device=device,
+    )
     checkpoint = Checkpoint(out, "training")
     settings_now = {**begun, "dataset_sha256": source["sha256"]}
+    settings_now["within_sha256"] = source.get("within_sha256")
     run = _Training(learner)
     if resume:
         run.resume(checkpoint, settings_now)
@@ -160,8 +162,10 @@ def train(
         raise KeyboardInterrupt
     began = time.monotonic()
     simulator = learner.result()
+    simulator.known = domain_of(simulator, data, chosen)
     run.seconds += time.monotonic() - began
     simulator.meta = {
+        **simulator.meta,
         "training": {**begun, "rows": len(earlier), "held_out_rows": len(later)},
         "history": [
             {"generation": int(generation), "mse": mse} for generation, *mse in run.history
@@ -179,11 +183,80 @@ def train(
 
 def training_data(dataset: Dataset) -> TrainingData:
     """Return a dataset's rows as tensors."""
+    within = dataset.within
+    poses = within[["dx", "dy", "dtheta"]].to_numpy(np.float64, copy=True)
     return TrainingData(
         dataset.meta["inputs"],
         torch.tensor(dataset.input_array()),
         torch.tensor(dataset.output_array()),
+        Within(
+            torch.tensor(within["row"].to_numpy(np.int64, copy=True)),
+            torch.tensor(within["time"].to_numpy(np.float64, copy=True)),
+            torch.tensor(poses),
+        ),
     )
+
+
+def new_learner(
+    data: TrainingData,
+    seed: int,
+    *,
+    trainer: str = DEFAULT,
+    settings: Any = None,
+    members: int = MEMBERS,
+    noise: bool = True,
+    generations: int | None = None,
+    hidden: tuple[int, int] | None = None,
+    activations: tuple[str, str] = ("linear", "linear"),
+    device: str = "cpu",
+) -> Any:
+    """Return what learns an ensemble and its noise model, ready for its first generation.
+
+    Args:
+        data: rows to learn from.
+        settings: of the trainer, of its own class; its defaults if not given.
+        seed, trainer, members, noise, generations, hidden, activations, device: as :func:`train`.
+
+    Raises:
+        UserError: if a setting cannot be.
+    """
+    kind = trainer_class(trainer)
+    settings = kind.settings_type() if settings is None else settings
+    generations = kind.default_generations if generations is None else generations
+    asked = {"members": members, "noise": noise, "generations": generations}
+    try:
+        network = kind.make_network(len(data.inputs), hidden or kind.default_hidden, activations)
+        if getattr(kind, "makes_ensembles", False):
+            return kind(data, network, settings, seed, device, **asked)
+        return EnsembleTrainer(kind, data, network, settings, seed, device, **asked)
+    except ValueError as error:
+        raise UserError(f"trainer {trainer!r} has invalid settings: {error}") from None
+
+
+def learn(data: TrainingData, seed: int, **options: Any) -> MotionNetwork:
+    """Return a simulator learned from all these rows; options are those of :func:`new_learner`."""
+    learner = new_learner(data, seed, **options)
+    for _ in range(learner.generations):
+        learner.advance()
+    return learner.result()
+
+
+def domain_of(simulator: MotionNetwork, data: TrainingData, settings: Any) -> Domain:
+    """Return the commands that a simulator has learned from.
+
+    A drive model that has learned from poses within commands knows how each of them began.
+
+    Args:
+        simulator: what was made of the data.
+        data: the rows.
+        settings: of the trainer.
+    """
+    places = [simulator.input_names.index(name) for name in simulator.command_names]
+    inside = data.within is not None and len(data.within.row) > 0
+    begins = (
+        simulator.drive is not None and inside and not getattr(settings, "whole_commands", False)
+    )
+    return Domain.of(simulator.command_names, data.x[:, places].cpu().numpy(), begins=begins)
 
 
 class _Training:
@@ -195,7 +268,7 @@ class _Training:
         seconds: worked so far.
     """
 
-    def __init__(self, learner: EnsembleTrainer):
+    def __init__(self, learner: Any):
         self._learner = learner
         self._stride = max(1, learner.generations // _HISTORY)
         self.done = 0

@@ -6,57 +6,20 @@ import numpy as np
 import pytest
 import torch
 from given_plans import EPISODE, RUN_DOWN, GivenPlans, by_protocol, drawn, expected
+from motion_networks import NAMES, random_motion_network
 
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.stepped import SteppedRollouts
-from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion.derived import Derived
-from neurosim.simulators.motion.network import COORDINATES
-from neurosim.simulators.motion.noise import NoiseModel
 from neurosim.simulators.motion.plans import MotionPlans
 from neurosim.tasks.nine_rectangles import NineRectangles
 
 START = (-0.8, 0.0, 1.5)
-NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
 
-def normal(seed, *shape):
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-
-def simulator(
-    members, coordinates, *, noisy=True, names=NAMES, shared=False, central=False, derived=None
-):
-    inputs = 5 + len(derived or ())
-    network = ProductSummationNetwork(inputs=inputs, products=7, summations=2, ceilings=True)
-    genes = 2.5 / inputs * normal(1, members + central, COORDINATES[coordinates], network.genes)
-    if shared:  # networks with the same exponents, as read-outs of one search have
-        genes[:, :, : 7 * inputs] = genes[:1, :1, : 7 * inputs]
-        genes[:, :, -7:] = genes[:1, :1, -7:]
-        genes[:, :, 7 * inputs] = 0.0
-    noise = None
-    if noisy:
-        shapes = NoiseModel.SHAPES
-        drawn = {name: 0.1 * normal(2, *shape) for name, shape in shapes.items()}
-        drawn["log_scale"][:, 0] -= 3.0
-        drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
-        drawn["motion"] = drawn["motion"].abs()
-        noise = NoiseModel(**drawn)
-    scale = [3.0 if name == "duration" else 50.0 for name in names]
-    return MotionNetwork(
-        [{"name": name, "unit": ""} for name in names],
-        network,
-        genes,
-        torch.tensor(scale),
-        torch.full((COORDINATES[coordinates],), 0.1),
-        coordinates,
-        noise=noise,
-        dead_zone=torch.tensor([0.06 if name != "duration" else 0.0 for name in names]),
-        central=central,
-        derived=derived,
-    )
+#: One whose networks say the displacement, or what departs from a drive model; large outputs.
+DISPLACEMENT = {"drives": False, "units": 0, "swing": None, "size": 0.2}
+DRIVEN = {"size": 0.2}
 
 
 def plans(batch, count):
@@ -68,6 +31,8 @@ def plans(batch, count):
     commands[2, :, 1] = commands[2, :, 0]
     commands[-1, 1:, :2] = -commands[-1, :-1, :2]
     commands[-1, 1::2, :2] *= 0.5
+    # The same command again: with a drive model it goes on, until it has lasted too long.
+    commands[-2, 1:4] = [30.0, -20.0, 1.2]
     given = rng.random((batch, count)) < 0.75
     given[3] = False
     return GivenPlans(commands, given)
@@ -84,18 +49,16 @@ def same(found, wanted):
     np.testing.assert_allclose(found, wanted, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("derived", [None, Derived(moving=True), Derived(True, 0.03)])
+@pytest.mark.parametrize("swing", [None, 0.03])
 @pytest.mark.parametrize("names", [NAMES, (*NAMES[2:], *NAMES[:2])])
 @pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize(
-    ("members", "coordinates", "central"),
-    [(1, "displacement", False), (3, "twist-offset", False), (3, "twist-offset", True)],
+    ("members", "form", "central"),
+    [(1, DISPLACEMENT, False), (1, DRIVEN, False), (3, DRIVEN, False), (3, DRIVEN, True)],
 )
-def test_expected_paths_are_those_of_single_steps(
-    members, coordinates, central, shared, names, derived
-):
-    how = {"names": names, "shared": shared, "noisy": False, "derived": derived}
-    sim, family = simulator(members, coordinates, central=central, **how), plans(8, 6)
+def test_expected_paths_are_those_of_single_steps(members, form, central, shared, names, swing):
+    how = {**form, "names": names, "shared": shared, "noise": False, "swing": swing}
+    sim, family = random_motion_network(members=members, central=central, **how), plans(8, 6)
     fast, slow = both(sim, family)
     wanted = by_protocol(sim, [START] * 8, family)
     assert np.abs(wanted - np.array(START)).max() > 0.1
@@ -104,19 +67,21 @@ def test_expected_paths_are_those_of_single_steps(
 
 
 @pytest.mark.parametrize(
-    ("members", "coordinates", "noisy", "central"),
+    ("members", "form", "noise", "central"),
     [
-        (1, "displacement", True, False),
-        (4, "displacement", False, False),
-        (4, "twist-offset", True, False),
-        (4, "twist-offset", True, True),
+        (1, DISPLACEMENT, True, False),
+        (4, DISPLACEMENT, False, False),
+        (4, DRIVEN, False, False),
+        (4, DRIVEN, True, False),
+        (4, DRIVEN, True, True),
     ],
 )
 @pytest.mark.parametrize("stepped_draws", [False, True])
 def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
-    members, coordinates, noisy, central, stepped_draws
+    members, form, noise, central, stepped_draws
 ):
-    sim, family = simulator(members, coordinates, noisy=noisy, central=central), plans(6, 5)
+    how = {"members": members, "noise": noise, "central": central}
+    sim, family = random_motion_network(**how, **form), plans(6, 5)
     fast, slow = both(sim, family)
     draws = (slow if stepped_draws else fast).draw(np.tile(START, (9, 1)), 3, (0.01, 0.05))
     paths = drawn(fast, family, draws)
@@ -132,35 +97,46 @@ def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
 
 def obvious(sim, family, b, draws, r):
     """One plan, one outcome, straight from the simulator's displacement and noise."""
-    pose, before, poses, sent = draws.starts[r], (0.0, 0.0), [draws.starts[r]], 0
+    pose, poses, sent = draws.starts[r], [draws.starts[r]], 0
+    member = -1 if draws.member is None else int(draws.member[r])
     each = zip(family.all_commands[b], family.given[b], strict=True)
+    speed, told, lasted = torch.zeros(1, 2).double(), torch.zeros(1, 2).double(), 0.0
     for command, is_given in [*each, ((0.0, 0.0, RUN_DOWN), True)]:
         if is_given:
-            inputs = torch.tensor([[*before, *command]], dtype=torch.float64)
-            member = -1 if draws.member is None else int(draws.member[r])
-            moved = sim.displacement(inputs, member)
+            x = sim.scaled(torch.tensor([[0.0, 0.0, *command]], dtype=torch.float64))
+            goes_on = sim.drive and torch.equal(x[:, 2:4], told) and 0 < lasted + command[2] < 3.15
+            if not goes_on or lasted == 0.0:
+                if sim.drive:
+                    speed = sim.drive.reached(speed, told, torch.tensor([lasted]))
+                else:
+                    speed = told
+                began, lasted, number, told = pose, 0.0, sent, x[:, 2:4]
+            lasted += command[2]
+            x[:, :2], x[:, 4] = speed, lasted / 3.0
+            moved = sim.displacement_of(x, member)
             if draws.noise is not None:
-                moved = sim.disturbed(inputs, moved, torch.from_numpy(draws.noise[r, sent])[None])
+                moved = sim.disturbed(x, moved, torch.from_numpy(draws.noise[r, number])[None])
             dx, dy, turn = moved[0].tolist()
-            cos, sin = np.cos(pose[2]), np.sin(pose[2])
-            pose = pose + np.array([cos * dx - sin * dy, sin * dx + cos * dy, turn])
-            before, sent = command[:2], sent + 1
+            cos, sin = np.cos(began[2]), np.sin(began[2])
+            pose = began + np.array([cos * dx - sin * dy, sin * dx + cos * dy, turn])
+            sent += 1
         poses.append(pose)
     return np.array(poses)
 
 
-def test_outcomes_spread_as_the_steps_of_the_protocol_do():
-    sim, family = simulator(3, "displacement"), plans(8, 3)
+@pytest.mark.parametrize("form", [DISPLACEMENT, DRIVEN])
+def test_outcomes_spread_as_the_steps_of_the_protocol_do(form):
+    sim, family = random_motion_network(**form), plans(8, 3)
     family = GivenPlans(family.all_commands[4:5], np.ones((1, 3), bool))
     fast, slow = both(sim, family)
-    starts, placing = np.tile(START, (24_000, 1)), (0.003, 0.01)
+    starts, placing = np.tile(START, (10_000, 1)), (0.003, 0.01)
     paths = {
         "compiled": drawn(fast, family, fast.draw(starts, 1, placing))[0],
         "stepped": drawn(slow, family, slow.draw(starts, 2, placing))[0],
     }
     # Noise and members that the simulator draws for itself.
     put_down = slow.draw(starts, 3, placing).starts
-    many = GivenPlans(np.repeat(family.all_commands, 24_000, 0), np.ones((24_000, 3), bool))
+    many = GivenPlans(np.repeat(family.all_commands, 10_000, 0), np.ones((10_000, 3), bool))
     own = by_protocol(sim, put_down, many, torch.Generator().manual_seed(4))
     for found in paths.values():
         for quantile in (0.1, 0.5, 0.9):
@@ -169,7 +145,7 @@ def test_outcomes_spread_as_the_steps_of_the_protocol_do():
 
 
 def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
-    for driver in both(simulator(4, "displacement"), plans(6, 3)):
+    for driver in both(random_motion_network(members=4, central=False), plans(6, 3)):
         starts = np.tile(START, (40, 1))
         a, b, c = (driver.draw(starts, seed, (0.003, 0.01)) for seed in (1, 1, 2))
         assert np.array_equal(a.noise, b.noise)
@@ -181,7 +157,8 @@ def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
 
 
 def test_other_activations_go_through_the_protocol():
-    sim, family = simulator(1, "displacement", noisy=False), plans(4, 3)
+    plain = {"members": 1, "central": False, "noise": False}
+    sim, family = random_motion_network(**plain, **DISPLACEMENT), plans(4, 3)
     curved = replace(sim.network, hidden_activation="tanh")
     sim = MotionNetwork(
         sim.inputs, curved, sim.genes, sim.input_scale, sim.output_scale, sim.coordinates

@@ -73,10 +73,11 @@ class Scripted:
                 if command:
                     self.heard.append(command.decode())
                     answer = self.script.pop(0) if self.script else None
+                    # Before the answer, after which the test may begin to count anew.
+                    self.taken += 1
                     os.write(
                         self.master, self.table.get(command[:1], b"") if answer is None else answer
                     )
-                    self.taken += 1
 
     def say(self, data, driver):
         """Say something by itself; return when it stands before the driver."""

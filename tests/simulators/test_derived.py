@@ -4,17 +4,16 @@ import math
 import numpy as np
 import pytest
 import torch
+from motion_networks import NAMES, random_motion_network
 
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.kernels import network_inputs
+from neurosim.simulators.motion.kernels import memory_size, tell
 from neurosim.simulators.motion.noise import CommandFeatures
 
-NAMES = ("prev_left", "prev_right", "left", "right", "duration")
-SCALE = [50.0, 50.0, 50.0, 50.0, 3.0]
 #: Inputs, and by how many half turns the direction changes where a reversal may be short of 0.03.
 CHANGES = [
     ((10, 10, 40, 40), 0.0),
@@ -30,63 +29,73 @@ CHANGES = [
 ]
 
 
-def simulator(derived, dead_zone=0.05):
-    network = ProductSummationNetwork(5 + len(derived), 4, 1)
-    genes = 0.3 * torch.randn(3, network.genes, generator=torch.Generator().manual_seed(3))
-    zone = torch.tensor([dead_zone] * 4 + [0.0])
-    inputs = [{"name": name, "unit": ""} for name in NAMES]
-    scale, one = torch.tensor(SCALE), torch.ones(3)
-    return MotionNetwork(inputs, network, genes, scale, one, dead_zone=zone, derived=derived)
+def given(sim, inputs):
+    """Return what the networks are given, scaled."""
+    return sim.derived.append(sim.columns, sim.scaled(inputs))
 
 
 @pytest.mark.parametrize(("speeds", "turns"), CHANGES)
 def test_the_change_of_direction_in_half_turns(speeds, turns):
     inputs = torch.tensor([[*speeds, 1.0]], dtype=torch.float64)
-    given = simulator(Derived(True, 0.03)).network_inputs(inputs)
-    assert given.shape == (1, 7)
-    assert given[0, 6].item() == pytest.approx(turns, abs=1e-12)
-    mirrored = simulator(Derived(swing=-0.03)).network_inputs(inputs)
+    found = given(random_motion_network(swing=0.03, drives=False), inputs)
+    assert found.shape == (1, 6)
+    assert found[0, 5].item() == pytest.approx(turns, abs=1e-12)
+    mirrored = given(random_motion_network(swing=-0.03, drives=False), inputs)
     assert mirrored[0, 5].item() == pytest.approx(1.0 if turns == -1.0 else turns, abs=1e-12)
 
 
-def test_to_creep_within_the_dead_zone_is_not_to_stop():
-    given = simulator(Derived(moving=True)).network_inputs(
-        torch.tensor([[30.0, 30.0, 1.0, 0.0, 1.0], [30.0, 30.0, 0.0, 0.0, 1.0]])
-    )
-    assert given[:, 2:4].tolist() == [[0.0, 0.0], [0.0, 0.0]]
-    assert given[:, 5].tolist() == [1.0, 0.0]
-
-
-@pytest.mark.parametrize("derived", [Derived(), Derived(True), Derived(True, -0.03)])
-def test_the_compiled_form_agrees(derived):
-    sim = simulator(derived)
-    arrays = sim.arrays()
+@pytest.mark.parametrize("swing", [None, 0.03, -0.03])
+def test_the_compiled_form_agrees(swing):
+    sim = random_motion_network(swing=swing, drives=False)
+    arrays, source = sim.arrays(), sim.input_sources()
     rows = [[*speeds, 0.5] for speeds, _ in CHANGES]
     rows += np.random.default_rng(0).uniform(-50, 50, (50, 5)).tolist()
-    inputs = torch.tensor(rows, dtype=torch.float64)
-    expected, found = sim.network_inputs(inputs).numpy(), np.empty(5 + len(derived))
-    for n, row in enumerate(inputs.numpy()):
-        network_inputs(arrays, row, found)
-        assert found == pytest.approx(expected[n], abs=1e-12)
+    expected = given(sim, torch.tensor(rows, dtype=torch.float64)).numpy()
+    for row, wanted in zip(np.array(rows), expected, strict=True):
+        memory, found = np.zeros(memory_size(arrays)), np.empty(len(wanted))
+        memory[:2] = row[:2]
+        assert tell(arrays, source, row[2:], 4, memory, found) == 4
+        assert found == pytest.approx(wanted, abs=1e-12)
+        assert memory[:2] == pytest.approx(row[2:4])
+
+
+@pytest.mark.parametrize("swing", [None, 0.03])
+def test_the_compiled_form_agrees_beside_a_drive_model(swing):
+    """The speeds before are those reached, which turn towards the command's."""
+    sim = random_motion_network(swing=swing)
+    arrays, source = sim.arrays(), sim.input_sources()
+    inputs = np.random.default_rng(0).uniform((-50, -50, 0.05), (50, 50, 0.4), (40, 3))
+    inputs[::5, :2] = 0.0
+    state, memory = sim.start(torch.zeros(1, 3)), np.zeros(memory_size(arrays))
+    for k, command in enumerate(inputs):
+        state = sim.step(state, torch.from_numpy(command[None]))
+        speeds, driven = state[0, 3:5], torch.from_numpy(command[None, :2])
+        x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 7:8] / sim.longest])
+        found = np.empty(5 + len(sim.derived))
+        assert tell(arrays, source, command, k, memory, found) == k
+        wanted = sim.derived.append(sim.columns, x[None])[0]
+        assert found == pytest.approx(wanted.numpy(), abs=1e-12)
 
 
 def test_written_and_read(tmp_path):
-    sim = simulator(Derived(True, 0.03))
+    sim = random_motion_network(swing=0.03)
     write_motion(sim, tmp_path)
     again = read_simulator(tmp_path)
-    assert again.derived == sim.derived
-    assert Derived.of(sim.derived.tensor()) == sim.derived
+    assert again.derived == sim.derived == Derived(0.03)
     inputs = torch.tensor([[10.0, 20.0, -30.0, 5.0, 1.0]], dtype=torch.float64)
     assert torch.equal(again.displacement(inputs), sim.displacement(inputs))
 
 
-@pytest.mark.parametrize("wrong", [{"swing": "left"}, {"moving": 1}, {"swing": 2.0}, {"more": 1}])
+@pytest.mark.parametrize(
+    "wrong",
+    [{"swing": "left"}, {"moving": False, "swing": 0.03}, {"swing": 2.0}, {"more": 1}, 0.03],
+)
 def test_a_wrong_description_is_refused(tmp_path, wrong):
-    write_motion(simulator(Derived(True, 0.03)), tmp_path)
+    write_motion(random_motion_network(), tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text(encoding="utf-8"))
     path.write_text(json.dumps(content | {"derived": wrong}), encoding="utf-8")
-    with pytest.raises(FileError, match="'derived': expected moving"):
+    with pytest.raises(FileError, match=r"'derived': expected swing.*train the simulator anew"):
         read_simulator(tmp_path)
 
 

@@ -4,13 +4,13 @@ import math
 import numpy as np
 import pytest
 import torch
+from motion_networks import random_motion_network
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork, Weights
 from neurosim.simulators import MotionNetwork, Simulator, read_simulator
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.network import COORDINATES
 
 MOTORS = [
     {"name": name, "unit": unit}
@@ -25,13 +25,11 @@ MOTORS = [
 SMALL = ProductSummationNetwork(5, 2, 1)
 
 
-def random_network(seed=0, coordinates="displacement", **more):
+def random_network(seed=0, **more):
     g = torch.Generator().manual_seed(seed)
-    count = COORDINATES[coordinates]
-    genes = 0.3 * torch.randn(count, SMALL.genes, generator=g, dtype=torch.float64)
+    genes = 0.3 * torch.randn(3, SMALL.genes, generator=g, dtype=torch.float64)
     scale = torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0])
-    outputs = torch.tensor([0.2, 0.1, 1.0, 0.03, 0.02])[:count]
-    return MotionNetwork(MOTORS, SMALL, genes, scale, outputs, coordinates, **more)
+    return MotionNetwork(MOTORS, SMALL, genes, scale, torch.tensor([0.2, 0.1, 1.0]), **more)
 
 
 def straight_ahead():
@@ -106,13 +104,16 @@ def test_inputs_may_stand_in_any_order():
     torch.testing.assert_close(a, b)
 
 
-def test_a_twist_is_carried_round_the_arc_and_the_offset_is_added():
-    simulator = random_network(coordinates="twist-offset")
+def test_what_departs_from_the_drive_model_is_added_to_the_twist_of_its_last_piece():
+    simulator = random_motion_network(noise=False)
     inputs = torch.tensor([[10.0, -20.0, 30.0, 40.0, 2.0]], dtype=torch.float64)
-    outputs = simulator.outputs(inputs)[0, 0].numpy()
-    expected = se2.exp(outputs[:3])
-    expected[:2] += outputs[3:]
-    np.testing.assert_allclose(simulator.displacement(inputs)[0], expected, atol=1e-12)
+    x = simulator.scaled(inputs)
+    outputs = simulator.outputs(inputs)[0, 1].numpy()
+    time = torch.tensor([2.0], dtype=torch.float64)
+    changing, steady = simulator.drive.phases(x[:, :2], x[:, 2:4], time)
+    rest = se2.exp(steady[0].numpy() + outputs * 2.0 / 3.0)
+    expected = se2.compose(changing[0].numpy(), rest)
+    np.testing.assert_allclose(simulator.displacement(inputs, 1)[0], expected, atol=1e-12)
 
 
 @pytest.fixture
@@ -145,8 +146,11 @@ def edit(folder, **changes):
         ({"inputs": [*MOTORS, {"name": "gear"}]}, "expected shape"),
         ({"inputs": [{"name": "prev_gear"}, *MOTORS[1:]]}, "prev_gear"),
         ({"coordinates": "polar"}, "coordinates"),
-        # Of simulators from before there were offsets.
-        ({"coordinates": "twist"}, "'coordinates': expected .*'twist': train the simulator anew"),
+        # Of simulators from before there were drive models.
+        (
+            {"coordinates": "twist-offset"},
+            "'coordinates': expected .*'twist-offset': train the simulator anew",
+        ),
         ({"network": {"neurons": 3}}, "network"),
         ({"network": {"hidden_activation": "relu"}}, "relu"),
         ({"network": {"products": 2, "summations": 3}}, "expected shape"),

@@ -7,11 +7,11 @@ import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from motion_networks import NAMES, noise_model, normal, random_motion_network
 from safetensors.numpy import load_file, save_file
 
 from neurosim.base.errors import FileError
-from neurosim.networks import ProductSummationNetwork
-from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators import read_simulator
 from neurosim.simulators.motion import kernels
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.noise import (
@@ -27,42 +27,8 @@ from neurosim.simulators.motion.noise import (
     residual,
 )
 
-NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 SEEDS = st.integers(0, 2**31 - 1)
 STILL = torch.zeros(1, 3, dtype=torch.float64)
-
-
-def normal(seed, *shape):
-    generator = torch.Generator().manual_seed(seed)
-    return torch.randn(*shape, generator=generator, dtype=torch.float64)
-
-
-def noise_model(seed=0, size=-3.0):
-    drawn = {
-        name: 0.2 * normal(seed + n, *shape)
-        for n, (name, shape) in enumerate(NoiseModel.SHAPES.items())
-    }
-    drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
-    drawn["log_scale"][:, 0] += size
-    drawn["motion"] = (0.1 * drawn["motion"]).abs()
-    return NoiseModel(**drawn)
-
-
-def simulator(seed=0, members=3, central=True, noise=None):
-    network = ProductSummationNetwork(
-        inputs=5, products=4, summations=1, phases=True, ceilings=True
-    )
-    return MotionNetwork(
-        [{"name": name, "unit": ""} for name in NAMES],
-        network,
-        0.4 * normal(seed, members + central, 5, network.genes),
-        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
-        torch.full((5,), 0.1),
-        "twist-offset",
-        noise=noise,
-        dead_zone=torch.tensor([0.05] * 4 + [0.0]),
-        central=central,
-    )
 
 
 def commands(seed, rows):
@@ -75,7 +41,7 @@ def commands(seed, rows):
 @settings(max_examples=20, deadline=None)
 @given(SEEDS)
 def test_without_a_generator_the_answer_is_the_mean(seed):
-    quiet, noisy = simulator(seed), simulator(seed, noise=noise_model(seed))
+    quiet, noisy = random_motion_network(seed, noise=False), random_motion_network(seed)
     start = normal(seed, 6, 3)
     states = [s.step(s.start(start), commands(seed, 6)) for s in (quiet, noisy)]
     assert torch.equal(*states)
@@ -84,7 +50,7 @@ def test_without_a_generator_the_answer_is_the_mean(seed):
 @settings(max_examples=20, deadline=None)
 @given(SEEDS, SEEDS)
 def test_the_same_seed_gives_the_same_and_another_one_another(seed, other):
-    noisy = simulator(noise=noise_model())
+    noisy = random_motion_network()
 
     def driven(seed):
         generator = torch.Generator().manual_seed(seed)
@@ -99,7 +65,7 @@ def test_the_same_seed_gives_the_same_and_another_one_another(seed, other):
 @settings(max_examples=10, deadline=None)
 @given(SEEDS)
 def test_a_trajectory_keeps_its_member(seed):
-    noisy = simulator(noise=noise_model())
+    noisy = random_motion_network()
     generator = torch.Generator().manual_seed(seed)
     place = noisy.state_names.index("member")
     state = noisy.start(normal(seed, 30, 3), generator)
@@ -113,11 +79,9 @@ def test_a_trajectory_keeps_its_member(seed):
 @settings(max_examples=20, deadline=None)
 @given(SEEDS)
 def test_draws_of_zero_are_the_mean(seed):
-    noisy, x = (
-        simulator(noise=noise_model(seed)),
-        torch.cat([normal(seed, 5, 2), commands(0, 5)], 1),
-    )
-    mean = noisy.displacement(x)
+    noisy = random_motion_network(noise=noise_model(seed))
+    x = noisy.scaled(torch.cat([30.0 * normal(seed, 5, 2), commands(0, 5)], 1))
+    mean = noisy.displacement_of(x)
     moved = noisy.disturbed(x, mean, torch.zeros(5, DRAWS, dtype=torch.float64))
     assert torch.allclose(moved, mean, rtol=0, atol=1e-12)
 
@@ -195,16 +159,17 @@ def test_tails_have_a_limit():
     assert heaviness(far, torch.tensor([0.0, 1.0, 0.0]).double()).item() == HEAVIEST
 
 
+@pytest.mark.parametrize("drives", [False, True])
 @pytest.mark.parametrize("central", [False, True])
-def test_compiled_noise_is_that_of_tensors(central):
-    noisy = simulator(central=central, noise=noise_model())
+def test_compiled_noise_is_that_of_tensors(central, drives):
+    noisy = random_motion_network(central=central, drives=drives)
     arrays, before = noisy.arrays(), normal(5, 12, 2) * 30.0
-    x = torch.cat([before, commands(3, 12)], 1)
+    x = noisy.scaled(torch.cat([before, commands(3, 12)], 1))
     z = normal(4, 12, DRAWS)
     for member in (-1, 0, 2):
-        mean = noisy.displacement(x, member)
+        mean = noisy.displacement_of(x, member)
         expected = noisy.disturbed(x, mean, z).numpy()
-        per_row = noisy.displacement(x, torch.full((12,), member))
+        per_row = noisy.displacement_of(x, torch.full((12,), member))
         assert torch.allclose(mean, per_row, rtol=1e-12, atol=1e-12)
         for n in range(12):
             size, moved = np.empty(kernels.SIZES), np.empty(3)
@@ -214,18 +179,19 @@ def test_compiled_noise_is_that_of_tensors(central):
 
 
 def test_the_mean_is_a_network_of_its_own_or_the_members_average():
-    own, average = simulator(central=True), simulator(members=4, central=False)
+    own, average = random_motion_network(), random_motion_network(members=4, central=False)
     assert (own.members, average.members) == (3, 4)
     x = torch.cat([torch.zeros(5, 2), commands(1, 5)], 1).double()
     assert torch.equal(own.genes, average.genes)
     assert torch.allclose(own.displacement(x), average.displacement(x, 0))
     assert torch.allclose(own.displacement(x, 1), average.displacement(x, 2))
-    assert torch.allclose(average.displacement(x), average.from_outputs(average.outputs(x).mean(1)))
-    assert own.outputs(x).shape == (5, 3, 5)
+    mean = average.from_outputs(average.outputs(x).mean(1), average.scaled(x))
+    assert torch.allclose(average.displacement(x), mean)
+    assert own.outputs(x).shape == (5, 3, 3)
 
 
 def test_ensembles_and_noise_are_written_and_read(tmp_path):
-    noisy = simulator(noise=noise_model())
+    noisy = random_motion_network()
     write_motion(noisy, tmp_path)
     again = read_simulator(tmp_path)
     assert again.central
@@ -235,11 +201,12 @@ def test_ensembles_and_noise_are_written_and_read(tmp_path):
     for member in (-1, 2):
         mean = noisy.displacement(x, member)
         assert torch.equal(again.displacement(x, member), mean)
-        assert torch.equal(again.disturbed(x, mean, z), noisy.disturbed(x, mean, z))
+        moved = [s.disturbed(s.scaled(x), mean, z) for s in (noisy, again)]
+        assert torch.equal(*moved)
 
 
 def test_a_noise_model_of_another_kind_is_refused(tmp_path):
-    write_motion(simulator(noise=noise_model()), tmp_path)
+    write_motion(random_motion_network(), tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text())
     content["noise"]["kind"] = "lasting-cholesky-lognormal"
@@ -250,12 +217,13 @@ def test_a_noise_model_of_another_kind_is_refused(tmp_path):
 
 def test_folders_of_version_1_are_read(tmp_path):
     """They had one member, no noise and no dead zone."""
-    sim = simulator(members=1, central=False)
+    plain = {"drives": False, "units": 0, "swing": None, "noise": False}
+    sim = random_motion_network(members=1, central=False, **plain)
     sim.dead_zone = torch.zeros_like(sim.dead_zone)
     write_motion(sim, tmp_path)
     path = tmp_path / "simulator.json"
     content = json.loads(path.read_text())
-    for name in ("members", "central", "noise"):
+    for name in ("members", "central", "noise", "derived", "kernel_units"):
         del content[name]
     path.write_text(json.dumps(content | {"version": 1}))
     weights = tmp_path / "weights.safetensors"

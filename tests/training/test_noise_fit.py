@@ -54,7 +54,7 @@ def recorded(rows, seed=0, **planted):
 def test_the_size_is_found_again_in_all_its_parts():
     motion = torch.tensor([[0.0, 0.01, 0.02], [0.0, 0.0, 4e-5], [0.0, 1e-6, 0.0]])
     simulator, data, mean, noise = recorded(6000, motion=motion)
-    found = fit_noise(simulator, data, mean)
+    found = fit_noise(simulator, data.x, data.y, mean)
     columns = CommandFeatures.of(NAMES)
     sizes = [typical_size(model, columns, data.x, mean) for model in (noise, found)]
     ratio = (sizes[1] / sizes[0]).log()
@@ -71,7 +71,7 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     log_scale[:, 0] = torch.tensor([0.02, 0.001, 0.0005]).log()
     log_scale[:, SCALE_FEATURES.index("before")] = -0.4
     simulator, data, mean, noise = recorded(3000, log_scale=log_scale)
-    found, columns = fit_noise(simulator, data, mean), CommandFeatures.of(NAMES)
+    found, columns = fit_noise(simulator, data.x, data.y, mean), CommandFeatures.of(NAMES)
     sizes = [typical_size(model, columns, data.x, mean) for model in (noise, found)]
     rest = (data.x[:, :2] == 0.0).all(1)
     wider = [(size[rest].log().mean(0) - size[~rest].log().mean(0)).exp() for size in sizes]
@@ -81,14 +81,14 @@ def test_what_starts_from_rest_strays_more_where_it_does():
 
 def test_what_members_say_is_not_said_twice():
     simulator, data, mean, noise = recorded(3000)
-    alone = fit_noise(simulator, data, mean)
+    alone = fit_noise(simulator, data.x, data.y, mean)
     network = simulator.network
     genes = torch.zeros(5, 3, network.genes)
     # Members that differ by a turn of 0.015 rad, beside noise of 0.02.
     genes[1:, 2, -1] = 0.015 * torch.tensor([-1.0, 1.0, -1.0, 1.0]) * 0.75**0.5
     entries = simulator.inputs
     several = MotionNetwork(entries, network, genes, torch.ones(5), torch.ones(3), central=True)
-    found = fit_noise(several, data, mean)
+    found = fit_noise(several, data.x, data.y, mean)
     columns = CommandFeatures.of(NAMES)
     turn = [typical_size(n, columns, data.x, mean)[:, 0].median().item() for n in (alone, found)]
     assert turn[0] == pytest.approx(0.02, rel=0.1)

@@ -23,7 +23,7 @@ def test_a_readout_is_the_least_squares_solution_of_numpy(weighted):
     simulator = MotionNetwork(INPUTS, network, genes, data.input_scale, torch.ones(3))
     weights = torch.rand(120, generator=generator, dtype=torch.float64)
     weights = weights if weighted else torch.ones_like(weights)
-    readout = Readout(data, simulator, ridge=0.0, weigh=False)
+    readout = Readout(data, simulator, ridge=0.0)
     fitted = readout.simulator(readout.genes(weights)).displacement(data.x).numpy()
     # The features from the formula: prod |x|^w, as far as its ceiling, times
     # cos(pi sum of w over the negative x); x and one.

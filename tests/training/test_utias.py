@@ -7,7 +7,7 @@ from tracking.datasets.mrclam import import_mrclam
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("trainer", "generations"), [("ga", 200), ("exponents", 10)])
+@pytest.mark.parametrize(("trainer", "generations"), [("ga", 200), ("combined", 10)])
 def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, trainer, generations):
     import_mrclam(shared_data / "utias", tmp_path / "d")
     train(tmp_path / "d", tmp_path / "s", trainer=trainer, generations=generations, progress=False)

@@ -18,8 +18,8 @@ from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.networks.control_kernels import act, observe
 from neurosim.simulators.base import as_seed, draw_members, put_down
 from neurosim.simulators.closed_loop import ClosedLoop
-from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread
-from neurosim.simulators.motion.plan_kernels import Ensemble, _inputs, displacements, lay_out
+from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread, tell
+from neurosim.simulators.motion.plan_kernels import Ensemble, displacements, lay_out, scratch_size
 
 
 class MotionClosedLoop(ClosedLoop):
@@ -78,7 +78,7 @@ def lay_out_each(a: Arrays) -> Ensemble:
     The first is the mean of all. Members with fewer units or terms than others have empty ones.
     """
     each = [lay_out(a, mean=True)]
-    names = ("exponents", "ceiling", "signed", "linear", "bias")
+    names = ("exponents", "ceiling", "signed", "linear", "bias", "kernel_weights")
     for m in range(a.central, len(a.bias)):
         own = {name: getattr(a, name)[m : m + 1] for name in names}
         each.append(lay_out(a._replace(**own, central=False), mean=False))
@@ -112,6 +112,7 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
     """
     count, steps, width = len(starts), commands.shape[2], commands.shape[3]
     noisy = a.noisy and z.shape[1] > 0
+    remembered = 2 * len(a.driven) + 2
     for job in prange(len(genes) * count):
         p, r = job // count, job % count
         m = member[r] + 1
@@ -127,23 +128,32 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
             e.signed[m],
             e.linear[m],
             e.bias[m],
+            e.kernel_weights[m],
+            e.centres,
+            e.lengths,
             e.input_scale,
             e.dead_zone,
             e.driven,
             e.before,
-            e.moving,
+            e.duration,
             e.swing,
             e.floor,
-            e.twist,
+            e.drives,
+            e.lag,
+            e.slowing,
+            e.rate,
+            e.bend,
+            e.delay,
+            e.kinematics,
+            e.longest,
         )
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)
         values, net, unread = np.zeros(room), genes[p], np.empty(0, np.float32)
         given = e.linear.shape[2]
-        inputs, x, log2 = np.empty(len(source)), np.empty(given), np.empty(given)
-        units, rows = np.empty(e.ceiling.shape[1]), np.empty(e.outputs)
+        x, inner, memory = np.empty(given), np.empty(scratch_size(one)), np.zeros(remembered)
         size, moved = np.empty(SIZES), np.empty((1, 3))
         # The last column is the duration, where there is one.
-        command, before = np.full(width + 1, loop.step), np.zeros(width + 1)
+        command = np.full(width + 1, loop.step)
         px, py, theta = starts[r, 0], starts[r, 1], starts[r, 2]
         goal = 0
         for k in range(steps):
@@ -157,13 +167,14 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
                 command[width] = loop.rest
             for c in range(width):
                 commands[p, r, k, c] = command[c]
-            _inputs(source, before, command, inputs)
-            displacements(one, inputs, x, log2, units, rows, moved)
+            began = tell(one, source, command, k, memory, x)
+            displacements(one, x, inner, moved)
             if noisy:
-                spread(a, inputs, moved[0], size)
-                shake(moved[0], size, z[r, k], moved[0])
-            px += cos * moved[0, 0] - sin * moved[0, 1]
-            py += sin * moved[0, 0] + cos * moved[0, 1]
-            theta += moved[0, 2]
-            before[:] = command
+                spread(a, x, moved[0], size)
+                shake(moved[0], size, z[r, began], moved[0])
+            from_ = poses[p, r, began]
+            cos, sin = math.cos(from_[2]), math.sin(from_[2])
+            px = from_[0] + cos * moved[0, 0] - sin * moved[0, 1]
+            py = from_[1] + sin * moved[0, 0] + cos * moved[0, 1]
+            theta = from_[2] + moved[0, 2]
         poses[p, r, steps, 0], poses[p, r, steps, 1], poses[p, r, steps, 2] = px, py, theta

@@ -7,13 +7,18 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
+from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators.base import FORMAT, VERSION
 from neurosim.simulators.motion.derived import Derived
+from neurosim.simulators.motion.domain import Domain
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import COORDINATES, OUTPUTS, MotionNetwork
 from neurosim.simulators.motion.noise import (
     COMPONENTS,
@@ -21,8 +26,12 @@ from neurosim.simulators.motion.noise import (
     MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
+    CommandFeatures,
     NoiseModel,
 )
+
+#: The tensors of kernel units.
+KERNEL = ("centres", "lengths", "weights")
 
 #: What simulator.json says of a noise model; its numbers stand beside the weights.
 NOISE = {
@@ -51,19 +60,36 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         },
         "coordinates": simulator.coordinates,
         "derived": asdict(simulator.derived),
+        "kernel_units": 0 if simulator.kernel_units is None else len(simulator.kernel_units),
         "members": simulator.members,
         "central": simulator.central,
         "noise": None if simulator.noise is None else NOISE,
+        **({} if simulator.known is None else {"domain": _said_of(simulator.known)}),
         **simulator.meta,
     }
     tensors = {
         name: getattr(simulator, name).cpu().numpy()
         for name in ("genes", "input_scale", "output_scale", "dead_zone")
     }
+    if simulator.drive is not None:
+        tensors |= {f"drive.{k}": _numbers(simulator.drive, k) for k in DriveModel.NAMES}
+    if simulator.kernel_units is not None:
+        tensors |= {f"kernel.{k}": _numbers(simulator.kernel_units, k) for k in KERNEL}
     if simulator.noise is not None:
         tensors |= {f"noise.{k}": v.numpy() for k, v in simulator.noise.tensors().items()}
+    if simulator.known is not None:
+        tensors["domain.seen"] = simulator.known.seen
     files.write_tensors(folder / "weights.safetensors", tensors)
     files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
+
+
+def _said_of(known: Domain) -> dict[str, Any]:
+    ranges = {name: list(ends) for name, ends in known.ranges.items()}
+    return {"commands": ranges, "rows": known.rows, "reach": known.reach}
+
+
+def _numbers(part: object, name: str) -> NDArray[np.float64]:
+    return getattr(part, name).detach().cpu().numpy()
 
 
 def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> MotionNetwork:
@@ -99,10 +125,22 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             field="coordinates",
         )
     central = content.get("central", False) is True
-    outputs = COORDINATES[content["coordinates"]]
-    expected = _tensors(network, len(inputs), members + central, outputs)
+    expected: dict[str, tuple[int | None, ...]] = dict(
+        _tensors(network, len(inputs), members + central)
+    )
+    actuators = len(CommandFeatures.of(tuple(i["name"] for i in inputs)).driven)
+    drives, units = content["coordinates"] == "residual-twist", _units(path, content)
+    if drives:
+        expected |= {f"drive.{k}": v for k, v in DriveModel.shapes(actuators).items()}
+    if units:
+        given = len(inputs) + len(derived)
+        shapes = (units, given), (given,), (members + central, len(OUTPUTS), units)
+        expected |= {f"kernel.{k}": v for k, v in zip(KERNEL, shapes, strict=True)}
     if noisy:
         expected |= {f"noise.{name}": shape for name, shape in NoiseModel.SHAPES.items()}
+    said = content.get("domain")
+    if said is not None:
+        expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)
     if content["version"] == 1:
         expected |= {name: expected[name][1:] for name in ("genes", "output_scale")}
         del expected["dead_zone"]
@@ -110,9 +148,10 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     if (tensors["input_scale"] <= 0).any():
         weights = Path(folder) / "weights.safetensors"
         raise FileError(weights, "expected numbers above 0", field="input_scale")
+    known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-    known = ("format", "version", "outputs", "members", "central", "noise", "derived")
-    described = (*known, *fields)
+    others = ("format", "version", "outputs", "members", "central", "noise", "derived")
+    described = (*others, "kernel_units", "domain", *fields)
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(
@@ -127,6 +166,9 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             loaded.get("dead_zone"),
             central,
             derived,
+            DriveModel(**_part(loaded, "drive.")) if drives else None,
+            KernelUnits(**_part(loaded, "kernel.")) if units else None,
+            known,
         )
     except ValueError as error:
         raise FileError(path, f"is no motion network ({error})") from None
@@ -149,13 +191,39 @@ def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, boo
 
 def _derived(path: Path, content: Mapping[str, Any]) -> Derived:
     found = content.get("derived", {})
-    if isinstance(found, dict) and set(found) <= {"moving", "swing"}:
-        moving, swing = found.get("moving", False), found.get("swing")
+    if isinstance(found, dict) and set(found) <= {"swing"}:
+        swing = found.get("swing")
         number = isinstance(swing, int | float) and not isinstance(swing, bool) and abs(swing) < 1
-        if isinstance(moving, bool) and (swing is None or number):
-            return Derived(moving, swing)
-    expected = "expected moving (true, false) and swing (number or null)"
-    raise FileError(path, expected, field="derived")
+        if swing is None or number:
+            return Derived(swing)
+    raise FileError(
+        path, "expected swing (a number, or null): train the simulator anew", field="derived"
+    )
+
+
+def _units(path: Path, content: Mapping[str, Any]) -> int:
+    units = content.get("kernel_units", 0)
+    if isinstance(units, bool) or not isinstance(units, int) or units < 0:
+        raise FileError(path, f"expected a number from 0, found {units!r}", field="kernel_units")
+    return units
+
+
+def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[np.uint8]) -> Domain:
+    names = tuple(i["name"] for i in inputs if not i["name"].startswith("prev_"))
+    try:
+        if seen.dtype != np.uint8 or (seen > 1).any():
+            raise ValueError("domain.seen is of zeros and ones, uint8")
+        ranges, rows = said["commands"], said["rows"]
+        if tuple(ranges) != names or isinstance(rows, bool) or not isinstance(rows, int):
+            raise ValueError(f"expected commands ({', '.join(names)}), and a number of rows")
+        ends = np.array([ranges[name] for name in names], np.float64).reshape(len(names), 2)
+        return Domain(names, ends[:, 0], ends[:, 1], rows, float(said["reach"]), seen)
+    except (KeyError, TypeError, ValueError) as error:
+        raise FileError(path, f"is no domain of these commands ({error})", field="domain") from None
+
+
+def _part(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    return {k.removeprefix(prefix): v for k, v in tensors.items() if k.startswith(prefix)}
 
 
 def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
@@ -163,11 +231,11 @@ def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
 
 
 def _tensors(
-    network: ProductSummationNetwork | Perceptron, inputs: int, members: int, outputs: int
+    network: ProductSummationNetwork | Perceptron, inputs: int, members: int
 ) -> dict[str, tuple[int, ...]]:
     return {
-        "genes": (members, outputs, network.genes),
+        "genes": (members, len(OUTPUTS), network.genes),
         "input_scale": (inputs,),
-        "output_scale": (members, outputs),
+        "output_scale": (members, len(OUTPUTS)),
         "dead_zone": (inputs,),
     }

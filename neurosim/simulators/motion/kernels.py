@@ -1,6 +1,6 @@
-"""What a motion network's rollouts share: its inputs and its noise, compiled, of one robot.
+"""What a motion network's rollouts share: inputs, drive model and noise, compiled, of one robot.
 
-They compute what :meth:`MotionNetwork.network_inputs` and
+They compute what :class:`MotionNetwork`, :class:`neurosim.simulators.motion.drive.DriveModel` and
 :func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. Call them from functions
 compiled by Numba.
 """
@@ -8,17 +8,21 @@ compiled by Numba.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 
 from neurosim.base.se2 import compiled as se2
 from neurosim.simulators.motion.derived import SAME
+from neurosim.simulators.motion.drive import PHASES, SETTLED, SHORTEST
 from neurosim.simulators.motion.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
 SIZES = 10
+
+#: As :data:`neurosim.simulators.motion.network.HELD`.
+_HELD = 0.05
 
 
 class Arrays(NamedTuple):
@@ -32,7 +36,17 @@ class Arrays(NamedTuple):
     input_scale: np.ndarray  #: [I]
     dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
     floor: float  #: the smallest magnitude of a scaled input in a product unit
-    twist: bool  #: whether the outputs are a body twist and an offset
+    centres: np.ndarray  #: of kernel units, over their lengths, [J, K]
+    lengths: np.ndarray  #: [J]
+    kernel_weights: np.ndarray  #: [M, O, K]
+    drives: bool  #: whether there is a drive model; if not, the next six hold anything
+    lag: np.ndarray  #: [C], this and the next five as in DriveModel
+    slowing: np.ndarray  #: [C]
+    rate: np.ndarray  #: [C]
+    bend: np.ndarray  #: [C]
+    delay: np.ndarray  #: [1]
+    kinematics: np.ndarray  #: [F, 3]
+    longest: float  #: what durations are scaled by, s; infinite without one
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
     noise_unit: np.ndarray  #: [3], this and the next four as in NoiseModel
@@ -43,35 +57,94 @@ class Arrays(NamedTuple):
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
-    moving: bool  #: which derived inputs there are, as in Derived
-    swing: float  #: NaN for none
+    swing: float  #: as in Derived, NaN for none
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _scaled(a, inputs, i):
-    x = inputs[i] / a.input_scale[i]
+def _scaled(a, value, i):
+    x = value / a.input_scale[i]
     return 0.0 if abs(x) < a.dead_zone[i] else x
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def network_inputs(a, inputs, x):
-    """Write what the networks are given: scaled inputs, and those derived from them.
+def _speed(a, value, c):
+    """Return the speed that a command for actuator c comes to in the end."""
+    x = _scaled(a, value, a.driven[c])
+    return x * (1.0 - a.bend[c] * abs(x))
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _approach(a, c, before, told, time):
+    """Return (left, missed, settling) of an actuator; see :class:`Approach`."""
+    lag = a.lag[c]
+    if abs(told) < abs(before):
+        lag *= a.slowing[c]
+    difference, rate = told - before, a.rate[c]
+    size, linear = abs(difference), rate * lag
+    if size == 0.0:
+        return 0.0, 0.0, 0.0
+    ramp = max(size - linear, 0.0) / rate
+    t = max(time - a.delay[0], 0.0)
+    on_ramp = min(t, ramp)
+    left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
+    if t > ramp:
+        fading = min(size, linear)
+        decay = math.exp(-(t - on_ramp) / lag)
+        left = fading * decay
+        missed += fading * lag * (1.0 - decay)
+    missed += size * min(time, a.delay[0])
+    sign = math.copysign(1.0, difference)
+    return sign * left, sign * missed, ramp + SETTLED * lag + a.delay[0]
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def tell(a, source, command, k, memory, x):
+    """Write what networks are given for a command, and remember what it did to the actuators.
 
     Args:
-        a: :class:`Arrays`, or others that have its fields of inputs.
-        inputs: [I], in the dataset's units.
+        a: :class:`Arrays`, or others that have its fields of inputs and of the drive model.
+        source: [I] where each input comes from: c for column c of the command, -c - 1 for column c
+            of the command before.
+        command: [C + 1].
+        k: number of the step.
+        memory: of the robot, see :func:`memory_size`; zero at the start; changed.
         x: [I + derived], written.
+
+    Returns:
+        The step with which the command began: another one than ``k`` if the robot was already told
+        the same.
     """
-    for i in range(len(inputs)):
-        x[i] = _scaled(a, inputs, i)
-    place = len(inputs)
-    if a.moving:
-        x[place] = 0.0
-        for k in a.driven:
-            if inputs[k] != 0.0:
-                x[place] = 1.0
-        place += 1
+    began = k
+    if a.drives:
+        count = len(a.driven)
+        step = command[source[a.duration]]
+        lasted = memory[2 * count]
+        same = lasted > 0.0 and lasted + step <= a.longest * (1.0 + _HELD)
+        for c in range(count):
+            if memory[count + c] != command[source[a.driven[c]]]:
+                same = False
+        if same:
+            began = int(memory[2 * count + 1])
+        else:
+            for c in range(count):
+                told = _speed(a, memory[count + c], c)
+                memory[c] = told - _approach(a, c, memory[c], told, memory[2 * count])[0]
+                memory[count + c] = command[source[a.driven[c]]]
+            memory[2 * count] = 0.0
+            memory[2 * count + 1] = k
+        memory[2 * count] += step
+        for c in range(count):
+            x[a.before[c]] = memory[c]
+            x[a.driven[c]] = _speed(a, memory[count + c], c)
+        x[a.duration] = memory[2 * count] / a.longest
+    else:
+        for i in range(len(source)):
+            value = memory[-source[i] - 1] if source[i] < 0 else command[source[i]]
+            x[i] = _scaled(a, value, i)
+        for c in range(len(command)):
+            memory[c] = command[c]
     if not math.isnan(a.swing):
+        place = len(source)
         now, before = (x[a.driven[0]], x[a.driven[1]]), (x[a.before[0]], x[a.before[1]])
         x[place] = 0.0
         if (now[0] != 0.0 or now[1] != 0.0) and (before[0] != 0.0 or before[1] != 0.0):
@@ -83,28 +156,89 @@ def network_inputs(a, inputs, x):
                 x[place] += 2.0
             if abs(x[place]) < SAME:
                 x[place] = 0.0
+    return began
+
+
+def memory_size(a: Any) -> int:
+    """Return how many numbers :func:`tell` remembers of a robot.
+
+    With a drive model the actuators' speeds when the command began, the command, how long it has
+    lasted, and its first step; without, the command.
+    """
+    return 2 * len(a.driven) + 2
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def spread(a, inputs, mean, out):
+def phases(a, x, way, twist, moved):
+    """Write displacement and twist of the drive model; see :meth:`DriveModel.phases`.
+
+    Args:
+        a: as :func:`tell` takes it, with a drive model.
+        x: of :func:`tell`.
+        way: [2, C] scratch.
+        twist: [3], written: of the piece after the speeds have settled.
+        moved: [3], written: while they change.
+    """
+    count = len(a.driven)
+    time = x[a.duration] * a.longest
+    settling = SHORTEST
+    for c in range(count):
+        settling = max(settling, _approach(a, c, x[a.before[c]], x[a.driven[c]], time)[2])
+    settled = min(time, settling)
+    px, py, theta, end = 0.0, 0.0, 0.0, 0.0
+    for c in range(count):
+        way[0, c] = 0.0
+    for phase in range(PHASES + 1):
+        began = end
+        end = settled * (phase + 1) / PHASES if phase < PHASES else time
+        span = end - began
+        inverse = 1.0 / max(span, 1e-9)
+        for c in range(count):
+            told = x[a.driven[c]]
+            until = told * end - _approach(a, c, x[a.before[c]], told, end)[1]
+            way[1, c] = until - way[0, c]
+            way[0, c] = until
+        vx, vy, turn = 0.0, 0.0, 0.0
+        place = count
+        for c in range(count):
+            w = way[1, c]
+            vx += w * a.kinematics[c, 0]
+            vy += w * a.kinematics[c, 1]
+            turn += w * a.kinematics[c, 2]
+            mean = w * inverse
+            for d in range(c, count):
+                q = mean * way[1, d] * inverse * span
+                vx += q * a.kinematics[place, 0]
+                vy += q * a.kinematics[place, 1]
+                turn += q * a.kinematics[place, 2]
+                place += 1
+        if phase < PHASES:
+            px, py, theta = se2.compose_exp(px, py, theta, vx, vy, turn)
+        else:
+            twist[0], twist[1], twist[2] = vx, vy, turn
+    moved[0], moved[1], moved[2] = px, py, theta
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def spread(a, x, mean, out):
     """Write the size of the noise on a command, the same for all draws of it.
 
     Args:
         a: :class:`Arrays` of a simulator with a noise model.
-        inputs: [I], in the dataset's units.
+        x: of :func:`tell`.
         mean: [3] displacement (m, m, rad) without noise.
         out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the couplings c_1, c_2, c_3,
             r^2 of the three, and tau.
     """
     duration = 1.0
     if a.duration >= 0:
-        duration = max(_scaled(a, inputs, a.duration), 0.0)
+        duration = max(x[a.duration], 0.0)
     travel, jump, reversal, speed = 0.0, 0.0, 0.0, 0.0
     for k in range(len(a.driven)):
-        u = _scaled(a, inputs, a.driven[k])
+        u = x[a.driven[k]]
         v = u
         if a.before[k] >= 0:
-            v = _scaled(a, inputs, a.before[k])
+            v = x[a.before[k]]
         travel += abs(u) * duration / len(a.driven)
         jump += abs(u - v)
         reversal += max(-u * v, 0.0)

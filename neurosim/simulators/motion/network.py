@@ -27,17 +27,24 @@ from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.motion.closed_loop import MotionClosedLoop
 from neurosim.simulators.motion.derived import Derived, can_swing
+from neurosim.simulators.motion.domain import Domain
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import Arrays
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
 from neurosim.simulators.motion.plans import MotionPlans
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
-#: What the networks' outputs are, and how many networks that takes: the displacement itself; or
-#: the constant body twist whose exponential it nearly is (see :mod:`neurosim.base.se2`), the
-#: duration taken as unit time, and what is added: an offset (x, y) in the frame at the command's
-#: start, where the speed changes.
-COORDINATES = {"displacement": 3, "twist-offset": 5}
+#: A command goes on until it has lasted for the longest one's time, give or take this share.
+HELD = 0.05
+
+#: Commands after which what an actuator had not reached is forgotten.
+_LINKS = 4
+
+#: What the networks' outputs are: the displacement itself; or, beside a drive model, the twist by
+#: which the robot departs from it, in the time of the longest command.
+COORDINATES = ("displacement", "residual-twist")
 
 
 class MotionNetwork(Simulator):
@@ -50,8 +57,8 @@ class MotionNetwork(Simulator):
     Attributes:
         inputs: names and units of the inputs, [{name, unit}].
         network: the shape that its networks have.
-        genes: their weights, [M, O, G], float64: M members of as many networks as
-            :data:`COORDINATES` says; if ``central``, [1 + M, O, G], the mean's before them.
+        genes: their weights, [M, 3, G], float64, of M members; if ``central``, [1 + M, 3, G], the
+            mean's before them.
         central: whether the mean of the ensemble is a network of its own, which has learned from
             all rows; if not, it is the members' average.
         input_scale: [I]; inputs are divided by it.
@@ -60,7 +67,11 @@ class MotionNetwork(Simulator):
         noise: the noise model, or None.
         dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
             too slowly stands.
-        derived: inputs of the networks that follow from the others and stand after them.
+        derived: the input of the networks that follows from the others and stands after them.
+        drive: the drive model from which the robot departs; with it a command may be cut into
+            steps of any length. Without, a step is a whole command.
+        kernel_units: units beside the networks' own, or None.
+        known: the commands that it has learned from; None: but the largest are not known.
         meta: what else simulator.json says: training, test errors, source.
     """
 
@@ -79,6 +90,9 @@ class MotionNetwork(Simulator):
         dead_zone: Tensor | None = None,
         central: bool = False,
         derived: Derived | None = None,
+        drive: DriveModel | None = None,
+        kernel_units: KernelUnits | None = None,
+        known: Domain | None = None,
     ):
         """Make a simulator.
 
@@ -93,7 +107,7 @@ class MotionNetwork(Simulator):
         genes = genes.unsqueeze(0) if genes.ndim == 2 else genes
         if coordinates not in COORDINATES:
             raise ValueError(f"coordinates must be one of {', '.join(COORDINATES)}")
-        shape = (len(genes), COORDINATES[coordinates], network.genes)
+        shape = (len(genes), len(OUTPUTS), network.genes)
         derived = derived or Derived()
         if (
             len(names) + len(derived) != network.inputs
@@ -101,6 +115,20 @@ class MotionNetwork(Simulator):
             or len(genes) <= central
         ):
             raise ValueError("inputs, network and genes do not fit each other")
+        columns = CommandFeatures.of(names)
+        if known is not None and known.names != self.command_names:
+            raise ValueError("the domain is one of other commands")
+        if (drive is not None) != (coordinates == "residual-twist"):
+            raise ValueError("a residual twist is one beside a drive model")
+        if drive is not None and not can_drive(names, len(drive.lag)):
+            raise ValueError("a drive model needs a duration, and every input's command before")
+        if derived.swing is not None and not can_swing(columns):
+            raise ValueError("a swing takes two remembered inputs")
+        if kernel_units is not None and (
+            kernel_units.weights.shape[:2] != shape[:2]
+            or len(kernel_units.lengths) != network.inputs
+        ):
+            raise ValueError("kernel units and networks do not fit each other")
         self.inputs = [dict(entry) for entry in inputs]
         self.network = network
         self.genes = genes.double()
@@ -112,15 +140,26 @@ class MotionNetwork(Simulator):
         self.coordinates = coordinates
         self.noise = noise
         self.meta = dict(meta or {})
-        self.state_names = ("x", "y", "theta", *remembered)
+        self.derived = derived
+        self.drive = drive
+        self.kernel_units = kernel_units
+        self.known = known
+        self.columns = columns
+        if drive is None:
+            self.state_names: tuple[str, ...] = ("x", "y", "theta", *remembered)
+        else:
+            driven = [names[place] for place in columns.driven]
+            self.state_names = (
+                *("x", "y", "theta"),
+                *(f"speed_{name}" for name in driven),
+                *(f"told_{name}" for name in driven),
+                *("elapsed", "done_x", "done_y", "done_theta"),
+                *(f"noise_{number}" for number in range(DRAWS)),
+            )
         if self.members > 1:
             self.state_names += ("member",)
         given = (*remembered, *self.command_names)
         device = self.genes.device
-        self._columns = CommandFeatures.of(names)
-        if derived.swing is not None and not can_swing(self._columns):
-            raise ValueError("a swing takes two remembered inputs")
-        self.derived = derived
         self._predict = Prediction(network, self.genes.flatten(0, 1))
         self._predict_mean = Prediction(network, self.genes[0]) if central else None
         self._remembered = slice(3, 3 + len(remembered))
@@ -130,6 +169,8 @@ class MotionNetwork(Simulator):
             dtype=torch.long,
             device=device,
         )
+        self._driven = torch.tensor(columns.driven, dtype=torch.long, device=device)
+        self._told = [self.command_names.index(names[place]) for place in columns.driven]
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -153,12 +194,28 @@ class MotionNetwork(Simulator):
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
-        """The largest commands that it has learned from."""
+        """The commands that it has learned from: lowest and highest, or as large as the largest."""
+        if self.known is not None:
+            return self.known.ranges
         largest = dict(zip(self.input_names, self.input_scale.tolist(), strict=True))
         return {
             name: (0.0 if name == "duration" else -largest[name], largest[name])
             for name in self.command_names
         }
+
+    @property
+    def slack(self) -> float:  # type: ignore[override]
+        """By which share of its width a range may be left."""
+        return super().slack if self.known is None else self.known.slack
+
+    @property
+    def knows_gaps(self) -> bool:  # type: ignore[override]
+        """Whether it says where within the ranges nothing was recorded."""
+        return self.known is not None
+
+    def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether commands [..., C] are like some that it has learned from, [...]."""
+        return super().supported(commands) if self.known is None else self.known.supported(commands)
 
     def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
@@ -184,7 +241,7 @@ class MotionNetwork(Simulator):
         if self.members > 1:
             if member is None:
                 member = -1 if generator is None else self.draw_members(rows, generator)
-            state[:, self._remembered.stop] = torch.as_tensor(member).to(state)
+            state[:, -1] = torch.as_tensor(member).to(state)
         return state
 
     def start_as(self, pose: Tensor, member: Tensor) -> Tensor:
@@ -209,16 +266,62 @@ class MotionNetwork(Simulator):
         it is made of the numbers ``z`` [B, noise_width]. Without either the answer is the mean of
         the row's member.
         """
-        inputs = torch.cat([state[:, self._remembered], command], dim=1)[:, self._order]
-        member = state[:, self._remembered.stop].long() if self.members > 1 else -1
-        moved = self.displacement(inputs, member)
-        rest = state[:, self._remembered.stop :]
+        member = state[:, -1].long() if self.members > 1 else -1
         if generator is not None and self.noise is not None:
-            z = self.noise.draw(len(moved), 1, generator)[:, 0]
-        if z is not None:
-            moved = self.disturbed(inputs, moved, z)
+            z = self.noise.draw(len(state), 1, generator)[:, 0]
+        if self.noise is None:
+            z = None
+        if self.drive is not None:
+            return self._step_within(state, command, member, z)
+        given = torch.cat([state[:, self._remembered], command], dim=1)
+        x = self.scaled(given[:, self._order])
+        moved = self._moved(x, member, z)
         pose = se2.compose(state[:, :3], moved)
-        return torch.cat([pose, command[:, self._next], rest], dim=1)
+        return torch.cat([pose, command[:, self._next], state[:, self._remembered.stop :]], dim=1)
+
+    def _step_within(
+        self, state: Tensor, command: Tensor, member: Tensor | int, z: Tensor | None
+    ) -> Tensor:
+        """Step where there is a drive model.
+
+        The same command as before goes on: then the robot gets to where it would have got in one
+        step, but for where it is already, and the noise is that with which the command began. So
+        it does not matter into which steps a command is cut.
+        """
+        assert self.drive is not None
+        count = len(self.columns.driven)
+        sizes = [3, count, count, 1, 3, DRAWS, int(self.members > 1)]
+        pose, speed, told, elapsed, done, noise, rest = state.split(sizes, dim=1)
+        driven = command[:, self._told]
+        step = command[:, [self.command_names.index("duration")]]
+        longest = self.input_scale[self.columns.duration]
+        same = (driven == told).all(1, keepdim=True) & (elapsed > 0.0)
+        same &= elapsed + step <= longest * (1.0 + HELD)
+        reached = self.drive.reached(speed, self._speeds(told), elapsed.squeeze(1))
+        speed = torch.where(same, speed, reached)
+        elapsed = torch.where(same, elapsed, 0.0) + step
+        done = torch.where(same, done, 0.0)
+        noise = torch.where(same, noise, 0.0 if z is None else z.to(noise))
+        x = state.new_zeros(len(state), len(self.inputs))
+        x[:, list(self.columns.before)] = speed
+        x[:, self._driven] = self._speeds(driven)
+        x[:, self.columns.duration] = elapsed.squeeze(1) / longest
+        moved = self._moved(x, member, None if z is None else noise)
+        pose = se2.compose(pose, se2.between(done, moved))
+        return torch.cat([pose, speed, driven, elapsed, moved, noise, rest], dim=1)
+
+    def _speeds(self, driven: Tensor) -> Tensor:
+        """Return the speeds [B, C] that driven inputs [B, C], in the dataset's units, come to."""
+        assert self.drive is not None
+        scaled = driven / self.input_scale[self._driven]
+        scaled = torch.where(scaled.abs() < self.dead_zone[self._driven], 0.0, scaled)
+        return self.drive.shaped(scaled)
+
+    def _moved(self, x: Tensor, member: Tensor | int, z: Tensor | None) -> Tensor:
+        mean = self.displacement_of(x, member)
+        if z is None or self.noise is None:
+            return mean
+        return disturb(self.noise, self.columns, x, mean, z)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
         """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
@@ -229,47 +332,87 @@ class MotionNetwork(Simulator):
             inputs: in the dataset's units.
             member: of the ensemble, for all rows or for each [B]; -1: the mean.
         """
+        return self.displacement_of(self.scaled(inputs), member)
+
+    def displacement_of(self, x: Tensor, member: Tensor | int = -1) -> Tensor:
+        """Return the mean displacements [B, 3] of inputs [B, I] scaled by :meth:`scaled`."""
+        given = self.derived.append(self.columns, x)
+        units = None if self.kernel_units is None else self.kernel_units.units(given)
         if self._predict_mean is not None and isinstance(member, int) and member < 0:
-            outputs = self._predict_mean(self.network_inputs(inputs)) * self.output_scale[0]
+            outputs = self._predict_mean(given) * self.output_scale[0]
+            if units is not None and self.kernel_units is not None:
+                outputs = outputs + units @ self.kernel_units.weights[0].T
         else:
-            outputs = _of_member(self._outputs(inputs), member, self.central)
-        return self.from_outputs(outputs)
+            outputs = _of_member(self._outputs_of(given, units), member, self.central)
+        return self.from_outputs(outputs, x)
 
     def scaled(self, inputs: Tensor) -> Tensor:
-        """Return ``inputs`` [B, I] scaled, those within the dead zone zero."""
-        scaled = inputs / self.input_scale
-        return torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+        """Return ``inputs`` [B, I] scaled, those within the dead zone zero.
 
-    def network_inputs(self, inputs: Tensor) -> Tensor:
-        """Return ``inputs`` [B, I] as the networks take them, the derived ones appended."""
-        return self.derived.append(self._columns, inputs, self.scaled(inputs))
+        With a drive model the commands become the speeds that they come to in the end.
+        """
+        scaled = inputs / self.input_scale
+        scaled = torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+        if self.drive is not None:
+            for places in (self.columns.driven, self.columns.before):
+                scaled[:, list(places)] = self.drive.shaped(scaled[:, list(places)])
+        return scaled
+
+    def chained(self, inputs: Tensor) -> Tensor:
+        """Return scaled inputs [B, I] of commands, in the dataset's units, in the order of time.
+
+        What an actuator has not reached at the end of a command, it has not at the beginning of
+        the next.
+        """
+        x = self.scaled(inputs)
+        if self.drive is None:
+            return x
+        return chain(self.drive, self.columns, x, follows(self.input_names, inputs), self.longest)
+
+    @property
+    def longest(self) -> float:
+        """The longest command that it has learned from, s; infinite without a duration."""
+        place = self.columns.duration
+        return math.inf if place < 0 else float(self.input_scale[place])
 
     def outputs(self, inputs: Tensor) -> Tensor:
         """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
-        return self._outputs(inputs)[:, int(self.central) :]
+        given = self.derived.append(self.columns, self.scaled(inputs))
+        units = None if self.kernel_units is None else self.kernel_units.units(given)
+        return self._outputs_of(given, units)[:, int(self.central) :]
 
-    def _outputs(self, inputs: Tensor) -> Tensor:
-        outputs = self._predict(self.network_inputs(inputs))
-        return outputs.unflatten(-1, (len(self.genes), -1)) * self.output_scale
+    def _outputs_of(self, given: Tensor, units: Tensor | None) -> Tensor:
+        outputs = self._predict(given).unflatten(-1, (len(self.genes), -1)) * self.output_scale
+        if units is not None:
+            assert self.kernel_units is not None
+            outputs = outputs + torch.einsum("bk,mok->bmo", units, self.kernel_units.weights)
+        return outputs
 
-    def from_outputs(self, outputs: Tensor) -> Tensor:
-        """Return the displacements [B, 3] that networks' outputs [B, O] stand for."""
-        if self.coordinates == "displacement":
+    def from_outputs(self, outputs: Tensor, x: Tensor) -> Tensor:
+        """Return the displacements [B, 3] that networks' outputs [B, O] stand for.
+
+        Args:
+            outputs: of the networks.
+            x: scaled inputs, [B, I].
+        """
+        if self.drive is None:
             return outputs
-        moved = se2.exp(outputs[:, :3])
-        return torch.cat([moved[:, :2] + outputs[:, 3:], moved[:, 2:]], dim=1)
+        columns, share = self.columns, x[:, self.columns.duration]
+        before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
+        changing, twist = self.drive.phases(before, told, share * self.longest)
+        return se2.compose(changing, se2.exp(twist + share.unsqueeze(1) * outputs))
 
-    def disturbed(self, inputs: Tensor, mean: Tensor, z: Tensor) -> Tensor:
+    def disturbed(self, x: Tensor, mean: Tensor, z: Tensor) -> Tensor:
         """Return displacements [B, 3] with noise of the draws ``z`` [B, DRAWS].
 
         Args:
-            inputs: [B, I], in the dataset's units.
-            mean: of :meth:`displacement`, [B, 3].
+            x: scaled inputs, [B, I].
+            mean: of :meth:`displacement_of`, [B, 3].
             z: of :meth:`NoiseModel.draw`.
         """
         if self.noise is None:
             return mean
-        return disturb(self.noise, self._columns, self.scaled(inputs), mean, z)
+        return disturb(self.noise, self.columns, x, mean, z)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts where the units are linear and the commands are these."""
@@ -313,6 +456,16 @@ class MotionNetwork(Simulator):
             name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
             for name in shapes
         }
+        count = len(self.columns.driven)
+        shapes_of = DriveModel.shapes(count)
+        drive = self.drive or DriveModel(
+            **{name: torch.ones(shapes_of[name]) for name in DriveModel.NAMES}
+        )
+        units = self.kernel_units or KernelUnits(
+            torch.zeros(0, self.network.inputs),
+            torch.ones(self.network.inputs),
+            torch.zeros(*self.genes.shape[:2], 0),
+        )
         tensors = {
             "exponents": parts.exponents,
             "ceiling": parts.ceilings,
@@ -321,20 +474,76 @@ class MotionNetwork(Simulator):
             "bias": parts.bias,
             "input_scale": self.input_scale,
             "dead_zone": self.dead_zone,
+            "centres": (units.centres / units.lengths).T,
+            "lengths": units.lengths,
+            "kernel_weights": units.weights,
+            **{name: getattr(drive, name) for name in DriveModel.NAMES},
             **{f"noise_{name}": value for name, value in noise.items()},
         }
         return Arrays(
             **{k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()},
             floor=self.network.floor,
-            twist=self.coordinates != "displacement",
+            drives=self.drive is not None,
+            longest=self.longest,
             central=self.central,
             noisy=self.noise is not None,
-            driven=np.array(self._columns.driven, np.int64),
-            before=np.array(self._columns.before, np.int64),
-            duration=self._columns.duration,
-            moving=self.derived.moving,
+            driven=np.array(self.columns.driven, np.int64),
+            before=np.array(self.columns.before, np.int64),
+            duration=self.columns.duration,
             swing=math.nan if self.derived.swing is None else self.derived.swing,
         )
+
+
+def can_drive(names: Sequence[str], actuators: int | None = None) -> bool:
+    """Return whether a drive model can be made of inputs of these names."""
+    columns = CommandFeatures.of(tuple(names))
+    known = columns.duration >= 0 and len(columns.driven) > 0 and min(columns.before) >= 0
+    return known and actuators in (None, len(columns.driven))
+
+
+def follows(names: Sequence[str], inputs: Tensor) -> Tensor:
+    """Return whether each row's command followed that of the row before it, [B] bool.
+
+    It did where the command before is that one.
+
+    Args:
+        names: of the inputs.
+        inputs: rows in the order of time, [B, I].
+    """
+    columns = CommandFeatures.of(tuple(names))
+    pairs = [pair for pair in zip(columns.driven, columns.before, strict=True) if pair[1] >= 0]
+    same = torch.zeros(len(inputs), dtype=torch.bool, device=inputs.device)
+    if pairs:
+        now, before = (list(places) for places in zip(*pairs, strict=True))
+        same[1:] = (inputs[1:][:, before] == inputs[:-1][:, now]).all(1)
+    return same
+
+
+def chain(
+    drive: DriveModel, columns: CommandFeatures, x: Tensor, follows: Tensor, longest: float
+) -> Tensor:
+    """Return scaled inputs [B, I] in which commands begin with the speeds really reached.
+
+    Args:
+        drive: the drive model.
+        columns: of the inputs.
+        x: scaled inputs, speeds before a command as if they had been reached.
+        follows: [B] bool, whether a row's command followed that of the row before it.
+        longest: what durations are scaled by, s.
+    """
+    if len(x) == 0:
+        return x
+    before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
+    time = x[:, columns.duration] * longest
+    speed = before
+    # What is left of a difference dies away within a few commands.
+    for _ in range(_LINKS):
+        reached = drive.reached(speed, told, time)
+        speed = torch.where(follows[1:, None], reached[:-1], before[1:])
+        speed = torch.cat([before[:1], speed])
+    x = x.clone()
+    x[:, list(columns.before)] = speed
+    return x
 
 
 def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:

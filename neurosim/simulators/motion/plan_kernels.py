@@ -18,7 +18,14 @@ from numba import njit, prange
 
 from neurosim.base.se2 import compiled as se2
 from neurosim.networks import LOG_LIMIT
-from neurosim.simulators.motion.kernels import SIZES, Arrays, network_inputs, shake, spread
+from neurosim.simulators.motion.kernels import (
+    SIZES,
+    Arrays,
+    phases,
+    shake,
+    spread,
+    tell,
+)
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -26,6 +33,8 @@ _FAST = {"contract", "reassoc", "nsz", "arcp"}
 _LOG2_LIMIT = LOG_LIMIT / math.log(2.0)
 #: Added to a number of at most 2^51 it leaves the nearest whole number in the lowest bits.
 _ROUND = 1.5 * 2.0**52
+#: For exp(-x / 2) as a power of 2.
+_HALF_LOG2_E = -0.5 / math.log(2.0)
 
 
 class Ensemble(NamedTuple):
@@ -46,14 +55,28 @@ class Ensemble(NamedTuple):
     signed: np.ndarray  #: [2^I, W] weights times cosines by the inputs' signs
     linear: np.ndarray  #: [R, I]
     bias: np.ndarray  #: [R]
-    input_scale: np.ndarray  #: [I]
-    dead_zone: np.ndarray  #: [I]
-    driven: np.ndarray  #: this and the next three as in Arrays
+    kernel_weights: np.ndarray  #: [R, K], this and the next as in Arrays
+    centres: np.ndarray
+    lengths: np.ndarray
+    input_scale: np.ndarray
+    dead_zone: np.ndarray
+    driven: np.ndarray
     before: np.ndarray
-    moving: bool
+    duration: int
     swing: float
     floor: float
-    twist: bool
+    drives: bool
+    lag: np.ndarray
+    slowing: np.ndarray
+    rate: np.ndarray
+    bend: np.ndarray
+    delay: np.ndarray
+    kinematics: np.ndarray
+    longest: float
+
+
+#: Fields of :class:`Ensemble` that are those of :class:`Arrays`.
+SHARED = Ensemble._fields[Ensemble._fields.index("centres") :]
 
 
 def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
@@ -65,7 +88,7 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
     """
     if a.central:
         own = slice(0, 1) if mean else slice(1, None)
-        names = ("exponents", "ceiling", "signed", "linear", "bias")
+        names = ("exponents", "ceiling", "signed", "linear", "bias", "kernel_weights")
         a = a._replace(**{name: getattr(a, name)[own] for name in names})
     members, outputs, _, inputs = a.exponents.shape
     units, ceilings, places = [], [], {}
@@ -94,7 +117,9 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
             weights.append(share * signed)
             written += len(exponents)
     columns = np.array(terms, np.int64).reshape(-1, 4).T
-    linear, bias = (v.mean(0, keepdims=True) if mean else v for v in (a.linear, a.bias))
+    linear, bias, kernel_weights = (
+        v.mean(0, keepdims=True) if mean else v for v in (a.linear, a.bias, a.kernel_weights)
+    )
     return Ensemble(
         members=1 if mean else members,
         outputs=outputs,
@@ -109,14 +134,8 @@ def lay_out(a: Arrays, *, mean: bool) -> Ensemble:
         else np.empty((2**inputs, 0)),
         linear=np.ascontiguousarray(linear.reshape(-1, inputs)),
         bias=np.ascontiguousarray(bias.reshape(-1)),
-        input_scale=a.input_scale,
-        dead_zone=a.dead_zone,
-        driven=a.driven,
-        before=a.before,
-        moving=a.moving,
-        swing=a.swing,
-        floor=a.floor,
-        twist=a.twist,
+        kernel_weights=np.ascontiguousarray(kernel_weights.reshape(len(bias) * outputs, -1)),
+        **{name: getattr(a, name) for name in SHARED},
     )
 
 
@@ -180,17 +199,47 @@ def _dot(a, b):
     return total
 
 
+@njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
+def _kernel_units(centres, lengths, x, out):
+    """Write the kernel units."""
+    for u in range(out.shape[0]):
+        out[u] = 0.0
+    for i in range(centres.shape[0]):
+        place = x[i] / lengths[i]
+        row = centres[i]
+        for u in range(out.shape[0]):
+            away = place - row[u]
+            out[u] += away * away
+    for u in range(out.shape[0]):
+        out[u] = _exp2(max(_HALF_LOG2_E * out[u], -_LOG2_LIMIT))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
+def scratch_size(e):
+    """Return how many numbers :func:`displacements` needs for itself."""
+    inputs, units = e.exponents.shape
+    return inputs + units + e.centres.shape[1] + len(e.bias) + 2 * len(e.driven) + 6
+
+
 @njit(cache=True, error_model="numpy", forceinline=True)
-def displacements(e, inputs, x, log2, units, rows, out):
+def displacements(e, x, room, out):
     """Write every member's mean displacement (m, m, rad) of a command.
 
     Args:
         e: :class:`Ensemble`.
-        inputs: [I], in the dataset's units.
-        x, log2, units, rows: scratch, [J], [J], [U] and [R], J inputs of a network.
+        x: of :func:`neurosim.simulators.motion.kernels.tell`.
+        room: scratch, [scratch_size(e)].
         out: [M, 3], written.
     """
-    network_inputs(e, inputs, x)
+    inputs, count = e.exponents.shape
+    near = e.centres.shape[1]
+    log2, units = room[:inputs], room[inputs : inputs + count]
+    first = inputs + count
+    nearness, rows = room[first : first + near], room[first + near : first + near + len(e.bias)]
+    first += near + len(e.bias)
+    way = room[first : first + 2 * len(e.driven)].reshape(2, len(e.driven))
+    first += 2 * len(e.driven)
+    twist, moved = room[first : first + 3], room[first + 3 : first + 6]
     pattern = 0
     for i in range(len(x)):
         if x[i] < 0.0:
@@ -204,23 +253,28 @@ def displacements(e, inputs, x, log2, units, rows, out):
         rows[r] = total
     signed = e.signed[pattern]
     for t in range(len(e.row)):
-        first, weight, count = e.unit[t], e.weight[t], e.count[t]
-        rows[e.row[t]] += _dot(signed[weight : weight + count], units[first : first + count])
+        start, weight, terms = e.unit[t], e.weight[t], e.count[t]
+        rows[e.row[t]] += _dot(signed[weight : weight + terms], units[start : start + terms])
+    if near > 0:
+        _kernel_units(e.centres, e.lengths, x, nearness)
+        for r in range(len(rows)):
+            rows[r] += _dot(e.kernel_weights[r], nearness)
+    share = 1.0
+    if e.drives:
+        phases(e, x, way, twist, moved)
+        share = x[e.duration]
     for m in range(e.members):
-        first = m * e.outputs
-        dx, dy, turn = rows[first], rows[first + 1], rows[first + 2]
-        if e.twist:
-            dx, dy, turn = se2.exp(dx, dy, turn)
-            dx += rows[first + 3]
-            dy += rows[first + 4]
+        dx, dy, turn = rows[3 * m], rows[3 * m + 1], rows[3 * m + 2]
+        if e.drives:
+            dx, dy, turn = se2.compose_exp(
+                moved[0],
+                moved[1],
+                moved[2],
+                twist[0] + share * dx,
+                twist[1] + share * dy,
+                twist[2] + share * turn,
+            )
         out[m, 0], out[m, 1], out[m, 2] = dx, dy, turn
-
-
-@njit(cache=True, error_model="numpy", inline="always")
-def _inputs(source, before, command, inputs):
-    """Write the network's inputs: from the command before or from this one."""
-    for i in range(len(source)):
-        inputs[i] = before[-source[i] - 1] if source[i] < 0 else command[source[i]]
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
@@ -239,25 +293,23 @@ def mean_poses(e, source, start, commands, given, rests):
     Returns:
         [B, T + 1, 3].
     """
-    batch, count, width = commands.shape
+    batch, count = commands.shape[:2]
+    space, remembered = scratch_size(e), 2 * len(e.driven) + 2
     poses = np.empty((batch, count + 1, 3))
     for b in prange(batch):
-        inputs = np.empty(len(source))
-        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
-        units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
-        moved, before = np.empty((1, 3)), np.zeros(width)
+        x, room, memory = np.empty(len(e.exponents)), np.empty(space), np.zeros(remembered)
+        moved = np.empty((1, 3))
         px, py, theta = start[0], start[1], start[2]
         for k in range(count):
             poses[b, k, 0], poses[b, k, 1], poses[b, k, 2] = px, py, theta
             if not (given[b, k] or (rests and k == count - 1)):
                 continue
-            command = commands[b, k]
-            _inputs(source, before, command, inputs)
-            before = command
-            displacements(e, inputs, x, log2, units, rows, moved)
+            began = tell(e, source, commands[b, k], k, memory, x)
+            displacements(e, x, room, moved)
+            from_ = poses[b, began]
             # Not se2.compose, which adds in another order: the plans of fixed seeds would change.
-            dx, dy = se2.rotate(theta, moved[0, 0], moved[0, 1])
-            px, py, theta = px + dx, py + dy, theta + moved[0, 2]
+            dx, dy = se2.rotate(from_[2], moved[0, 0], moved[0, 1])
+            px, py, theta = from_[0] + dx, from_[1] + dy, from_[2] + moved[0, 2]
         poses[b, count, 0], poses[b, count, 1], poses[b, count, 2] = px, py, theta
     return poses
 
@@ -277,37 +329,36 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, rests):
     Returns:
         [B, R, T + 1, 3].
     """
-    batch, count, width = commands.shape
+    batch, count = commands.shape[:2]
+    space, remembered = scratch_size(e), 2 * len(e.driven) + 2
     draws = len(starts)
     poses = np.empty((batch, draws, count + 1, 3))
     for b in prange(batch):
-        inputs = np.empty(len(source))
-        x, log2 = np.empty(len(e.exponents)), np.empty(len(e.exponents))
-        units, rows = np.empty(e.exponents.shape[1]), np.empty(len(e.bias))
+        x, room, memory = np.empty(len(e.exponents)), np.empty(space), np.zeros(remembered)
         means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
-        moved, before = np.empty(3), np.zeros(width)
+        moved = np.empty(3)
         poses[b, :, 0] = starts
-        sent = 0
+        #: How many commands were sent before each.
+        sent = np.zeros(count + 1, np.int64)
         for k in range(count):
             if not (given[b, k] or (rests and k == count - 1)):
                 poses[b, :, k + 1] = poses[b, :, k]
+                sent[k + 1] = sent[k]
                 continue
-            command = commands[b, k]
-            _inputs(source, before, command, inputs)
-            before = command
-            displacements(e, inputs, x, log2, units, rows, means)
+            sent[k + 1] = sent[k] + 1
+            began = tell(e, source, commands[b, k], k, memory, x)
+            displacements(e, x, room, means)
             if a.noisy:
                 for m in range(e.members):
-                    spread(a, inputs, means[m], sizes[m])
+                    spread(a, x, means[m], sizes[m])
             for r in range(draws):
                 m = member[r]
                 if a.noisy:
-                    shake(means[m], sizes[m], z[r, sent], moved)
+                    shake(means[m], sizes[m], z[r, sent[began]], moved)
                 else:
                     moved[0], moved[1], moved[2] = means[m, 0], means[m, 1], means[m, 2]
-                pose, after = poses[b, r, k], poses[b, r, k + 1]
+                pose, after = poses[b, r, began], poses[b, r, k + 1]
                 after[0], after[1], after[2] = se2.compose(
                     pose[0], pose[1], pose[2], moved[0], moved[1], moved[2]
                 )
-            sent += 1
     return poses

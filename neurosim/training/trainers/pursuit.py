@@ -122,8 +122,16 @@ class Pursuit:
 
     def ceilings(self) -> list[Tensor]:
         """Return what the logarithm of each function's units is to be kept below, [P_o]."""
-        log_headroom = math.log(_HEADROOM)
-        return [(self._log @ exponents.T).amax(0) + log_headroom for exponents in self.exponents]
+        return self._ceilings(self.exponents)
+
+    def _ceilings(self, exponents: list[Tensor]) -> list[Tensor]:
+        headroom = math.log(_HEADROOM)
+        return [(self._log @ own.T).amax(0) + headroom for own in exponents]
+
+    def best_units(self) -> tuple[list[Tensor], list[Tensor], list[Tensor]]:
+        """Return exponents, phases and ceilings of the units that generalise best."""
+        exponents, phases = self._best
+        return exponents, phases, self._ceilings(exponents)
 
     @property
     def mean_squared_error(self) -> Tensor:
@@ -143,7 +151,7 @@ class Pursuit:
 
     def state(self) -> dict[str, Tensor]:
         """Return all that the next steps depend on but for the generator."""
-        state = {"weights": self._weights}
+        state = {"weights": self._weights, "generator": self._generator.get_state()}
         for name, (exponents, phases) in {
             "now": (self.exponents, self.phases),
             "best": self._best,
@@ -163,6 +171,7 @@ class Pursuit:
 
         self.exponents, self.phases = units("now.exponents"), units("now.phases")
         self._best = (units("best.exponents"), units("best.phases"))
+        self._generator.set_state(state["generator"])
         self._weights = state["weights"].to(self._x).view(self._targets.shape)
         damping, score, since, finished = state["numbers"].tolist()
         self._damping, self._best_score = damping, score

@@ -14,14 +14,14 @@ TRAINERS = Registry(
     "trainer",
     "neurosim.trainers",
     {
-        "exponents": "neurosim.training.trainers.exponents:ExponentsTrainer",
+        "combined": "neurosim.training.trainers.combined:CombinedTrainer",
         "ga": "neurosim.training.trainers.ga:GaTrainer",
         "gradient": "neurosim.training.trainers.gradient:GradientTrainer",
     },
 )
 
 #: The name of the trainer that is used if nobody says otherwise.
-DEFAULT = "exponents"
+DEFAULT = "combined"
 
 
 def trainer_class(name: str) -> type[Trainer]:

@@ -20,22 +20,20 @@ _UNITS = 16
 
 
 def find_swing(
-    derived: Derived,
     columns: CommandFeatures,
-    inputs: Tensor,
     x: Tensor,
     target: Tensor,
+    factor: Tensor,
     settings: PursuitSettings,
     floor: float,
 ) -> Derived:
-    """Return derived inputs, with the swing by which a small network predicts a target best.
+    """Return a derived input, if a small network predicts a target better with it.
 
     Args:
-        derived: those that there are without it.
         columns: of the inputs.
-        inputs: in the dataset's units, [N, I].
-        x: the same, scaled, the dead zone applied, [N, I].
+        x: scaled inputs, the dead zone applied, [N, I].
         target: [N].
+        factor: of what is predicted in the target, [N].
         settings: of the search; it is shortened.
         floor: the smallest magnitude of an input in a product unit.
     """
@@ -43,16 +41,15 @@ def find_swing(
     scaled = (target / target.square().mean().sqrt().clamp(min=1e-12))[None]
 
     def score(tried: Derived) -> float:
-        given = tried.append(columns, inputs, x)
         generator = torch.Generator(x.device).manual_seed(0)
-        factor = torch.ones_like(scaled)[None]
-        search = Pursuit(given, factor, scaled, quick, _UNITS, generator, floor)
+        given = tried.append(columns, x)
+        search = Pursuit(given, factor[None, None], scaled, quick, _UNITS, generator, floor)
         while not search.finished:
             search.grow()
         search.settle()
         return search.score()
 
-    tried = [replace(derived, swing=swing) for swing in _TRIED]
+    tried = [Derived(swing) for swing in _TRIED]
     scores = [score(one) for one in tried]
     best = min(range(len(tried)), key=scores.__getitem__)
-    return tried[best] if scores[best] < score(derived) * (1.0 - _BELIEVED) else derived
+    return tried[best] if scores[best] < score(Derived()) * (1.0 - _BELIEVED) else Derived()

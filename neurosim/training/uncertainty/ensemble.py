@@ -1,68 +1,41 @@
 """Ensembles: networks that learned from other rows each, and noise from what was unseen.
 
-What a simulator of few rows does not know shows where networks that learned from other rows
-disagree. The mean is a network of its own, searched for on all rows: it costs no more than one.
-With few rows it is the average of several such searches, which then differ (Breiman 1996, bagging
-without the resampling: what is averaged out is the luck of the search, not of the rows).
-Each member is a search of its own on a random half of the rows: what a search may find or miss is
-part of what is not known, and an estimate from half of the rows strays from that of all as far as
-that strays from the truth (Shao and Tu 1995, the delete-half jackknife). Its read-out is then
-fitted to all rows, in random weights (the Bayesian bootstrap, Rubin 1981): product units that had
-seen nothing of a corner of the commands would be wild there.
+For trainers that make one network. What a simulator of few rows does not know shows where networks
+that learned from other rows disagree. The mean is a network of its own, trained on all rows. Each
+member is trained on a random half of the rows: an estimate from half of the rows strays from that
+of all as far as that strays from the truth (Shao and Tu 1995, the delete-half jackknife). Its
+read-out is then fitted to all rows, in random weights (the Bayesian bootstrap, Rubin 1981): product
+units that had seen nothing of a corner of the commands would be wild there.
 
-The noise is learned from residuals of read-outs that had not seen the row (cross-validation). The
-product units of the mean had seen it; what flattery there is in that is measured by the members:
-as far as their residuals are larger in the half of the rows that their search had not seen, so, by
-half (twice the rows), are the noise's. Rows are drawn in stretches of time, because neighbours
-share a place on the board and a state of the battery.
+The noise is learned from residuals of read-outs that had not seen the row (cross-validation). Rows
+are drawn in stretches of time, because neighbours share a place on the board and a state of the
+battery.
 
-Networks whose activations are not linear have no read-out to fit: their members are searches on
+Networks whose activations are not linear have no read-out to fit: their members are trained on
 halves alone, and the mean is the members' average.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn.functional import pad
 
 from neurosim.base.threads import one_thread
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion.derived import Derived
-from neurosim.training.base import PursuitSettings, Trainer, TrainingData
-from neurosim.training.trainers.averaging import average, widened
-from neurosim.training.trainers.exponents import ExponentsSettings
+from neurosim.training.base import Trainer, TrainingData
 from neurosim.training.trainers.readout import Readout
-from neurosim.training.uncertainty.noise import fit_noise, search_optimism
+from neurosim.training.uncertainty.noise import fit_noise
 
-#: Of read-outs, where the trainer has none of its own.
+#: Of read-outs.
 RIDGE = 1e-6
-
-#: A search of its own is worth its time up to this many rows; of half as many, two are, and so on,
-#: up to :data:`MOST_SEARCHES`.
-SEARCH_ROWS, MOST_SEARCHES = 4000, 8
 
 #: Stretches of time that rows are drawn in, and folds that read-outs are cross-validated in.
 STRETCHES, FOLDS = 40, 5
-
-
-@dataclass(frozen=True)
-class Share(TrainingData):
-    """Some of the rows, scaled as all of them are.
-
-    Attributes:
-        scale: the input scale of all rows, [I].
-    """
-
-    scale: Tensor
-
-    @property
-    def input_scale(self) -> Tensor:
-        """The scale of all rows, [I]."""
-        return self.scale
 
 
 class EnsembleTrainer:
@@ -109,11 +82,8 @@ class EnsembleTrainer:
         # A single network needs searches on both halves for its noise alone.
         halves = members if members > 1 else 2 * int(noise and network.linear)
         self._seen = _halves(self._stretch, halves, generator)
-        #: How many searches see all rows.
-        self._whole = 0
         if network.linear or not halves:
-            self._whole = searches(len(data.x)) if isinstance(settings, PursuitSettings) else 1
-            everything = torch.ones(self._whole, len(data.x), dtype=torch.bool)
+            everything = torch.ones(1, len(data.x), dtype=torch.bool)
             self._seen = torch.cat([everything, self._seen])
         self._weights = _random_weights(self._stretch, members, generator)
         self._finished: list[dict[str, Tensor]] = []
@@ -126,17 +96,12 @@ class EnsembleTrainer:
         return self._each * len(self._seen)
 
     def _begin(self, search: int) -> Trainer:
-        seen, data, settings = self._seen[search], self._data, self._settings
-        if isinstance(settings, ExponentsSettings) and self._finished:
-            # The first search, of all rows, has found them.
-            zone = tuple(self._finished[0]["dead_zone"].tolist())
-            derived = Derived.of(self._finished[0]["derived"])
-            settings = replace(settings, dead_zone=zone, derived=derived)
+        seen, data = self._seen[search], self._data
         if not seen.all():
-            data = Share(data.inputs, data.x[seen], data.y[seen], data.input_scale)
+            data = replace(data, x=data.x[seen], y=data.y[seen], scale=data.input_scale)
         # Searches differ by seed too, for all that is drawn in them.
         with one_thread():
-            return self._make(data, settings, self._seed + search)
+            return self._make(data, self._settings, self._seed + search)
 
     def advance(self) -> Tensor:
         """Work one generation of a search; return its least mean squared error so far, [3]."""
@@ -162,8 +127,7 @@ class EnsembleTrainer:
         return self._refitted(found) if self._network.linear else self._averaged(found)
 
     def _refitted(self, found: list[MotionNetwork]) -> MotionNetwork:
-        whole, searched = found[: self._whole], found[self._whole :]
-        simulator = average(whole)
+        simulator, searched = found[0], found[1:]
         if self._members > 1:
             members = []
             for member, weights in zip(searched, self._weights, strict=True):
@@ -171,18 +135,14 @@ class EnsembleTrainer:
                 members.append(readout.simulator(readout.genes(weights)))
             simulator = _together([simulator, *members], central=True)
         if self._noise:
-            said = torch.stack([self._cross_validated(network) for network in whole]).mean(0)
-            by_halves = [self._cross_validated(network) for network in searched]
-            noise = fit_noise(simulator, self._data, said)
-            seen = self._seen[self._whole :]
-            widening = search_optimism(simulator, self._data, by_halves, seen)
-            simulator.noise = noise.widened(widening)
+            said = self._cross_validated(found[0])
+            simulator.noise = fit_noise(
+                simulator, simulator.scaled(self._data.x), self._data.y, said
+            )
         return simulator
 
     def _readout(self, simulator: MotionNetwork) -> Readout:
-        pursuit = isinstance(self._settings, PursuitSettings)
-        ridge = self._settings.ridge if pursuit else RIDGE
-        return Readout(self._data, simulator, ridge, weigh=pursuit)
+        return Readout(self._data, simulator, RIDGE)
 
     def _cross_validated(self, simulator: MotionNetwork) -> Tensor:
         """Return what read-outs that had not seen a row say of it, [N, O]."""
@@ -200,7 +160,9 @@ class EnsembleTrainer:
             unseen = (~self._seen).double().unsqueeze(-1)  # [M, N, 1]
             said = simulator.outputs(self._data.x).transpose(0, 1)
             said = (said * unseen).sum(0) / unseen.sum(0)
-            simulator.noise = fit_noise(simulator, self._data, said)
+            simulator.noise = fit_noise(
+                simulator, simulator.scaled(self._data.x), self._data.y, said
+            )
         return simulator
 
     def state(self) -> dict[str, Tensor]:
@@ -224,11 +186,6 @@ class EnsembleTrainer:
             self._search.load(part("search."))
 
 
-def searches(rows: int) -> int:
-    """Return how many searches of all rows the mean is the average of."""
-    return min(max(SEARCH_ROWS // rows, 1), MOST_SEARCHES)
-
-
 def _together(found: list[MotionNetwork], central: bool) -> MotionNetwork:
     first = found[0]
     genes = [simulator.genes for simulator in found]
@@ -245,7 +202,6 @@ def _together(found: list[MotionNetwork], central: bool) -> MotionNetwork:
         torch.cat([member.output_scale for member in found]),
         first.coordinates,
         dead_zone=first.dead_zone,
-        derived=first.derived,
         central=central,
     )
 
@@ -269,3 +225,16 @@ def _random_weights(stretch: Tensor, members: int, generator: torch.Generator) -
     """Return how much each row counts for each member, [M, N]: stretches weigh exponentially."""
     uniform = torch.rand(members, int(stretch[-1]) + 1, generator=generator, dtype=torch.float64)
     return -torch.log1p(-uniform)[:, stretch]
+
+
+def widened(network: ProductSummationNetwork, genes: Tensor, products: int) -> Tensor:
+    """Return the genes [..., G] of the same networks with units that count for nothing."""
+    w, missing = network.split(genes), products - network.products
+    return replace(network, products=products).join(
+        w._replace(
+            exponents=pad(w.exponents, (0, 0, 0, missing)),
+            phases=pad(w.phases, (0, 0, 0, missing)),
+            product_weights=pad(w.product_weights, (0, missing)),
+            ceilings=pad(w.ceilings, (0, missing)),
+        )
+    )

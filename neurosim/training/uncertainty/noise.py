@@ -26,7 +26,7 @@ from neurosim.simulators.motion.noise import (
     motion_features,
     residual,
 )
-from neurosim.training.base import TrainingData, root_mean_square
+from neurosim.training.base import root_mean_square
 
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
@@ -47,56 +47,50 @@ _PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
 SLIGHT = -0.7
 
 
-def fit_noise(simulator: MotionNetwork, data: TrainingData, outputs: Tensor) -> NoiseModel:
+def fit_noise(
+    simulator: MotionNetwork,
+    x: Tensor,
+    y: Tensor,
+    outputs: Tensor,
+    weight: Tensor | None = None,
+    besides_members: bool = True,
+) -> NoiseModel:
     """Learn the noise of an ensemble's displacements.
 
     Args:
         simulator: the ensemble.
-        data: rows.
+        x: scaled inputs of rows, [N, I].
+        y: displacements that followed, [N, 3].
         outputs: what networks that had not seen a row said of it, [N, O], averaged.
+        weight: how much each row counts, [N]; alike if not given.
+        besides_members: whether what the members say is left out of the noise, in which it would
+            count twice.
     """
-    mean = simulator.from_outputs(outputs)
-    columns = CommandFeatures.of(simulator.input_names)
-    inputs = simulator.scaled(data.x)
-    return _most_likely(columns, inputs, mean, data.y, _spread(simulator, data, mean))
+    mean = simulator.from_outputs(outputs, x)
+    weight = torch.ones_like(mean[:, 0]) if weight is None else weight
+    spread = _spread(simulator, x, mean) if besides_members else torch.zeros_like(mean)
+    return _most_likely(simulator.columns, x, mean, y, spread, weight)
 
 
-def search_optimism(
-    simulator: MotionNetwork, data: TrainingData, said: list[Tensor], seen: Tensor
-) -> Tensor:
-    """Return how many times as wide as the residuals of rows that a search saw the noise is, [3].
-
-    Args:
-        simulator: whose networks they are.
-        data: rows.
-        said: what the networks of searches on halves say of all rows, [N, O] each.
-        seen: which rows each search saw, [S, N].
-    """
-    inside, outside = torch.zeros(2, 3, dtype=torch.float64)
-    for outputs, own in zip(said, seen, strict=True):
-        error = residual(simulator.from_outputs(outputs), data.y).abs()
-        # Medians: a network may be wild on some row that it has not seen.
-        inside += error[own].median(0).values
-        outside += error[~own].median(0).values
-    ratio = (outside / inside.clamp(min=1e-12)).square()
-    # Optimism falls as one over the rows, of which the search itself had twice as many.
-    return (1.0 + 0.5 * (ratio - 1.0).clamp(0.0, 8.0)).sqrt()
-
-
-def _spread(simulator: MotionNetwork, data: TrainingData, mean: Tensor) -> Tensor:
+def _spread(simulator: MotionNetwork, x: Tensor, mean: Tensor) -> Tensor:
     """Return the variance [N, 3] of what the members say of rows.
 
     What the rows strayed by holds it already: left in the noise, it would count twice.
     """
     if simulator.members == 1:
         return torch.zeros_like(mean)
-    own = simulator.displacement(data.x)
-    strays = [residual(own, simulator.displacement(data.x, m)) for m in range(simulator.members)]
+    own = simulator.displacement_of(x)
+    strays = [residual(own, simulator.displacement_of(x, m)) for m in range(simulator.members)]
     return torch.stack(strays).square().sum(0) / (simulator.members - 1)
 
 
 def _most_likely(
-    columns: CommandFeatures, inputs: Tensor, mean: Tensor, actual: Tensor, said: Tensor
+    columns: CommandFeatures,
+    inputs: Tensor,
+    mean: Tensor,
+    actual: Tensor,
+    said: Tensor,
+    weight: Tensor,
 ) -> NoiseModel:
     """Fit the noise, beside what the members say [N, 3]."""
     unit = root_mean_square(components(mean))
@@ -104,7 +98,7 @@ def _most_likely(
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
-    rows = len(error)
+    rows = weight.sum()
     # A member may be wild on some row; the row itself says how far that can be believed.
     besides = (said / size.square()).clamp(max=MOST)
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
@@ -132,7 +126,7 @@ def _most_likely(
         likelihood = (shares - (power + variance.log()).sum(1) / 2.0).logsumexp(-1)
         pull = w[:, 1:].square().sum() + c.square().sum() + (h[0] - SLIGHT).square()
         pull = pull + h[1:].square().sum() + 0.1 * (v - LITTLE).square().sum()
-        value = -likelihood.mean() + PULL * pull / (2 * rows)
+        value = -(weight * likelihood).sum() / rows + PULL * pull / (2 * rows)
         value.backward()
         return value
 

@@ -1,0 +1,157 @@
+"""A Gaussian process of several functions that share their lengths, on some of the rows.
+
+Rasmussen and Williams 2006: section 5.4.1 (lengths by the marginal likelihood), section 8.3.1
+(subset of regressors); the rows that stand for the others are chosen one by one as those that the
+earlier say least about (Fine and Scheinberg 2001, incomplete Cholesky decomposition with pivots).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurosim.simulators.motion.kernel_units import covariance
+
+#: Rows that the lengths are found with, and steps of that.
+_ROWS, _STEPS = 400, 30
+#: ln of a length in spreads of its input, before rows say more: smooth.
+_USUAL, _PULL = 0.7, 0.1
+#: Added to the diagonal of a covariance.
+_JITTER = 1e-7
+#: A row is told by the others when less than this share of its variance is left.
+_TOLD = 1e-6
+
+
+@dataclass(frozen=True)
+class Process:
+    """What a Gaussian process of F functions of J inputs has learned.
+
+    Attributes:
+        centres: [K, J].
+        lengths: [J].
+        power: variance of each function before rows say more, [F].
+        noise: variance of rows that weigh 1, [F].
+    """
+
+    centres: Tensor
+    lengths: Tensor
+    power: Tensor
+    noise: Tensor
+
+    def units(self, x: Tensor) -> Tensor:
+        """Return the units [N, K] of inputs [N, J]."""
+        return covariance(x, self.centres, self.lengths)
+
+    def posterior(
+        self, units: Tensor, factor: Tensor, y: Tensor, trust: Tensor, function: int
+    ) -> tuple[Tensor, Tensor]:
+        """Return mean [K] and Cholesky factor [K, K] of the precision of a function's weights.
+
+        Args:
+            units: of rows, [N, K].
+            factor: of the function in what is known of it, [N].
+            y: that, factor times function and noise, [N].
+            trust: of the rows: reciprocals of their relative noise variances, [N].
+            function: its number.
+        """
+        trust = trust / self.noise[function]
+        columns = units * factor.unsqueeze(1)
+        # The weights' prior covariance is the inverse of the centres' covariance, times the power.
+        precision = covariance(self.centres, self.centres, self.lengths) / self.power[function]
+        precision = precision + columns.T @ (trust.unsqueeze(1) * columns)
+        precision.diagonal().add_(_JITTER * precision.diagonal().mean())
+        triangle = torch.linalg.cholesky(precision)
+        mean = torch.cholesky_solve((columns.T @ (trust * y)).unsqueeze(1), triangle).squeeze(1)
+        return mean, triangle
+
+
+def learn_process(
+    x: Tensor,
+    y: Tensor,
+    weights: Tensor,
+    centres: int,
+    first: int,
+    elsewhere: Tensor,
+    generator: torch.Generator,
+) -> Process:
+    """Learn lengths, power and noise, and choose the centres.
+
+    Args:
+        x: inputs, [N, J].
+        y: functions' values, [N, F].
+        weights: of each value: the reciprocal of its relative noise variance, [N, F].
+        centres: how many at most.
+        first: how many rows, from the first on, lengths are found with: the others tell of parts.
+        elsewhere: inputs [M, J] that may be asked for: a third of the centres stand where rows say
+            least of these, so that draws from the posterior differ there.
+        generator: of the rows that lengths are found with.
+    """
+    chosen = torch.randperm(min(first, len(x)), generator=generator)[:_ROWS]
+    spread = x.std(0).clamp(min=1e-2) if len(x) > 1 else torch.ones_like(x[0])
+    size = ((y.square() * weights).sum(0) / weights.sum(0).clamp(min=1e-12)).sqrt()
+    size = size.clamp(min=1e-9)
+    own, values, trust = x[chosen], y[chosen] / size, weights[chosen].clamp(min=1e-9)
+    inputs, functions = x.shape[1], y.shape[1]
+    start = torch.cat(
+        [
+            torch.full((inputs,), _USUAL, dtype=x.dtype),
+            torch.full((functions,), -0.3, dtype=x.dtype),
+            torch.full((functions,), -0.7, dtype=x.dtype),
+        ]
+    )
+    found = start.clone().requires_grad_()
+    identity = torch.eye(len(own), dtype=x.dtype)
+
+    def loss() -> Tensor:
+        optimiser.zero_grad()
+        bounded = found.clamp(-7.0, 7.0)
+        lengths = bounded[:inputs].exp() * spread
+        power, noise = (2.0 * bounded[inputs:]).exp().view(2, functions)
+        shared = covariance(own, own, lengths)
+        matrix = power[:, None, None] * (shared + _JITTER * identity)
+        matrix = matrix + torch.diag_embed((noise / trust).T + 1e-9)
+        triangle = torch.linalg.cholesky(matrix)
+        part = torch.linalg.solve_triangular(triangle, values.T.unsqueeze(2), upper=False)
+        log_size = triangle.diagonal(dim1=-2, dim2=-1).log().sum()
+        value = 0.5 * part.square().sum() + log_size
+        value = value + _PULL * (found[:inputs] - _USUAL).square().sum()
+        value = value + 0.05 * found[inputs : inputs + functions].square().sum()
+        value.backward()
+        return value
+
+    optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
+    optimiser.step(loss)
+    result = found.detach().clamp(-7.0, 7.0)
+    lengths = result[:inputs].exp() * spread
+    power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
+    near = _pivots(x, lengths, centres - centres // 3)
+    every = _pivots(torch.cat([near, elsewhere]), lengths, len(near) + centres // 3, len(near))
+    return Process(every, lengths, power, noise)
+
+
+def _pivots(x: Tensor, lengths: Tensor, count: int, given: int = 0) -> Tensor:
+    """Return the rows [K, J] that, one after the other, the earlier ones say least about.
+
+    Args:
+        x: rows, [N, J].
+        lengths: of the covariance, [J].
+        count: how many at most.
+        given: how many of the first rows are chosen before any other.
+    """
+    left = torch.ones(len(x), dtype=x.dtype)
+    factor = x.new_zeros(len(x), min(count, len(x)))
+    chosen = []
+    for place in range(factor.shape[1]):
+        row = place if place < given else int(left.argmax())
+        if left[row] < _TOLD:
+            if place < given:
+                continue
+            break
+        chosen.append(row)
+        column = covariance(x, x[row : row + 1], lengths).squeeze(1)
+        column = column - factor[:, :place] @ factor[row, :place]
+        factor[:, place] = column / left[row].sqrt()
+        left = (left - factor[:, place].square()).clamp(min=0.0)
+    return x[chosen]

@@ -1,0 +1,541 @@
+"""The drive model: how speeds come to what they are told, and what a command may be cut into."""
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from given_plans import GivenPlans, drawn, expected
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from motion_networks import (
+    LONGEST,
+    NAMES,
+    drive_model,
+    kernel_units,
+    normal,
+    random_motion_network,
+)
+from safetensors.numpy import load_file, save_file
+
+from neurosim.base.errors import FileError
+from neurosim.base.se2 import tensors as se2
+from neurosim.base.trajectory import Draws, Episode
+from neurosim.controllers import Network
+from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion import kernels
+from neurosim.simulators.motion.drive import DriveModel, motion_features
+from neurosim.simulators.motion.files import KERNEL, write_motion
+from neurosim.simulators.motion.kernel_units import KernelUnits
+from neurosim.simulators.motion.network import can_drive
+
+#: Steps of numerical integrations.
+FINE = 2000
+MEMBERS = torch.tensor([-1, 0, 1, 2])
+POSES = 0.5 * normal(7, 4, 3)
+
+
+def double(values):
+    return torch.tensor(values, dtype=torch.float64)
+
+
+def alike(lag=0.2, slowing=1.0, rate=100.0, bend=0.0, delay=0.0, kinematics=None):
+    """Return a drive model of two actuators that are alike, of a differential drive."""
+    if kinematics is None:
+        kinematics = [[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3]
+    laws = [double([value, value]) for value in (lag, slowing, rate, bend)]
+    return DriveModel(*laws, double([delay]), double(kinematics))
+
+
+def pairs(low, high):
+    return st.tuples(st.floats(low, high), st.floats(low, high)).map(double)
+
+
+@st.composite
+def drive_models(draw):
+    """Return a drive model of two actuators."""
+    return drive_model(
+        draw(st.integers(0, 99)),
+        lag=draw(pairs(0.03, 0.5)),
+        slowing=draw(pairs(0.4, 2.0)),
+        rate=draw(pairs(0.5, 20.0)),
+        bend=draw(pairs(-0.2, 0.3)),
+        delay=double([draw(st.floats(0.0, 0.15))]),
+    )
+
+
+def integrated(drive, before, told, time):
+    """Return the speeds at FINE + 1 equal times, [FINE + 1, C], by the midpoint method."""
+    lag = torch.where(told.abs() < before.abs(), drive.lag * drive.slowing, drive.lag).numpy()
+    rate, delay, dt = drive.rate.numpy(), float(drive.delay), time / FINE
+    speed, told = before.numpy(), told.numpy()
+    found = [speed]
+    for n in range(FINE):
+        # Of the step in which the delay ends only the rest counts.
+        step = min(max((n + 1) * dt - delay, 0.0), dt)
+        middle = speed + 0.5 * step * np.clip((told - speed) / lag, -rate, rate)
+        speed = speed + step * np.clip((told - middle) / lag, -rate, rate)
+        found.append(speed)
+    return np.array(found)
+
+
+def integrated_pose(drive, speeds, time):
+    """Return the displacement [3] of a robot whose actuators have speeds [FINE + 1, C]."""
+    middle = torch.from_numpy(0.5 * (speeds[1:] + speeds[:-1]))
+    dt = torch.full((FINE,), time / FINE, dtype=torch.float64)
+    vx, vy, turn = (motion_features(middle * dt[:, None], dt) @ drive.kinematics).numpy().T
+    heading = np.cumsum(turn) - 0.5 * turn
+    cos, sin = np.cos(heading), np.sin(heading)
+    return np.array([(cos * vx - sin * vy).sum(), (sin * vx + cos * vy).sum(), turn.sum()])
+
+
+def test_an_exponential_worked_by_hand():
+    before, told = double([[0.0, 0.8]]), double([[0.5, 0.0]])
+    drive = replace(alike(lag=0.2, slowing=0.5), delay=double([0.1]))
+    left, missed, settling = drive.approach(before, told, double([0.5]))
+    # 0.4 s after the delay: two time constants; four where it slows down.
+    up, down = math.exp(-2.0), math.exp(-4.0)
+    assert left[0].tolist() == pytest.approx([0.5 * up, -0.8 * down])
+    way = [0.5 * (0.1 + 0.2 * (1 - up)), -0.8 * (0.1 + 0.1 * (1 - down))]
+    assert missed[0].tolist() == pytest.approx(way)
+    assert settling[0].tolist() == pytest.approx([0.6, 0.35])
+    assert drive.reached(before, told, double([0.5]))[0, 0] == pytest.approx(0.5 - 0.5 * up)
+    # Within the delay nothing happens.
+    assert torch.equal(drive.reached(before, told, double([0.07])), before)
+
+
+def test_a_limited_rate_worked_by_hand():
+    # From -0.5 to 0.5 at 2 a second: within 0.4 of the end, after 0.3 s, the lag of 0.2 s rules.
+    drive, before, told = alike(lag=0.2, rate=2.0), double([[-0.5, 0.5]]), double([[0.5, 0.5]])
+    assert drive.reached(before, told, double([0.2]))[0].tolist() == pytest.approx([-0.1, 0.5])
+    late = drive.approach(before, told, double([0.5]))
+    assert late.left[0].tolist() == pytest.approx([0.4 / math.e, 0.0])
+    assert late.missed[0, 0].item() == pytest.approx(0.3 * 0.7 + 0.4 * 0.2 * (1 - 1 / math.e))
+    assert late.settling[0].tolist() == pytest.approx([0.3 + 2.5 * 0.2, 0.0])
+
+
+def test_a_bend_worked_by_hand():
+    drive = alike(bend=0.1)
+    assert drive.shaped(double([1.0, -0.5])).tolist() == pytest.approx([0.9, -0.475])
+
+
+@settings(max_examples=30, deadline=None)
+@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(0.05, 3.0))
+def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, time):
+    told = drive.shaped(told)
+    speeds = integrated(drive, before, told, time)
+    for place in (FINE // 7, FINE // 3, FINE):
+        until = double([time * place / FINE])
+        found = drive.approach(before[None], told[None], until)
+        reached = drive.reached(before[None], told[None], until)
+        np.testing.assert_allclose(reached[0], speeds[place], atol=2e-3)
+        missed = np.trapezoid(told.numpy() - speeds[: place + 1], dx=time / FINE, axis=0)
+        np.testing.assert_allclose(found.missed[0], missed, atol=1e-3)
+        if bool((until > found.settling).all()):
+            largest = (told - before).abs() * math.exp(-2.5)
+            assert (found.left[0].abs() <= largest + 1e-12).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(0.05, 3.0))
+def test_pieces_add_up_to_the_way(drive, before, told, time):
+    way = told * time - drive.approach(before[None], told[None], double([time])).missed[0]
+    pieces = drive.pieces(before[None], told[None], double([time]))
+    assert torch.stack(pieces).sum(0)[0, :2] == pytest.approx(way, abs=1e-12)
+
+
+#: Twists by the two speeds, and by the products of the first with itself, of both, of the second;
+#: and to how many metres and radians so few pieces of constant twist are right, even where both
+#: speeds are reversed, which takes actuators as slow as these a second.
+KINEMATICS = {
+    "differential drive": ([[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3], 0.03, 1e-4),
+    "omnidirectional": ([[0.3, 0.0, 0.0], [0.0, 0.3, 0.0], *[[0.0] * 3] * 3], 1e-4, 1e-9),
+    # A forward speed and a steering angle: the turn is their product.
+    "car": ([[0.3, 0.0, 0.0], [0.0] * 3, [0.0] * 3, [0.0, 0.0, 1.5], [0.0] * 3], 0.1, 0.3),
+}
+
+
+@pytest.mark.parametrize(("kinematics", "metres", "radians"), KINEMATICS.values(), ids=KINEMATICS)
+@settings(max_examples=15, deadline=None)
+@given(
+    st.floats(0.03, 0.2),
+    st.floats(3.0, 20.0),
+    st.floats(0.0, 0.1),
+    pairs(-1.0, 1.0),
+    pairs(-1.0, 1.0),
+    st.floats(0.1, 3.0),
+)
+def test_phases_are_near_a_fine_integration(
+    kinematics, metres, radians, lag, rate, delay, before, told, time
+):
+    drive = alike(lag, 0.8, rate, delay=delay, kinematics=kinematics)
+    moved, steady = drive.phases(before[None], told[None], double([time]))
+    found = se2.compose(moved, se2.exp(steady))[0].numpy()
+    wanted = integrated_pose(drive, integrated(drive, before, told, time), time)
+    assert np.abs(found - wanted)[:2].max() < metres
+    assert abs(found - wanted)[2] < radians
+
+
+def test_the_turn_of_a_car_at_its_speed_is_the_product():
+    drive, speeds = alike(kinematics=KINEMATICS["car"][0]), double([[0.8, -0.5]])
+    moved, steady = drive.phases(speeds, speeds, double([1.5]))
+    arc = se2.exp(1.5 * double([[0.3 * 0.8, 0.0, 1.5 * 0.8 * -0.5]]))
+    assert se2.compose(moved, se2.exp(steady))[0].tolist() == pytest.approx(arc[0].tolist())
+
+
+def test_straight_ahead_the_phases_are_exact():
+    drive = alike(0.2, 0.7, 3.0, delay=0.05)
+    moved, steady = drive.phases(double([[-1.0, -1.0]]), double([[1.0, 1.0]]), double([0.8]))
+    missed = drive.approach(double([[-1.0, -1.0]]), double([[1.0, 1.0]]), double([0.8])).missed
+    way = 0.3 * (0.8 - float(missed[0, 0]))
+    ahead = se2.compose(moved, se2.exp(steady))[0].tolist()
+    assert ahead == pytest.approx([way, 0.0, 0.0], abs=1e-12)
+    # At its speed already, the robot drives an arc, whatever the pieces.
+    speeds = double([[0.4, 0.8]])
+    moved, steady = drive.phases(speeds, speeds, double([2.0]))
+    arc = se2.exp(double([[0.36, 0.0, 0.8]]))
+    assert se2.compose(moved, se2.exp(steady))[0].tolist() == pytest.approx(arc[0].tolist())
+
+
+ARRAYS = random_motion_network(noise=False).arrays()
+
+
+@settings(max_examples=40, deadline=None)
+@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(1e-4, 3.0))
+def test_the_compiled_form_agrees(drive, before, told, time):
+    told = drive.shaped(told)
+    arrays = ARRAYS._replace(**{name: getattr(drive, name).numpy() for name in DriveModel.NAMES})
+    each = torch.stack(drive.approach(before[None], told[None], double([time])))[:, 0]
+    for c in range(2):
+        found = kernels._approach(arrays, c, float(before[c]), float(told[c]), time)
+        assert found == pytest.approx(each[:, c].tolist(), abs=1e-14)
+    x = np.array([*before, *told, time / LONGEST, 0.0])
+    twist, moved = np.empty(3), np.empty(3)
+    kernels.phases(arrays, x, np.empty((2, 2)), twist, moved)
+    wanted = drive.phases(before[None], told[None], double([time]))
+    np.testing.assert_allclose(moved, wanted[0][0], atol=1e-13)
+    np.testing.assert_allclose(twist, wanted[1][0], atol=1e-13)
+
+
+def test_what_is_no_drive_model_is_refused():
+    with pytest.raises(ValueError, match=r"rate must be of shape \(2,\), not \(1,\)"):
+        replace(alike(), rate=double([1.0]))
+    with pytest.raises(ValueError, match=r"kinematics must be of shape \(5, 3\)"):
+        replace(alike(), kinematics=torch.zeros(2, 3))
+    for wrong in ({"lag": 0.0}, {"rate": -1.0}, {"slowing": 0.0}, {"delay": -0.1}):
+        with pytest.raises(ValueError, match="must be above 0, and no delay below"):
+            alike(**wrong)
+    assert can_drive(NAMES)
+    assert not can_drive(NAMES, 3)
+    assert not can_drive(NAMES[:4])
+    assert not can_drive(("prev_left", "left", "right", "duration"))
+    assert not can_drive(("duration",))
+    sim = random_motion_network(noise=False)
+    parts = sim.inputs, sim.network, sim.genes, sim.input_scale, sim.output_scale
+    how = {"central": True, "derived": sim.derived}
+    with pytest.raises(ValueError, match="beside a drive model"):
+        MotionNetwork(*parts, "displacement", **how, drive=sim.drive)
+    with pytest.raises(ValueError, match="beside a drive model"):
+        MotionNetwork(*parts, "residual-twist", **how)
+    with pytest.raises(ValueError, match="needs a duration, and every input's command before"):
+        MotionNetwork(*parts, "residual-twist", **how, drive=drive_model(0, 3))
+    for units in (kernel_units(0, 4, 5, 4), kernel_units(0, 4, 6, 3)):
+        with pytest.raises(ValueError, match="kernel units and networks do not fit"):
+            MotionNetwork(*parts, "residual-twist", **how, drive=sim.drive, kernel_units=units)
+    with pytest.raises(ValueError, match="do not fit each other"):
+        KernelUnits(torch.zeros(4, 5), torch.ones(6), torch.zeros(4, 3, 4))
+    with pytest.raises(ValueError, match="must be above 0"):
+        KernelUnits(torch.zeros(4, 6), torch.zeros(6), torch.zeros(4, 3, 4))
+
+
+def test_kernel_units_worked_by_hand():
+    units = KernelUnits(double([[0.0, 1.0]]), double([1.0, 0.5]), torch.zeros(1, 3, 1).double())
+    # One length away in each of both inputs.
+    assert units.units(double([[1.0, 0.5]])).item() == pytest.approx(math.exp(-1.0))
+    sim = random_motion_network(units=5, noise=False)
+    bare = MotionNetwork(
+        *(sim.inputs, sim.network, sim.genes, sim.input_scale, sim.output_scale),
+        *(sim.coordinates, None, None, sim.dead_zone, True, sim.derived, sim.drive),
+    )
+    inputs = 20.0 * normal(3, 6, 5).abs()
+    x = sim.derived.append(sim.columns, sim.scaled(inputs))
+    near = sim.kernel_units.units(x)
+    more = torch.einsum("bk,mok->bmo", near, sim.kernel_units.weights)[:, 1:]
+    assert torch.allclose(sim.outputs(inputs), bare.outputs(inputs) + more)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    write_motion(random_motion_network(), tmp_path)
+    return tmp_path
+
+
+def test_written_and_read_bit_for_bit(folder):
+    sim, again = random_motion_network(), read_simulator(folder)
+    for name in DriveModel.NAMES:
+        assert torch.equal(getattr(again.drive, name), getattr(sim.drive, name))
+    for name in KERNEL:
+        assert torch.equal(getattr(again.kernel_units, name), getattr(sim.kernel_units, name))
+    assert again.state_names == sim.state_names
+    assert again.meta == {}
+    assert torch.equal(driven(again, cut((0.3,), (0.4, 1.0))), driven(sim, cut((0.3,), (0.4, 1.0))))
+
+
+@pytest.mark.parametrize("name", ["drive.lag", "drive.kinematics", "kernel.centres"])
+@pytest.mark.parametrize("change", ["missing", "of another shape", "not finite"])
+def test_wrong_tensors_are_refused(folder, name, change):
+    path = folder / "weights.safetensors"
+    tensors = load_file(path)
+    if change == "missing":
+        del tensors[name]
+    elif change == "not finite":
+        tensors[name].flat[0] = math.nan
+    else:
+        tensors[name] = tensors[name][:-1].copy()
+    save_file(tensors, path)
+    with pytest.raises(FileError, match=name.replace(".", r"\.")):
+        read_simulator(folder)
+
+
+@pytest.mark.parametrize("name", ["drive.lag", "drive.rate", "kernel.lengths"])
+def test_numbers_that_cannot_be_are_refused(folder, name):
+    path = folder / "weights.safetensors"
+    tensors = load_file(path)
+    tensors[name][0] = -1.0
+    save_file(tensors, path)
+    with pytest.raises(FileError, match=r"is no motion network .*above 0"):
+        read_simulator(folder)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"kernel_units": -1}, "'kernel_units': expected a number from 0, found -1"),
+        ({"kernel_units": True}, "'kernel_units': expected a number from 0"),
+        ({"kernel_units": 7}, "expected shape"),
+    ],
+)
+def test_a_wrong_description_is_refused(folder, changes, says):
+    path = folder / "simulator.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.raises(FileError, match=says):
+        read_simulator(folder)
+
+
+#: Two commands in a row: the first drives the robot, the second is looked at in pieces.
+FIRST, SECOND = (20.0, -30.0), (35.0, 45.0)
+#: A way to cut up something, by shares.
+CUTS = st.lists(st.floats(0.02, 1.0), min_size=1, max_size=8)
+TIMES = st.floats(0.1, LONGEST)
+
+
+def cut(first, second):
+    """Return rows of both commands, [T, 3], each told in steps of these durations."""
+    return double([[*FIRST, step] for step in first] + [[*SECOND, step] for step in second])
+
+
+def shares(cuts, time):
+    return [time * c / sum(cuts) for c in cuts]
+
+
+def noise_of(*counts, seed=5):
+    """Return noise numbers [4, T, 4], of note where a command begins, else any."""
+    noise = 100.0 + normal(seed, 4, sum(counts), 4)
+    for n, place in enumerate(np.cumsum([0, *counts[:-1]])):
+        noise[:, place] = normal(10 + n, 4, 4)
+    return noise
+
+
+def driven(sim, commands, noise=None, members=MEMBERS):
+    """Return the states [B, T + 1, S] of robots that are told commands [T, 3]."""
+    states = [sim.start(POSES[: len(members)], member=members if sim.members > 1 else None)]
+    for k, command in enumerate(commands):
+        z = None if noise is None else noise[: len(members), k]
+        states.append(sim.step(states[-1], command.expand(len(members), 3), z=z))
+    return torch.stack(states, dim=1)
+
+
+SIMULATOR = random_motion_network()
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@settings(max_examples=25, deadline=None)
+@given(CUTS, CUTS, TIMES, TIMES)
+def test_it_does_not_matter_into_what_a_command_is_cut(noisy, first, second, begin, time):
+    counts = len(first), len(second)
+    noise = [noise_of(1, 1), noise_of(*counts)] if noisy else [None, None]
+    whole = driven(SIMULATOR, cut((begin,), (time,)), noise[0])[:, -1]
+    pieces = driven(SIMULATOR, cut(shares(first, begin), shares(second, time)), noise[1])[:, -1]
+    # The whole state, but for the heading's own 2 pi.
+    assert torch.allclose(pieces, whole, rtol=0, atol=1e-10)
+
+
+def test_one_step_of_3_s_six_of_half_a_second_and_thirty_of_a_tenth():
+    ends = [driven(SIMULATOR, cut((1.0,), (3.0 / n,) * n))[:, -1] for n in (1, 6, 30)]
+    assert torch.allclose(ends[1], ends[0], rtol=0, atol=1e-12)
+    assert torch.allclose(ends[2], ends[0], rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+@settings(max_examples=15, deadline=None)
+@given(CUTS, CUTS, TIMES, TIMES)
+def test_compiled_plans_may_be_cut(noisy, first, second, begin, time):
+    ends = []
+    for durations in (((begin,), (time,)), (shares(first, begin), shares(second, time))):
+        commands = cut(*durations).numpy()[None]
+        plans = GivenPlans(commands, np.ones(commands.shape[:2], bool))
+        rollouts = SIMULATOR.rollouts(plans, Episode(rest=0.5))
+        if noisy:
+            noise = noise_of(*map(len, durations), 1)[1:].numpy()
+            paths = drawn(rollouts, plans, Draws(POSES[1:].numpy(), MEMBERS[1:].numpy(), noise))[0]
+        else:
+            paths = expected(rollouts, plans, POSES[0].numpy())
+        at = np.array([len(durations[0]), commands.shape[1], commands.shape[1] + 1])
+        ends.append(paths[:, at])
+    np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("noisy", [False, True])
+def test_a_network_that_holds_its_output_may_be_asked_at_any_interval(noisy):
+    family = Network(("x",), outputs=("left", "right"), scale=50.0)
+    genes, found = np.array([[0.0, 0.8, 0.0, -0.3], [0.0, 0.2, 0.0, 0.9]]), {}
+    for steps in (1, 6, 30):
+        rollouts = SIMULATOR.rollouts(family, Episode(3.0 / steps, steps, rest=0.5))
+        noise = noise_of(steps, 1).numpy() if noisy else None
+        found[steps] = rollouts.run(genes, Draws(POSES.numpy(), MEMBERS.numpy(), noise)).poses
+    for steps in (6, 30):
+        at = [0, steps, steps + 1]
+        np.testing.assert_allclose(found[steps][:, :, at], found[1], rtol=0, atol=1e-10)
+    np.testing.assert_allclose(found[30][:, :, :31:5], found[6][:, :, :7], rtol=0, atol=1e-10)
+
+
+def test_noise_that_is_drawn_holds_until_the_command_ends():
+    generator, place = torch.Generator().manual_seed(1), SIMULATOR.state_names.index("noise_0")
+    states = [SIMULATOR.start(POSES, generator)]
+    for command in cut((0.5, 0.5), (0.5,)):
+        states.append(SIMULATOR.step(states[-1], command.expand(4, 3), generator))
+    first, again, other = (state[:, place : place + 4] for state in states[1:])
+    assert torch.equal(again, first)
+    assert (other != first).all()
+
+
+def test_a_batch_is_its_rows_some_of_which_go_on():
+    commands = torch.tensor([FIRST, FIRST, SECOND, (0.0, 0.0)] * 2).double()
+    commands = torch.cat([commands, double([[0.4], [2.9]] * 4)], dim=1)
+    state = driven(SIMULATOR, cut((0.7,), ()), noise_of(1))[:, -1].repeat(2, 1)
+    z = normal(3, 8, 4)
+    together = SIMULATOR.step(state, commands, z=z)
+    elapsed = together[:, SIMULATOR.state_names.index("elapsed")]
+    assert elapsed.tolist() == pytest.approx([1.1, 2.9, 0.4, 2.9] * 2)
+    for n in range(8):
+        row = slice(n, n + 1)
+        alone = SIMULATOR.step(state[row], commands[row], z=z[row])
+        assert torch.allclose(alone, together[row], rtol=0, atol=1e-12)
+
+
+def test_a_robot_that_is_put_elsewhere_goes_on_from_there():
+    states = driven(SIMULATOR, cut((1.0,), (0.7, 0.8)), noise_of(1, 2))
+    before, after = states[:, -2], states[:, -1]
+    moved = before.clone()
+    moved[:, :3] = 3.0 * normal(8, 4, 3)
+    command = cut((), (0.8,)).expand(4, 3)
+    there = SIMULATOR.step(moved, command, z=normal(9, 4, 4))
+    relative = se2.between(before[:, :3], after[:, :3])
+    assert torch.allclose(se2.between(moved[:, :3], there[:, :3]), relative, rtol=0, atol=1e-12)
+    assert torch.allclose(there[:, 3:], after[:, 3:])
+
+
+def test_a_command_that_lasts_for_longer_than_the_longest_begins_anew():
+    elapsed = SIMULATOR.state_names.index("elapsed")
+    states = driven(SIMULATOR, cut((0.5,), (2.0, 1.1, 0.5)), noise_of(1, 2, 1))
+    # 3.1 s are the longest but for a few percent.
+    assert states[0, :, elapsed].tolist() == pytest.approx([0.0, 0.5, 2.0, 3.1, 0.5])
+    speed = slice(3, 5)
+    told = SIMULATOR._speeds(double([SECOND]))
+    reached = SIMULATOR.drive.reached(states[:, 3, speed], told, states[:, 3, elapsed])
+    assert torch.equal(states[:, 4, speed], reached)
+    noise = slice(elapsed + 4, elapsed + 8)
+    assert torch.equal(states[:, 3, noise], normal(11, 4, 4))
+    assert torch.equal(states[:, 4, noise], normal(12, 4, 4))
+    # The same as if another robot came to that speed.
+    x = torch.cat([reached, told.expand(4, 2), double([[0.5 / LONGEST]] * 4)], dim=1)
+    mean = SIMULATOR.displacement_of(x, MEMBERS)
+    moved = SIMULATOR.disturbed(x, mean, normal(12, 4, 4))
+    wanted = se2.compose(states[:, 3, :3], moved)
+    assert torch.allclose(states[:, 4, :3], wanted, rtol=0, atol=1e-12)
+
+
+def test_another_command_begins_with_the_speeds_reached():
+    states = driven(SIMULATOR, cut((0.2,), (0.3,)))
+    told = SIMULATOR._speeds(double([FIRST]))
+    reached = SIMULATOR.drive.reached(torch.zeros(1, 2), told, double([0.2]))
+    assert torch.allclose(states[:, 2, 3:5], reached.expand(4, 2))
+    assert (reached.abs() < told.abs()).all()
+
+
+@pytest.mark.parametrize("first", [(0.0, 0.0), (1.0, -2.0)])
+def test_to_stop_a_robot_that_stands(first):
+    """A command to stand, or within the dead zone, from rest: no speeds, noise of its own."""
+    state = SIMULATOR.start(POSES, member=MEMBERS)
+    assert not state[:, 3:-1].any()
+    z = normal(3, 4, 4)
+    whole = SIMULATOR.step(state, double([[*first, 1.0]]).expand(4, 3), z=z)
+    half = double([[*first, 0.5]]).expand(4, 3)
+    halves = SIMULATOR.step(SIMULATOR.step(state, half, z=z), half, z=100.0 * z)
+    assert torch.allclose(halves, whole, rtol=0, atol=1e-12)
+    assert not whole[:, 3:5].any()
+    place = SIMULATOR.state_names.index("noise_0")
+    assert torch.equal(whole[:, place : place + 4], z)
+    x = torch.zeros(4, 5).double()
+    x[:, 4] = 1.0 / LONGEST
+    moved = SIMULATOR.disturbed(x, SIMULATOR.displacement_of(x, MEMBERS), z)
+    assert torch.allclose(whole[:, :3], se2.compose(POSES, moved), rtol=0, atol=1e-12)
+    after = SIMULATOR.step(whole, double([[20.0, 30.0, 0.5]]).expand(4, 3))
+    assert not after[:, 3:5].any()
+
+
+@pytest.mark.parametrize("drives", [False, True])
+def test_chained_inputs_are_those_of_steps_from_rest(drives):
+    sim = random_motion_network(noise=False, drives=drives)
+    drawn = np.random.default_rng(4).uniform((-50, -50, 0.1), (50, 50, 0.5), (12, 3))
+    commands = torch.from_numpy(drawn)
+    before = torch.cat([torch.zeros(1, 2), commands[:-1, :2]])
+    inputs = torch.cat([before, commands], dim=1)
+    x = sim.chained(inputs)
+    poses = driven(sim, commands, members=MEMBERS[:1])[0, :, :3]
+    moved = se2.between(poses[:-1], poses[1:])
+    found = sim.displacement_of(x)
+    # What was left before the fifth command back is forgotten.
+    assert torch.allclose(found[:5], moved[:5], rtol=0, atol=1e-12)
+    assert torch.allclose(found, moved, rtol=0, atol=1e-3)
+    # A command that does not follow the row before it begins with the speed that was told.
+    inputs[6, :2] = 10.0
+    again = sim.chained(inputs)
+    assert torch.equal(again[6], sim.scaled(inputs)[6])
+    assert torch.equal(again[:6], x[:6])
+    assert len(sim.chained(inputs[:0])) == 0
+
+
+@pytest.mark.parametrize("members", [1, 3])
+def test_the_order_of_inputs_does_not_matter(members):
+    sim = random_motion_network(swing=None, units=0, noise=False, members=members)
+    order = [4, 2, 0, 3, 1]
+    weights = sim.network.split(sim.genes)
+    permuted = {n: getattr(weights, n)[..., order] for n in ("exponents", "summation", "phases")}
+    other = MotionNetwork(
+        [sim.inputs[i] for i in order],
+        sim.network,
+        sim.network.join(weights._replace(**permuted)),
+        sim.input_scale[order],
+        sim.output_scale,
+        "residual-twist",
+        dead_zone=sim.dead_zone[order],
+        central=True,
+        drive=sim.drive,
+    )
+    assert other.command_names == ("duration", "left", "right")
+    commands = cut((0.4, 0.3), (0.2, 2.0))
+    wanted = driven(sim, commands)[..., :3]
+    assert torch.allclose(driven(other, commands[:, [2, 0, 1]])[..., :3], wanted, atol=1e-12)

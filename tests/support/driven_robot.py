@@ -1,0 +1,62 @@
+"""Rows of a robot that keeps a drive model's laws, but for a wobble and noise."""
+
+import math
+
+import torch
+
+from neurosim.base.se2 import tensors as se2
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.training.base import TrainingData, Within
+
+INPUTS = [
+    {"name": name, "unit": "%"} for name in ("prev_left", "prev_right", "left", "right", "duration")
+]
+
+
+def drive_data(
+    count,
+    *,
+    seed=0,
+    lag=(0.1, 0.12),
+    delay=0.0,
+    bend=(0.0, 0.0),
+    rate=40.0,
+    wobble=0.0,
+    noise=0.001,
+):
+    """Rows of a differential drive of 0.2 m/s and 0.1 m track, with poses within commands.
+
+    ``wobble``: rad/s by which it turns where its left wheel runs against its right.
+    """
+    g = torch.Generator().manual_seed(seed)
+    u = 2.0 * torch.rand(count, 2, generator=g, dtype=torch.float64) - 1.0
+    u[0] = torch.tensor([1.0, -1.0])  # the scale is the same for all
+    time = 0.5 + 2.5 * torch.rand(count, generator=g, dtype=torch.float64)
+    time[1] = 3.0
+    wheel = torch.tensor([[0.1, 0.0, -2.0], [0.1, 0.0, 2.0]], dtype=torch.float64)
+    kinematics = torch.cat([wheel, torch.zeros(3, 3, dtype=torch.float64)])
+    drive = DriveModel(
+        torch.tensor(lag), torch.ones(2), torch.full((2,), rate), torch.tensor(bend).double(),
+        torch.tensor([delay]), kinematics,
+    )  # fmt: skip
+    speed, before = torch.zeros(2, dtype=torch.float64), torch.zeros_like(u)
+    told = drive.shaped(u)
+    for row in range(count):
+        before[row] = speed
+        speed = drive.reached(speed[None], told[row][None], time[row][None])[0]
+
+    def moved(rows, until):
+        changing, twist = drive.phases(before[rows], told[rows], until)
+        turn = wobble * torch.sin(2.0 * math.pi * u[rows, 0] * u[rows, 1]) * until
+        twist = twist + torch.stack([0 * turn, 0 * turn, turn], 1)
+        scatter = torch.randn(len(rows), 3, generator=g, dtype=torch.float64)
+        scatter = scatter * torch.tensor([noise, noise, 5 * noise], dtype=torch.float64)
+        return se2.compose(changing, se2.exp(twist)) + scatter
+
+    rows = torch.arange(count)
+    of = rows.repeat_interleave(4)
+    share = torch.tensor([0.1, 0.2, 0.4, 0.7], dtype=torch.float64).repeat(count)
+    within = Within(of, share * time[of], moved(of, share * time[of]))
+    previous = torch.cat([torch.zeros(1, 2, dtype=torch.float64), u[:-1]])
+    x = torch.cat([100 * previous, 100 * u, time[:, None]], 1)
+    return TrainingData(INPUTS, x, moved(rows, time), within)

@@ -1,0 +1,121 @@
+"""Random motion networks of every form, of small numbers so that nothing is wild."""
+
+import torch
+
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork
+from neurosim.simulators.motion.derived import Derived
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.kernel_units import KernelUnits
+from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel
+
+NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+#: The longest command, s, and the largest speed.
+LONGEST, FASTEST = 3.0, 50.0
+
+
+def normal(seed, *shape):
+    """Return numbers of a standard normal distribution."""
+    generator = torch.Generator().manual_seed(seed)
+    return torch.randn(*shape, generator=generator, dtype=torch.float64)
+
+
+def noise_model(seed=0, size=-4.0):
+    """Return a noise model of about e^size metres and radians."""
+    drawn = {
+        name: 0.2 * normal(seed + n, *shape)
+        for n, (name, shape) in enumerate(NoiseModel.SHAPES.items())
+    }
+    drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
+    drawn["log_scale"][:, 0] += size
+    drawn["motion"] = (0.001 * drawn["motion"]).abs()
+    return NoiseModel(**drawn)
+
+
+def drive_model(seed=0, actuators=2, **parts):
+    """Return a drive model of a robot of about 0.3 m/s and 2 rad/s."""
+    shapes = DriveModel.shapes(actuators)
+    drawn = {n: torch.tanh(normal(seed + k, *shapes[n])) for k, n in enumerate(DriveModel.NAMES)}
+    found = {
+        "lag": 0.12 + 0.08 * drawn["lag"],
+        "slowing": 1.0 + 0.4 * drawn["slowing"],
+        "rate": 5.0 + 3.0 * drawn["rate"],
+        "bend": 0.15 * drawn["bend"],
+        "delay": 0.05 + 0.04 * drawn["delay"],
+        "kinematics": torch.tensor([0.15, 0.05, 1.0]) * drawn["kinematics"],
+    }
+    return DriveModel(**(found | parts))
+
+
+def kernel_units(seed, count, inputs, networks):
+    """Return units near what there may be given, of small weights in each of so many networks."""
+    return KernelUnits(
+        0.5 * normal(seed, count, inputs),
+        0.6 + normal(seed + 1, inputs).abs(),
+        0.02 * normal(seed + 2, networks, 3, count),
+    )
+
+
+def random_motion_network(
+    seed=0,
+    *,
+    names=NAMES,
+    members=3,
+    central=True,
+    drives=True,
+    units=6,
+    swing=0.03,
+    noise=True,
+    shared=False,
+    products=4,
+    summations=1,
+    size=0.05,
+    scale=None,
+    meta=None,
+):
+    """Return an ensemble of random networks, of unequally many units.
+
+    Args:
+        seed: of all numbers.
+        names: of the inputs.
+        members: how many there are.
+        central: whether the mean is a network of its own.
+        drives: whether there is a drive model.
+        units: how many kernel units.
+        swing: of :class:`Derived`.
+        noise: whether there is a noise model; or the model.
+        shared: whether all networks have the same product units.
+        products: of each network.
+        summations: of each network.
+        size: what the networks' outputs are scaled by, m and rad.
+        scale: what each input is scaled by.
+        meta: what else simulator.json says.
+    """
+    derived, count = Derived(swing), members + central
+    inputs = len(names) + len(derived)
+    network = ProductSummationNetwork(inputs, products, summations, phases=True, ceilings=True)
+    genes = 2.0 / inputs * normal(seed, count, 3, network.genes)
+    weights = network.split(genes)
+    weights.product_weights[0, 0, :2] = weights.product_weights[-1, 2] = 0.0  # left out
+    if shared:
+        weights.exponents[:] = weights.exponents[:1, :1]
+        genes[..., -products:] = genes[:1, :1, -products:]  # the ceilings
+    model = noise_model(seed) if noise is True else noise or None
+    if scale is None:
+        scale = [LONGEST if name == "duration" else FASTEST for name in names]
+    actuators = len(CommandFeatures.of(tuple(names)).driven)
+    return MotionNetwork(
+        [{"name": name, "unit": "s" if name == "duration" else "%"} for name in names],
+        network,
+        genes,
+        torch.tensor(scale),
+        torch.full((3,), size),
+        "residual-twist" if drives else "displacement",
+        meta,
+        noise=model,
+        dead_zone=torch.tensor([0.05 * (name != "duration") for name in names]),
+        central=central,
+        derived=derived,
+        drive=drive_model(seed, actuators) if drives else None,
+        kernel_units=kernel_units(seed, units, inputs, count) if units else None,
+    )

@@ -1,0 +1,177 @@
+import pytest
+import torch
+from driven_robot import drive_data
+
+from neurosim.base.se2 import tensors as se2
+from neurosim.simulators.motion.kernel_units import covariance
+from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.training.base import TrainingData
+from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
+from neurosim.training.trainers.drive_fit import Motion, fit_drive
+from neurosim.training.trainers.gaussian_process import Process, learn_process
+
+NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+INPUTS = [{"name": name, "unit": "%"} for name in NAMES]
+QUICK = {"candidates": 60, "parents": 6, "children": 20, "centres": 40}
+
+
+def trained(data, members=1, noise=False, generations=4, **settings):
+    settings = CombinedSettings(**{**QUICK, **settings})
+    network = CombinedTrainer.make_network(5, (6, 1), ("linear", "linear"))
+    trainer = CombinedTrainer(
+        data, network, settings, 0, members=members, noise=noise, generations=generations
+    )
+    for _ in range(trainer.generations):
+        trainer.advance()
+    return trainer.result()
+
+
+def errors(simulator, data):
+    found = simulator.displacement_of(simulator.chained(data.x))
+    return (found - data.y).abs().mean(0)
+
+
+def test_the_laws_of_a_robot_that_keeps_them_are_found():
+    lag, delay = (0.12, 0.2), 0.06
+    data = drive_data(400, lag=lag, delay=delay, bend=(0.1, 0.2), rate=3.0, noise=0.0)
+    x = data.scaled_inputs
+    columns = CommandFeatures.of(NAMES)
+    longest = float(data.input_scale[4])
+    drive = fit_drive(Motion(x, data.y, data.follows, columns, longest, data.within))
+    assert drive.lag.tolist() == pytest.approx(lag, rel=0.3)
+    assert float(drive.delay) == pytest.approx(delay, abs=0.03)
+    assert drive.bend.tolist() == pytest.approx((0.1, 0.2), abs=0.05)
+    assert drive.rate.tolist() == pytest.approx([3.0, 3.0], rel=0.15)
+
+
+@pytest.mark.parametrize("rows", [20, 30, 60])
+def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
+    data = drive_data(rows, noise=0.003)
+    fresh = drive_data(300, seed=9, noise=0.0)
+    chord, time = se2.chord(data.y[:, 2]), data.x[:, 4:]
+    moved = se2.mid_turn(data.y)
+    turn = torch.linalg.lstsq(data.x[:, 2:4] * time, data.y[:, 2]).solution
+    ahead = torch.linalg.lstsq(chord[:, None] * data.x[:, 2:4] * time, moved[:, 0]).solution
+    ways = fresh.x[:, 2:4] * fresh.x[:, 4:]
+    none = torch.zeros(len(fresh.x), dtype=torch.float64)
+    unicycle = se2.exp(torch.stack([ways @ ahead, none, ways @ turn], 1))
+    own = errors(trained(data, generations=24), fresh)
+    assert (own < (unicycle - fresh.y).abs().mean(0)).all()
+
+
+def test_networks_learn_what_the_drive_model_cannot_say():
+    data = drive_data(500, wobble=0.15)
+    fresh = drive_data(300, seed=9, wobble=0.15, noise=0.0)
+    plain = errors(trained(data, without=("product_units", "process")), fresh)
+    for without in (("process",), ("product_units",), ()):
+        own = errors(trained(data, generations=12, without=without), fresh)
+        assert own[2] < 0.6 * plain[2]
+
+
+def test_what_networks_cannot_better_is_left_to_the_drive_model():
+    data = drive_data(200, noise=0.004)
+    simulator = trained(data)
+    shares = simulator.meta["composition"]["shares"]["dy"]
+    assert sum(shares.values()) <= 0.3
+
+
+def test_one_row_in_a_hundred_far_off_changes_nothing_that_matters():
+    data, fresh = drive_data(600), drive_data(300, seed=9, noise=0.0)
+    y = data.y.clone()
+    y[::100, :2] += 0.3
+    spoilt = TrainingData(data.inputs, data.x, y, data.within)
+    clean, own = (errors(trained(d, generations=12), fresh) for d in (data, spoilt))
+    assert (own < 1.5 * clean + 1e-4).all()
+
+
+def test_poses_within_commands_make_their_beginnings_known():
+    data, fresh = drive_data(300), drive_data(200, seed=9, noise=0.0)
+    early = fresh.within.time < 0.3
+    row, time, moved = (part[early] for part in fresh.within)
+
+    def early_error(**settings):
+        simulator = trained(data, **settings)
+        x = simulator.chained(fresh.x)[row]
+        x[:, 4] = time / simulator.longest
+        return (simulator.displacement_of(x) - moved).abs().mean(0)[[0, 2]]
+
+    assert (early_error() < early_error(whole_commands=True)).all()
+
+
+def test_members_differ_and_their_mean_is_the_central_network():
+    data = drive_data(300, wobble=0.15)
+    simulator = trained(data, members=6, noise=True)
+    x = simulator.chained(data.x)
+    mean = simulator.displacement_of(x)
+    off = torch.stack([simulator.displacement_of(x, m) - mean for m in range(6)])
+    spread, error = off.square().mean().sqrt(), (mean - data.y).square().mean().sqrt()
+    assert 0.02 * error < spread < 3.0 * error
+
+
+def test_where_no_row_was_members_differ_most():
+    data = drive_data(400, wobble=0.15)
+    forwards = (data.x[:, 2:4] >= 0).all(1)
+    own = TrainingData(INPUTS, data.x[forwards], data.y[forwards], scale=data.input_scale)
+    simulator = trained(own, members=8)
+
+    def spread(rows):
+        moved = [simulator.displacement(rows, m)[:, 2] for m in range(8)]
+        return torch.stack(moved).std(0).median()
+
+    assert spread(data.x[(data.x[:, 2:4] < 0).all(1)]) > 2 * spread(data.x[forwards])
+
+
+def test_the_state_goes_on_bit_for_bit():
+    data = drive_data(120, wobble=0.15)
+    network = CombinedTrainer.make_network(5, (6, 1), ("linear", "linear"))
+    makes = lambda: CombinedTrainer(data, network, CombinedSettings(**QUICK), 3, generations=5)  # noqa: E731
+    whole, parted = makes(), makes()
+    for _ in range(5):
+        whole.advance()
+    for _ in range(2):
+        parted.advance()
+    again = makes()
+    again.load(parted.state())
+    for _ in range(3):
+        again.advance()
+    a, b = whole.result(), again.result()
+    assert torch.equal(a.genes, b.genes)
+    assert torch.equal(a.kernel_units.weights, b.kernel_units.weights)
+
+
+def test_the_process_is_the_textbook_s_where_all_rows_are_centres():
+    g = torch.Generator().manual_seed(0)
+    x = torch.rand(40, 2, generator=g, dtype=torch.float64)
+    y = (3 * x[:, 0]).sin() + 0.1 * torch.randn(40, generator=g, dtype=torch.float64)
+    lengths, one = torch.tensor([0.3, 0.5], dtype=torch.float64), torch.ones(1, dtype=torch.float64)
+    process = Process(x, lengths, 0.8 * one, 0.01 * one)
+    units, weight = process.units(x), torch.linspace(0.5, 2.0, 40, dtype=torch.float64)
+    factor = torch.linspace(0.5, 1.5, 40, dtype=torch.float64)
+    mean, triangle = process.posterior(units, factor, factor * y, weight, 0)
+    fresh = torch.rand(7, 2, generator=g, dtype=torch.float64)
+    # Rasmussen and Williams 2006, equations 2.25 and 2.26, of rows y with noise 0.01 / (w f^2).
+    shared = 0.8 * covariance(x, x, lengths) + torch.diag(0.01 / (weight * factor.square()))
+    cross = 0.8 * covariance(fresh, x, lengths)
+    expected = cross @ torch.linalg.solve(shared, y)
+    variance = 0.8 - (cross * torch.linalg.solve(shared, cross.T).T).sum(1)
+    torch.testing.assert_close(process.units(fresh) @ mean, expected, rtol=1e-2, atol=2e-3)
+    part = torch.linalg.solve_triangular(triangle, process.units(fresh).T, upper=False)
+    torch.testing.assert_close(part.square().sum(0), variance, rtol=2e-2, atol=1e-4)
+
+
+def test_lengths_say_which_inputs_matter():
+    g = torch.Generator().manual_seed(1)
+    x = 2 * torch.rand(300, 3, generator=g, dtype=torch.float64) - 1
+    y = torch.stack([(4 * x[:, 1]).sin(), (3 * x[:, 1]).cos()], 1)
+    y = y + 0.02 * torch.randn(300, 2, generator=g, dtype=torch.float64)
+    process = learn_process(x, y, torch.ones_like(y), 60, 300, x[:50], g)
+    assert process.lengths[1] < 0.3 * min(process.lengths[0], process.lengths[2])
+    assert process.noise.sqrt().tolist() == pytest.approx([0.02, 0.02], rel=0.4)
+
+
+def test_robots_that_it_cannot_drive_are_refused():
+    x = torch.rand(30, 2, dtype=torch.float64)
+    data = TrainingData([{"name": "left", "unit": "%"}, {"name": "right", "unit": "%"}], x, x)
+    network = CombinedTrainer.make_network(2, (6, 1), ("linear", "linear"))
+    with pytest.raises(ValueError, match="needs a duration"):
+        CombinedTrainer(data, network, CombinedSettings(), 0)
