@@ -14,7 +14,9 @@ on them too: nothing can be expected to do better.
 
 ``--sizes`` trains on the first 100, 200, 500, 1,000, 2,000 and all rows. ``--quick`` takes one
 seed and a short run of the paper's trainer, whose whole run takes minutes (see ga_training.py).
-About 6 minutes on two cores with 5,000 rows; ``--trainers exponents --no-regressors`` 3 minutes.
+``--trainers combined --no-regressors`` measures the default trainer alone. ``--without NAME ...``
+leaves parts of it out, each in turn: see its settings; ``parts``: it learns from whole commands
+alone.
 Regressors: pip install scikit-learn (extra ``bench``).
 """
 
@@ -34,12 +36,10 @@ import numpy as np
 import torch
 
 from neurosim.base import files
-from neurosim.networks import ProductSummationNetwork
-from neurosim.training.base import TrainingData
 from neurosim.training.evaluate import errors
-from neurosim.training.train import training_data
-from neurosim.training.trainers.registry import TRAINERS
-from neurosim.training.uncertainty.ensemble import EnsembleTrainer
+from neurosim.training.train import learn, training_data
+from neurosim.training.trainers.combined import MECHANISMS
+from neurosim.training.trainers.registry import TRAINERS, trainer_settings
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.mrclam import import_mrclam
@@ -61,23 +61,18 @@ def read(path: Path) -> tuple[Dataset, Dataset]:
         return import_mrclam(path, Path(folder) / "dataset").split(0.25)
 
 
-def trainer(name: str, generations: int | None = None) -> Learner:
-    kind = TRAINERS.get(name)
+def trainer(name: str, generations: int | None = None, without: str = "") -> Learner:
+    def fitted(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
+        options = {"whole_commands": without == "parts"}
+        options["without"] = (without,) if without not in ("", "parts") else ()
+        settings = trainer_settings(name, options) if without else None
+        simulator = learn(
+            training_data(rows), seed, trainer=name, settings=settings, generations=generations,
+            members=1, noise=False,
+        )  # fmt: skip
+        return lambda x: simulator.displacement_of(simulator.chained(torch.tensor(x))).numpy()
 
-    def learn(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        data: TrainingData = training_data(rows)
-        network = ProductSummationNetwork(len(rows.inputs), *kind.default_hidden)
-        each = generations or kind.default_generations
-        settings = kind.settings_type()
-        learner = EnsembleTrainer(
-            kind, data, network, settings, seed, "cpu", members=1, generations=each, noise=False
-        )
-        for _ in range(learner.generations):
-            learner.advance()
-        simulator = learner.result()
-        return lambda x: simulator.displacement(torch.tensor(x)).numpy()
-
-    return learn
+    return fitted
 
 
 def regressors() -> dict[str, Callable[[int], object]]:
@@ -140,6 +135,8 @@ def learners(options: argparse.Namespace) -> dict[str, Learner]:
         short = name == "ga"
         label = f"ga, {GA_GENERATIONS} generations" if short else name
         found[label] = trainer(name, GA_GENERATIONS if short else None)
+    for part in options.without:
+        found[f"combined without {part}"] = trainer("combined", without=part)
     found["ideal unicycle"] = lambda rows, seed: unicycle(rows).displacement
     if options.regressors:
         try:
@@ -231,6 +228,7 @@ def main() -> None:
     parser.add_argument("--no-floor", action="store_true", help="of another robot")
     parser.add_argument("--seeds", type=int, default=5)
     parser.add_argument("--trainers", nargs="*", default=TRAINERS.names(), choices=TRAINERS.names())
+    parser.add_argument("--without", nargs="*", default=[], choices=(*MECHANISMS, "parts"))
     parser.add_argument("--no-regressors", dest="regressors", action="store_false")
     parser.add_argument("--sizes", action="store_true", help="error against the number of rows")
     parser.add_argument("--quick", action="store_true", help="one seed")
@@ -254,9 +252,9 @@ def main() -> None:
             print(f"{'':30s}{'error / floor':>24s}{'on its drives':>24s}", end="")
             print(f"{'cm':>9s}{'cm':>9s}{'deg':>9s}{'s':>9s}")
         table = result["rows"].setdefault(count, {})
-        for name, learn in learners(options).items():
+        for name, learner in learners(options).items():
             repeats = 1 if name == "ideal unicycle" else seeds
-            table[name] = judge(learn, earlier.part(slice(count)), later, repeats, drives)
+            table[name] = judge(learner, earlier.part(slice(count)), later, repeats, drives)
             if not options.json:
                 print(line(name, table[name], floor), flush=True)
         if medians and not options.json:

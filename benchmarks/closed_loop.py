@@ -5,10 +5,10 @@ Robot steps a second of a population of networks, each through the same drawn ou
   - ours: the simulator's compiled rollouts, on all cores;
   - PyTorch: the controllers' own act() and the simulator's own step(), for the whole batch at once.
 
-In a motion network of the size that the default trainer yields (eight members of five outputs, and
-a mean network, with noise) networks see their heading and the next goal; in tables (4 walls, 3
-obstacles, uniform noise) they see eight sensors. The weights of the motion network are random: what
-they are makes no difference to the time.
+In a motion network of the size that the default trainer yields (eight members and a mean network,
+beside a drive model, with kernel units and noise) networks see their heading and the next goal; in
+tables (4 walls, 3 obstacles, uniform noise) they see eight sensors. The weights of the motion
+network are random: what they are makes no difference to the time.
 
     python benchmarks/closed_loop.py                  about two minutes, when compiled before
     python benchmarks/closed_loop.py --quick
@@ -33,11 +33,15 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, TableSimulator
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.derived import Derived
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.noise import NoiseModel
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
 
 STEPS, OUTCOMES, HIDDEN = 200, 10, 5
+#: Kernel units, as many as the default trainer keeps at most.
+UNITS = 150
 #: PyTorch drives fewer steps: its time for each hardly depends on how many there are.
 PEER_STEPS, PEER_REPEATS = 10, 3
 INPUTS = ("cos_heading", "sin_heading", "goal_x", "goal_y", "goal_cos", "goal_sin")
@@ -80,10 +84,24 @@ def families(inputs: tuple[str, ...]) -> dict[str, Controller]:
 def motion_network() -> MotionNetwork:
     """Return a random ensemble of the size that the default trainer yields."""
     names = ("prev_left", "prev_right", "left", "right", "duration")
-    derived = Derived(moving=True, swing=0.03)
+    derived = Derived(swing=0.03)
     network = ProductSummationNetwork(len(names) + len(derived), 10, 1, phases=True, ceilings=True)
-    generator = torch.Generator().manual_seed(0)
-    genes = 0.1 * torch.randn(9, 5, network.genes, generator=generator, dtype=torch.float64)
+    torch.manual_seed(0)
+    genes = 0.1 * torch.randn(9, 3, network.genes, dtype=torch.float64)
+    shares = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])
+    drive = DriveModel(
+        lag=torch.full((2,), 0.1),
+        slowing=torch.ones(2),
+        rate=torch.full((2,), 8.0),
+        bend=torch.zeros(2),
+        delay=torch.tensor([0.03]),
+        kinematics=torch.cat([shares, torch.zeros(3, 3)]),
+    )
+    units = KernelUnits(
+        torch.randn(UNITS, network.inputs, dtype=torch.float64),
+        torch.ones(network.inputs, dtype=torch.float64),
+        0.001 * torch.randn(9, 3, UNITS, dtype=torch.float64),
+    )
     noise = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
     noise["unit"] = torch.tensor([0.5, 0.2, 0.2])
     noise["log_scale"][:, 0] = -5.0
@@ -92,12 +110,14 @@ def motion_network() -> MotionNetwork:
         network,
         genes,
         torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
-        torch.full((5,), 0.05),
-        "twist-offset",
+        torch.full((3,), 0.05),
+        "residual-twist",
         noise=NoiseModel(**noise),
         dead_zone=torch.tensor([0.07, 0.07, 0.07, 0.07, 0.0]),
         central=True,
         derived=derived,
+        drive=drive,
+        kernel_units=units,
     )
 
 

@@ -18,7 +18,7 @@ import sys
 import numpy as np
 import torch
 from guided_recording import guided_rows, random_rows
-from robust_plans import TASK, drive, learned_from
+from robust_plans import TASK, drive
 
 from neurosim.controllers import Plan
 from neurosim.loop.evolve import evolve_in
@@ -26,6 +26,7 @@ from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.rounds import Rounds
 from neurosim.simulators import MotionNetwork
 from neurosim.training.guided import motor_data
+from neurosim.training.train import learn
 
 
 def main() -> None:
@@ -52,7 +53,7 @@ def main() -> None:
             "guided": guided_rows(seed, seed, Rounds(options.commands, options.round)),
         }
         for kind, (x, y, _) in made.items():
-            simulator = learned_from(motor_data(x, y), seed)
+            simulator = learn(motor_data(x, y), seed)
             for number in range(options.plans):
                 found.append(
                     {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}

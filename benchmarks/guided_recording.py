@@ -33,7 +33,6 @@ import numpy as np
 import torch
 from numba import njit
 from numpy.typing import NDArray
-from robust_plans import learned_from
 
 from neurosim.base import se2
 from neurosim.lab.nxt.params import BOARD, LabParams
@@ -50,6 +49,7 @@ from neurosim.lab.nxt.physics import (
 from neurosim.recording.commands import Command, RandomCommands
 from neurosim.recording.rounds import Rounds
 from neurosim.training.guided import MARGIN, Committee, Place, choose, motor_data
+from neurosim.training.train import learn
 
 OUTPUTS = ("dx", "dy", "dtheta")
 #: Of a pose that is tracked: standard deviations, m, m and rad.
@@ -177,7 +177,7 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
 
 def learned(x: NDArray, y: NDArray, seed: int) -> Callable[[NDArray], NDArray]:
     """Return what the default trainer predicts from these rows."""
-    simulator = learned_from(motor_data(x, y), seed, members=1, noise=False)
+    simulator = learn(motor_data(x, y), seed, members=1, noise=False)
     return lambda inputs: simulator.displacement(torch.tensor(inputs)).numpy()
 
 

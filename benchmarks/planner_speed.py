@@ -37,6 +37,7 @@ from neurosim.loop.search import Search
 from neurosim.loop.settings import default_settings
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion.domain import Domain
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.training.train import train
 
@@ -117,7 +118,9 @@ def papers_size() -> MotionNetwork:
     names = ("prev_left", "prev_right", "left", "right", "duration")
     scale = torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0])
     inputs = [{"name": name, "unit": "s" if name == "duration" else "%"} for name in names]
-    return MotionNetwork(inputs, network, genes, scale, torch.full((3,), 0.1))
+    rows = np.random.default_rng(0).uniform([-50, -50, 0.5], [50, 50, 3.0], (400, 3))
+    known = Domain.of(("left", "right", "duration"), rows)
+    return MotionNetwork(inputs, network, genes, scale, torch.full((3,), 0.1), known=known)
 
 
 def ours(simulator: MotionNetwork, name: str, runs: int, generations: int) -> dict:

@@ -43,16 +43,12 @@ from neurosim.lab.nxt.params import LabParams
 from neurosim.loop.check import check
 from neurosim.loop.evolve import Result, evolve_in, improve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
-from neurosim.networks import ProductSummationNetwork
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.simulators import read_simulator
 from neurosim.simulators.base import PLACING, Simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
-from neurosim.training.base import TrainingData
-from neurosim.training.train import MEMBERS, train, training_data
-from neurosim.training.trainers.registry import DEFAULT, TRAINERS
-from neurosim.training.uncertainty.ensemble import EnsembleTrainer
+from neurosim.training.train import learn, train, training_data
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.recordings import Recording
 
@@ -146,27 +142,7 @@ def learned_from_few(options: argparse.Namespace, number: int):
     some = slice(number * options.rows, (number + 1) * options.rows)
     if some.stop > len(data.x):
         raise SystemExit(f"{options.dataset} has no {some.stop} rows: a smaller --rows or --plans")
-    return learned_from(TrainingData(data.inputs, data.x[some], data.y[some]), number)
-
-
-def learned_from(data: TrainingData, seed: int, *, members: int = MEMBERS, noise: bool = True):
-    """Return what the default trainer makes of all these rows; nothing is held out."""
-    kind = TRAINERS.get(DEFAULT)
-    network = ProductSummationNetwork(data.x.shape[1], *kind.default_hidden)
-    trainer = EnsembleTrainer(
-        kind,
-        data,
-        network,
-        kind.settings_type(),
-        seed,
-        "cpu",
-        members=members,
-        generations=kind.default_generations,
-        noise=noise,
-    )
-    for _ in range(trainer.generations):
-        trainer.advance()
-    return trainer.result()
+    return learn(data.part(some), number)
 
 
 def one_set(simulator, length: int, number: int, options: argparse.Namespace) -> list[dict]:

@@ -24,6 +24,10 @@ that to the best peer at the output; over outputs and robots, geometric means. L
 
 ``+u``: on what the fitted unicycle leaves. Peers get the inputs that ours gets and whole commands.
 
+``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_zone``, ``swing``,
+``product_units``, ``process`` (the Gaussian process), ``row_weights``, or the ``parts`` of
+commands, each in turn; columns ``-PART``.
+
 ``--outliers``: one row in a hundred, but at least one, ends 30 cm off in a random direction.
 ``--repeated``: a recording added five times; sizes are its rows before. ``--peers FILE`` keeps
 peers' errors: they are measured once and shown whatever ``--learners`` says. It knows nothing of
@@ -57,12 +61,12 @@ from zoo_robots import CAR, ZOO, Drives, Robot, clean, rows
 
 from neurosim.base import files, se2
 from neurosim.base.errors import UserError
-from neurosim.networks import ProductSummationNetwork
-from neurosim.training.base import TrainingData
+from neurosim.training.base import TrainingData, Within
 from neurosim.training.evaluate import errors
-from neurosim.training.trainers.registry import DEFAULT, TRAINERS
-from neurosim.training.uncertainty.ensemble import EnsembleTrainer
+from neurosim.training.train import learn
+from neurosim.training.trainers.combined import MECHANISMS, CombinedSettings
 from tracking.datasets.mrclam import import_mrclam
+from tracking.datasets.within import WITHIN
 
 Array = NDArray[np.float64]
 Predict = Callable[[Array], Array]
@@ -78,20 +82,30 @@ OUTLIERS, OFF = 0.01, 0.3
 REPEATS = 5
 
 
-def ours(inputs: list[dict[str, str]], drives: Drives, seed: int) -> Predict:
-    """Learn from drives with the learner that is measured here."""
-    kind = TRAINERS.get(DEFAULT)
-    data = TrainingData(inputs, torch.tensor(drives.x), torch.tensor(drives.y))
-    network = ProductSummationNetwork(len(inputs), *kind.default_hidden)
-    each = kind.default_generations
-    learner = EnsembleTrainer(
-        kind, data, network, kind.settings_type(), seed, "cpu", members=1, generations=each,
-        noise=False,
-    )  # fmt: skip
-    for _ in range(learner.generations):
-        learner.advance()
-    simulator = learner.result()
-    return lambda x: simulator.displacement(torch.tensor(x)).numpy()
+def ours(inputs: list[dict[str, str]], drives: Drives, seed: int, without: str = "") -> Predict:
+    """Learn from drives with the learner that is measured here, or without a part of it."""
+    settings = CombinedSettings(
+        whole_commands=without == "parts",
+        without=(without,) if without not in ("", "parts") else (),
+    )
+    data = TrainingData(
+        inputs, torch.tensor(drives.x), torch.tensor(drives.y), poses_within(drives)
+    )
+    simulator = learn(data, seed, settings=settings, members=1, noise=False)
+    return lambda x: simulator.displacement_of(simulator.chained(torch.tensor(x))).numpy()
+
+
+def poses_within(drives: Drives) -> Within | None:
+    """Return as many poses within commands as a dataset has."""
+    looks = drives.times.shape[1] - 1
+    if looks < 1:
+        return None
+    taken = np.unique(np.linspace(0, looks - 1, WITHIN).astype(int))
+    row = np.repeat(np.arange(len(drives.x)), len(taken))
+    time = drives.times[:, taken].ravel()
+    moved = drives.poses[:, taken].reshape(-1, 3)
+    inside = time < np.repeat(drives.times[:, -1], len(taken)) - 1e-2
+    return Within(*(torch.tensor(part[inside]) for part in (row, time, moved)))
 
 
 @dataclass(frozen=True)
@@ -297,13 +311,16 @@ def makers() -> dict[str, Callable[[int], object]]:
 
 REGRESSORS = ("linear", "forest", "boosting", "process", "perceptrons")
 PEERS = ("ideal", "fitted", *(name + end for name in REGRESSORS for end in ("", "+u")))
-LEARNERS = ("ours", *PEERS)
+#: What can be left out of ours.
+PARTS = (*MECHANISMS, "parts")
+ABLATIONS = tuple(f"-{name}" for name in PARTS)
+LEARNERS = ("ours", *ABLATIONS, *PEERS)
 
 
-def learn(name: str, robot: Robot, drives: Drives, seed: int) -> Predict | None:
+def learner_of(name: str, robot: Robot, drives: Drives, seed: int) -> Predict | None:
     """Return what a learner predicts with, None if it is none for this robot."""
-    if name == "ours":
-        return ours(robot.inputs, drives, seed)
+    if name not in PEERS:
+        return ours(robot.inputs, drives, seed, "" if name == "ours" else name[1:])
     if name in ("ideal", "fitted"):
         return unicycle(robot, drives, name == "ideal")
     base, _, rest = name.partition("+")
@@ -336,7 +353,7 @@ def spoiled(drives: Drives, seed: int, outliers: bool, repeated: bool) -> Drives
 def judge(name: str, case: Case, drives: Drives, seed: int) -> dict[str, object] | None:
     """Return the errors (cm, cm, deg) and the seconds of one training."""
     began = time.perf_counter()
-    predict = learn(name, case.robot, drives, seed)
+    predict = learner_of(name, case.robot, drives, seed)
     if predict is None:
         return None
     seconds = time.perf_counter() - began
@@ -377,10 +394,10 @@ def measure(
         drives = spoiled(case.learned(count, seed), seed, options.outliers, options.repeated)
         for learner in LEARNERS:
             key = f"{name}|{count}|{seed}|{learner}|{option}"
-            result = known.get(key) if learner != "ours" else None
+            result = known.get(key) if learner in PEERS else None
             if result is None and learner in options.learners:
                 result = judge(learner, case, drives, seed)
-                if result is not None and learner != "ours":
+                if result is not None and learner in PEERS:
                     known.put(key, result)
             if result is not None:
                 runs.setdefault(learner, []).append(result)
@@ -489,7 +506,10 @@ def main() -> None:
     parser.add_argument("--robots", default=",".join(everything), help="a,b,...")
     parser.add_argument("--sizes", default="30,100,300,1000", help="rows to learn from, a,b,...")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--learners", default=",".join(LEARNERS), help="a,b,... or peers")
+    parser.add_argument("--learners", default=",".join(("ours", *PEERS)), help="a,b,... or peers")
+    parser.add_argument(
+        "--without", default="", help="parts of ours left out in turn, a,b,... or all"
+    )
     parser.add_argument("--outliers", action="store_true", help="1 %% of rows end 30 cm off")
     parser.add_argument("--repeated", action="store_true", help="every row five times")
     parser.add_argument("--peers", type=Path, metavar="FILE", help="keeps peers' results")
@@ -499,7 +519,10 @@ def main() -> None:
     options.robots = chosen(options.robots, everything, "robot")
     if options.learners == "peers":
         options.learners = ",".join(PEERS)
-    options.learners = chosen(options.learners, LEARNERS, "learner")
+    options.learners = chosen(options.learners, ("ours", *PEERS), "learner")
+    if options.without:
+        parts = PARTS if options.without == "all" else options.without.split(",")
+        options.learners += [f"-{name}" for name in chosen(",".join(parts), PARTS, "part")]
     sizes = sorted(int(size) for size in options.sizes.split(","))
     torch.set_num_threads(1)
     cases, known = read_cases(options), Known(options.peers)

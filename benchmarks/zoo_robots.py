@@ -1,4 +1,7 @@
-"""Robots of different make, for benchmarks of the learner: none of its constants is chosen on them.
+"""Robots of different make, for benchmarks of the learner.
+
+Some of the learner's constants were chosen with the others in sight; :data:`FRESH` ones were added
+when they stood.
 
 Every robot is driven by random commands, one straight into the next, and seen by a camera with
 noise; ``clean`` is what it would have done without any noise. Lab robots are those of
@@ -299,7 +302,33 @@ ZOO: dict[str, Robot] = {
         scale=(0.3, 0.28), geometry=0.11, lag=(0.08, 0.25), slowing=0.4, bend=0.3,
         dead_band=(0.15, 0.1), gain=(0.95, 1.08), noise=(0.03, 0.001, 0.005),
     ),
+    "lab 104": LabRobot(**_NXT, lab_seed=104),
+    "lab 105": LabRobot(**_NXT, lab_seed=105),
+    "rover": Robot(
+        scale=(1.2, 1.2), geometry=0.55, lag=(0.35, 0.3), slowing=0.8, rate=2.5,
+        dead_band=(0.05, 0.06), bend=0.1, slip=(0.08, 0.2, 0.03), noise=(0.05, 0.005, 0.01),
+        camera=(0.003, 0.004),
+    ),
+    "kart": Robot(
+        names=("speed", "steering"), largest=(100.0, 100.0), kind=CAR, scale=(1.5, 0.45),
+        geometry=0.4, lag=(0.5, 0.15), delay=0.06, gain=(1.0, 1.05), dead_band=(0.06, 0.0),
+        noise=(0.03, 0.003, 0.005), camera=(0.002, 0.003), slip=(0.05, 0.06, 0.02),
+    ),
+    "vacuum": Robot(
+        names=("v", "w"), units="SI", largest=(0.35, 2.5), kind=UNICYCLE, scale=(0.35, 2.5),
+        lag=(0.05, 0.05), rate=3.0, delay=0.08, dead_band=(0.03, 0.04), gain=(0.98, 0.93),
+        noise=(0.02, 0.001, 0.01), slip=(0.01, 0.03, 0.01),
+    ),
+    "soccer": Robot(
+        names=("vx", "vy", "w"), largest=(100.0, 100.0, 100.0), kind=OMNI,
+        scale=(1.0, 0.8, 4.0), gain=(1.03, 0.9, 1.0), lag=(0.08, 0.1, 0.06), rate=4.0,
+        bend=0.15, dead_band=(0.08, 0.1, 0.08), noise=(0.03, 0.002, 0.01), slip=(0.02, 0.03, 0.02),
+    ),
 }  # fmt: skip
+
+
+#: Robots that were not looked at while constants of the learner were chosen.
+FRESH = ("lab 104", "lab 105", "rover", "kart", "vacuum", "soccer")
 
 
 def rows(robot: Robot, count: int, seed: int) -> Drives:
