@@ -19,7 +19,7 @@ from neurosim.networks.control_kernels import act, observe
 from neurosim.simulators.base import as_seed, draw_members, put_down
 from neurosim.simulators.closed_loop import ClosedLoop
 from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread, tell
-from neurosim.simulators.motion.plan_kernels import Ensemble, displacements, lay_out, scratch_size
+from neurosim.simulators.motion.plan_kernels import Ensemble, displacements, lay_out, scratch
 
 
 class MotionClosedLoop(ClosedLoop):
@@ -150,7 +150,7 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)
         values, net, unread = np.zeros(room), genes[p], np.empty(0, np.float32)
         given = e.linear.shape[2]
-        x, inner, memory = np.empty(given), np.empty(scratch_size(one)), np.zeros(remembered)
+        x, inner, memory = np.empty(given), scratch(one), np.zeros(remembered)
         size, moved = np.empty(SIZES), np.empty((1, 3))
         # The last column is the duration, where there is one.
         command = np.full(width + 1, loop.step)

@@ -215,10 +215,18 @@ def _kernel_units(centres, lengths, x, out):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
-def scratch_size(e):
-    """Return how many numbers :func:`displacements` needs for itself."""
+def scratch(e):
+    """Return arrays that :func:`displacements` needs for itself, a tuple."""
     inputs, units = e.exponents.shape
-    return inputs + units + e.centres.shape[1] + len(e.bias) + 2 * len(e.driven) + 6
+    return (
+        np.empty(inputs),
+        np.empty(units),
+        np.empty(e.centres.shape[1]),
+        np.empty(len(e.bias)),
+        np.empty((2, len(e.driven))),
+        np.empty(3),
+        np.empty(3),
+    )
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -228,18 +236,11 @@ def displacements(e, x, room, out):
     Args:
         e: :class:`Ensemble`.
         x: of :func:`neurosim.simulators.motion.kernels.tell`.
-        room: scratch, [scratch_size(e)].
+        room: of :func:`scratch`.
         out: [M, 3], written.
     """
-    inputs, count = e.exponents.shape
-    near = e.centres.shape[1]
-    log2, units = room[:inputs], room[inputs : inputs + count]
-    first = inputs + count
-    nearness, rows = room[first : first + near], room[first + near : first + near + len(e.bias)]
-    first += near + len(e.bias)
-    way = room[first : first + 2 * len(e.driven)].reshape(2, len(e.driven))
-    first += 2 * len(e.driven)
-    twist, moved = room[first : first + 3], room[first + 3 : first + 6]
+    log2, units, nearness, rows, way, twist, moved = room
+    near = len(nearness)
     pattern = 0
     for i in range(len(x)):
         if x[i] < 0.0:
@@ -294,10 +295,10 @@ def mean_poses(e, source, start, commands, given, rests):
         [B, T + 1, 3].
     """
     batch, count = commands.shape[:2]
-    space, remembered = scratch_size(e), 2 * len(e.driven) + 2
+    remembered = 2 * len(e.driven) + 2
     poses = np.empty((batch, count + 1, 3))
     for b in prange(batch):
-        x, room, memory = np.empty(len(e.exponents)), np.empty(space), np.zeros(remembered)
+        x, room, memory = np.empty(len(e.exponents)), scratch(e), np.zeros(remembered)
         moved = np.empty((1, 3))
         px, py, theta = start[0], start[1], start[2]
         for k in range(count):
@@ -330,11 +331,11 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, rests):
         [B, R, T + 1, 3].
     """
     batch, count = commands.shape[:2]
-    space, remembered = scratch_size(e), 2 * len(e.driven) + 2
+    remembered = 2 * len(e.driven) + 2
     draws = len(starts)
     poses = np.empty((batch, draws, count + 1, 3))
     for b in prange(batch):
-        x, room, memory = np.empty(len(e.exponents)), np.empty(space), np.zeros(remembered)
+        x, room, memory = np.empty(len(e.exponents)), scratch(e), np.zeros(remembered)
         means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
         moved = np.empty(3)
         poses[b, :, 0] = starts
