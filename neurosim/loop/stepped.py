@@ -5,6 +5,7 @@ This is what compiled rollouts are held to.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, observe
 from neurosim.controllers.goals import Goals
 from neurosim.networks.control import NOT_READINGS
-from neurosim.simulators.base import Simulator, as_seed, draw_members, put_down
+from neurosim.simulators.base import Simulator, as_seed, draw_outcomes
 
 
 class SteppedRollouts:
@@ -39,17 +40,10 @@ class SteppedRollouts:
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw outcomes: where each robot stands, its member, and its noise or a seed for it."""
-        simulator, count = self._simulator, len(starts)
-        generator = torch.Generator().manual_seed(as_seed(rng))
-        starts = put_down(starts, placing, generator)
-        member = None
-        if simulator.members > 1:
-            member = draw_members(count, simulator.members, generator)
-        if simulator.has_noise and simulator.noise_width:
-            noise = simulator.draw_noise(count, self._steps(), generator).numpy()
-            return Draws(starts, member, noise)
-        seeds = np.array([as_seed(rng)], np.uint64) if simulator.has_noise else None
-        return Draws(starts, member, None, seeds)
+        drawn = draw_outcomes(self._simulator, starts, rng, placing, self._steps())
+        if drawn.noise is not None or not self._simulator.has_noise:
+            return drawn
+        return replace(drawn, seeds=np.array([as_seed(rng)], np.uint64))
 
     def _steps(self) -> int:
         if self._controller.blind:

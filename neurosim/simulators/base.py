@@ -184,6 +184,30 @@ def draw_members(count: int, members: int, generator: torch.Generator) -> NDArra
     return (torch.arange(count) % members)[order].numpy()
 
 
+def draw_outcomes(
+    simulator: Simulator,
+    starts: NDArray[np.float64],
+    rng: np.random.Generator | int,
+    placing: tuple[float, float] | None,
+    steps: int,
+) -> Draws:
+    """Draw outcomes: where each robot stands, its member, and the noise that a simulator is given.
+
+    Args:
+        simulator: in which they are.
+        starts, rng, placing: as :meth:`Rollouts.draw` takes them.
+        steps: of a trial.
+    """
+    generator = torch.Generator().manual_seed(as_seed(rng))
+    starts = put_down(starts, placing, generator)
+    member = noise = None
+    if simulator.members > 1:
+        member = draw_members(len(starts), simulator.members, generator)
+    if simulator.has_noise and simulator.noise_width:
+        noise = simulator.draw_noise(len(starts), steps, generator).numpy()
+    return Draws(starts, member, noise)
+
+
 def put_down(
     starts: NDArray[np.float64], placing: tuple[float, float] | None, generator: torch.Generator
 ) -> NDArray[np.float64]:

@@ -10,13 +10,12 @@ import math
 from typing import Any
 
 import numpy as np
-import torch
 from numba import njit, prange
 from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.networks.control_kernels import act, observe
-from neurosim.simulators.base import as_seed, draw_members, put_down
+from neurosim.simulators.base import draw_outcomes
 from neurosim.simulators.closed_loop import ClosedLoop
 from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread, tell
 from neurosim.simulators.motion.plan_kernels import Ensemble, displacements, lay_out, scratch
@@ -39,15 +38,7 @@ class MotionClosedLoop(ClosedLoop):
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw outcomes: where the robot is put down, member and noise of each."""
-        simulator, count = self.simulator, len(starts)
-        generator = torch.Generator().manual_seed(as_seed(rng))
-        starts = put_down(starts, placing, generator)
-        member = None
-        if simulator.members > 1:
-            member = draw_members(count, simulator.members, generator)
-        if simulator.noise is None:
-            return Draws(starts, member)
-        return Draws(starts, member, simulator.draw_noise(count, self.steps, generator).numpy())
+        return draw_outcomes(self.simulator, starts, rng, placing, self.steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""

@@ -319,9 +319,7 @@ class MotionNetwork(Simulator):
 
     def _moved(self, x: Tensor, member: Tensor | int, z: Tensor | None) -> Tensor:
         mean = self.displacement_of(x, member)
-        if z is None or self.noise is None:
-            return mean
-        return disturb(self.noise, self.columns, x, mean, z)
+        return mean if z is None else self.disturbed(x, mean, z)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
         """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].

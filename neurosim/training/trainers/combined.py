@@ -155,7 +155,6 @@ class CombinedTrainer:
         self.generations = generations or self.default_generations
         self._device = device
         self._columns = CommandFeatures.of(names)
-        self._done = 0
         with one_thread(device):
             self._begin(names)
         self._network = replace(
@@ -277,7 +276,6 @@ class CombinedTrainer:
         """Give the turn one unit more and the translation two; return mean squared errors [3]."""
         with one_thread(self._device):
             self._grow(self._searches)
-        self._done += 1
         turn, shift = (search.mean_squared_error for search in self._searches)
         return torch.cat([shift, turn]).cpu()
 
@@ -291,7 +289,7 @@ class CombinedTrainer:
 
     def state(self) -> dict[str, Tensor]:
         """Return the state of the searches; what came before follows from the rows."""
-        state = {"done": torch.tensor([self._done])}
+        state: dict[str, Tensor] = {}
         for number, search in enumerate(self._searches):
             state |= {f"{number}.{key}": value for key, value in search.state().items()}
         return state
@@ -301,7 +299,6 @@ class CombinedTrainer:
         for number, search in enumerate(self._searches):
             begin = f"{number}."
             search.load({k.removeprefix(begin): v for k, v in state.items() if k.startswith(begin)})
-        self._done = int(state["done"])
 
     # All together
 
