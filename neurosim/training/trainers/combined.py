@@ -92,6 +92,10 @@ class CombinedSettings(PursuitSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
+        if min(self.swing_rows, self.search_rows, self.centres, self.most_parts) < 1:
+            raise ValueError("swing_rows, search_rows, centres and most_parts are at least 1")
+        if self.noise_rows < 1 or not self.part_weight > 0.0 or not 0.0 <= self.lean <= 1.0:
+            raise ValueError("noise_rows is at least 1, part_weight above 0, and lean 0 to 1")
         for name in self.without:
             if name not in MECHANISMS:
                 raise ValueError(f"without is of {', '.join(MECHANISMS)}, not {name!r}")
