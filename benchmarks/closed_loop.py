@@ -92,8 +92,10 @@ def motion_network() -> MotionNetwork:
     drive = DriveModel(
         lag=torch.full((2,), 0.1),
         slowing=torch.ones(2),
+        braking=torch.full((2,), 0.5),
         rate=torch.full((2,), 8.0),
         bend=torch.zeros(2),
+        stick=torch.full((2,), 0.01),
         delay=torch.tensor([0.03]),
         kinematics=torch.cat([shares, torch.zeros(3, 3)]),
     )

@@ -26,7 +26,7 @@ from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion import kernels
-from neurosim.simulators.motion.drive import DriveModel, motion_features
+from neurosim.simulators.motion.drive import MOVING, DriveModel, motion_features
 from neurosim.simulators.motion.files import KERNEL, write_motion
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive
@@ -41,16 +41,23 @@ def double(values):
     return torch.tensor(values, dtype=torch.float64)
 
 
-def alike(lag=0.2, slowing=1.0, rate=100.0, bend=0.0, delay=0.0, kinematics=None):
+def alike(
+    lag=0.2, slowing=1.0, braking=1.0, rate=100.0, bend=0.0, stick=0.0, delay=0.0, kinematics=None
+):
     """Return a drive model of two actuators that are alike, of a differential drive."""
     if kinematics is None:
         kinematics = [[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3]
-    laws = [double([value, value]) for value in (lag, slowing, rate, bend)]
+    laws = [double([value, value]) for value in (lag, slowing, braking, rate, bend, stick)]
     return DriveModel(*laws, double([delay]), double(kinematics))
 
 
 def pairs(low, high):
     return st.tuples(st.floats(low, high), st.floats(low, high)).map(double)
+
+
+def speeds():
+    """Return two shares of full speed, none so small that no dead band would hold it."""
+    return st.tuples(*[st.integers(-500, 500)] * 2).map(lambda pair: double(pair) / 500)
 
 
 @st.composite
@@ -60,23 +67,33 @@ def drive_models(draw):
         draw(st.integers(0, 99)),
         lag=draw(pairs(0.03, 0.5)),
         slowing=draw(pairs(0.4, 2.0)),
+        braking=draw(pairs(0.3, 2.0)),
         rate=draw(pairs(0.5, 20.0)),
         bend=draw(pairs(-0.2, 0.3)),
+        stick=draw(pairs(0.0, 0.05)),
         delay=double([draw(st.floats(0.0, 0.15))]),
     )
 
 
 def integrated(drive, before, told, time):
     """Return the speeds at FINE + 1 equal times, [FINE + 1, C], by the midpoint method."""
-    lag = torch.where(told.abs() < before.abs(), drive.lag * drive.slowing, drive.lag).numpy()
+    lag = torch.where(told.abs() < before.abs(), drive.lag * drive.slowing, drive.lag)
+    lag = torch.where(told == 0.0, drive.lag * drive.braking, lag).numpy()
     rate, delay, dt = drive.rate.numpy(), float(drive.delay), time / FINE
     speed, told = before.numpy(), told.numpy()
+    turns = (told != 0.0) & (np.sign(told) * speed < MOVING)
+    held = np.clip(1.0 - np.sign(told) * speed / MOVING, 0.0, 1.0)
+    stands = np.where(turns, held * drive.stick.numpy() / np.where(turns, np.abs(told), 1.0), 0.0)
     found = [speed]
     for n in range(FINE):
-        # Of the step in which the delay ends only the rest counts.
+        # Of the step in which the delay ends only the rest counts, so of the one in which it
+        # starts from standing.
         step = min(max((n + 1) * dt - delay, 0.0), dt)
+        waits = np.where(turns & (speed * told >= 0.0), np.minimum(stands, step), 0.0)
+        stands, step = stands - waits, step - waits
         middle = speed + 0.5 * step * np.clip((told - speed) / lag, -rate, rate)
-        speed = speed + step * np.clip((told - middle) / lag, -rate, rate)
+        after = speed + step * np.clip((told - middle) / lag, -rate, rate)
+        speed = np.where(turns & (stands > 0.0) & (after * told > 0.0), 0.0, after)
         found.append(speed)
     return np.array(found)
 
@@ -92,18 +109,37 @@ def integrated_pose(drive, speeds, time):
 
 
 def test_an_exponential_worked_by_hand():
-    before, told = double([[0.0, 0.8]]), double([[0.5, 0.0]])
+    before, told = double([[0.0, 0.8]]), double([[0.5, 0.2]])
     drive = replace(alike(lag=0.2, slowing=0.5), delay=double([0.1]))
     left, missed, settling = drive.approach(before, told, double([0.5]))
     # 0.4 s after the delay: two time constants; four where it slows down.
     up, down = math.exp(-2.0), math.exp(-4.0)
-    assert left[0].tolist() == pytest.approx([0.5 * up, -0.8 * down])
-    way = [0.5 * (0.1 + 0.2 * (1 - up)), -0.8 * (0.1 + 0.1 * (1 - down))]
+    assert left[0].tolist() == pytest.approx([0.5 * up, -0.6 * down])
+    way = [0.5 * (0.1 + 0.2 * (1 - up)), -0.6 * (0.1 + 0.1 * (1 - down))]
     assert missed[0].tolist() == pytest.approx(way)
     assert settling[0].tolist() == pytest.approx([0.6, 0.35])
     assert drive.reached(before, told, double([0.5]))[0, 0] == pytest.approx(0.5 - 0.5 * up)
     # Within the delay nothing happens.
     assert torch.equal(drive.reached(before, told, double([0.07])), before)
+
+
+def test_standing_and_braking_worked_by_hand():
+    drive = alike(lag=0.2, braking=0.5, stick=0.05)
+    # Told 0.5 while it stands, it stands for another 0.1 s. Told to stand, it brakes at lag 0.1 s.
+    before, told = double([[0.0, 0.8]]), double([[0.5, 0.0]])
+    left, missed, settling = drive.approach(before, told, double([0.3]))
+    assert left[0].tolist() == pytest.approx([0.5 * math.exp(-1.0), -0.8 * math.exp(-3.0)])
+    way = [0.05 + 0.1 * (1 - math.exp(-1.0)), -0.08 * (1 - math.exp(-3.0))]
+    assert missed[0].tolist() == pytest.approx(way)
+    assert settling[0].tolist() == pytest.approx([0.6, 0.25])
+    assert drive.reached(before, told, double([0.06]))[0, 0] == 0.0
+    # From -0.5 to 0.5 it stands when half of the way is left, after 0.2 ln 2 s, for 0.1 s.
+    before, told = double([[-0.5, 0.2]]), double([[0.5, 0.5]])
+    until = 0.2 * math.log(2.0)
+    speeds = [drive.reached(before, told, double([until + t]))[0, 0] for t in (0.0, 0.09, 0.1, 0.2)]
+    assert speeds == pytest.approx([0.0, 0.0, 0.0, 0.5 * (1 - math.exp(-0.5))], abs=1e-12)
+    # What goes on the same way does not stand.
+    assert drive.reached(before, told, double([0.2]))[0, 1] == pytest.approx(0.5 - 0.3 / math.e)
 
 
 def test_a_limited_rate_worked_by_hand():
@@ -122,7 +158,7 @@ def test_a_bend_worked_by_hand():
 
 
 @settings(max_examples=30, deadline=None)
-@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(0.05, 3.0))
+@given(drive_models(), speeds(), speeds(), st.floats(0.05, 3.0))
 def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, time):
     told = drive.shaped(told)
     speeds = integrated(drive, before, told, time)
@@ -139,7 +175,7 @@ def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, ti
 
 
 @settings(max_examples=30, deadline=None)
-@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(0.05, 3.0))
+@given(drive_models(), speeds(), speeds(), st.floats(0.05, 3.0))
 def test_pieces_add_up_to_the_way(drive, before, told, time):
     way = told * time - drive.approach(before[None], told[None], double([time])).missed[0]
     pieces = drive.pieces(before[None], told[None], double([time]))
@@ -163,14 +199,14 @@ KINEMATICS = {
     st.floats(0.03, 0.2),
     st.floats(3.0, 20.0),
     st.floats(0.0, 0.1),
-    pairs(-1.0, 1.0),
-    pairs(-1.0, 1.0),
+    speeds(),
+    speeds(),
     st.floats(0.1, 3.0),
 )
 def test_phases_are_near_a_fine_integration(
     kinematics, metres, radians, lag, rate, delay, before, told, time
 ):
-    drive = alike(lag, 0.8, rate, delay=delay, kinematics=kinematics)
+    drive = alike(lag, 0.8, 0.8, rate, delay=delay, kinematics=kinematics)
     moved, steady = drive.phases(before[None], told[None], double([time]))
     found = se2.compose(moved, se2.exp(steady))[0].numpy()
     wanted = integrated_pose(drive, integrated(drive, before, told, time), time)
@@ -203,7 +239,7 @@ ARRAYS = random_motion_network(noise=False).arrays()
 
 
 @settings(max_examples=40, deadline=None)
-@given(drive_models(), pairs(-1.0, 1.0), pairs(-1.0, 1.0), st.floats(1e-4, 3.0))
+@given(drive_models(), speeds(), speeds(), st.floats(1e-4, 3.0))
 def test_the_compiled_form_agrees(drive, before, told, time):
     told = drive.shaped(told)
     arrays = ARRAYS._replace(**{name: getattr(drive, name).numpy() for name in DriveModel.NAMES})
@@ -224,8 +260,16 @@ def test_what_is_no_drive_model_is_refused():
         replace(alike(), rate=double([1.0]))
     with pytest.raises(ValueError, match=r"kinematics must be of shape \(5, 3\)"):
         replace(alike(), kinematics=torch.zeros(2, 3))
-    for wrong in ({"lag": 0.0}, {"rate": -1.0}, {"slowing": 0.0}, {"delay": -0.1}):
-        with pytest.raises(ValueError, match="must be above 0, and no delay below"):
+    wrongs = {
+        "lag": 0.0,
+        "rate": -1.0,
+        "slowing": 0.0,
+        "braking": 0.0,
+        "delay": -0.1,
+        "stick": -0.1,
+    }
+    for wrong in ({name: value} for name, value in wrongs.items()):
+        with pytest.raises(ValueError, match="must be above 0, stick and delay not below"):
             alike(**wrong)
     assert can_drive(NAMES)
     assert not can_drive(NAMES, 3)

@@ -21,23 +21,29 @@ def drive_data(
     delay=0.0,
     bend=(0.0, 0.0),
     rate=40.0,
+    braking=1.0,
+    stick=0.0,
+    stops=0.0,
     wobble=0.0,
     noise=0.001,
 ):
     """Rows of a differential drive of 0.2 m/s and 0.1 m track, with poses within commands.
 
-    ``wobble``: rad/s by which it turns where its left wheel runs against its right.
+    ``stops``: the share of wheels that are told to stand. ``wobble``: rad/s by which it turns
+    where its left wheel runs against its right.
     """
     g = torch.Generator().manual_seed(seed)
     u = 2.0 * torch.rand(count, 2, generator=g, dtype=torch.float64) - 1.0
+    if stops:
+        u[torch.rand(count, 2, generator=g) < stops] = 0.0
     u[0] = torch.tensor([1.0, -1.0])  # the scale is the same for all
     time = 0.5 + 2.5 * torch.rand(count, generator=g, dtype=torch.float64)
     time[1] = 3.0
     wheel = torch.tensor([[0.1, 0.0, -2.0], [0.1, 0.0, 2.0]], dtype=torch.float64)
     kinematics = torch.cat([wheel, torch.zeros(3, 3, dtype=torch.float64)])
     drive = DriveModel(
-        torch.tensor(lag), torch.ones(2), torch.full((2,), rate), torch.tensor(bend).double(),
-        torch.tensor([delay]), kinematics,
+        torch.tensor(lag), torch.ones(2), torch.full((2,), braking), torch.full((2,), rate),
+        torch.tensor(bend).double(), torch.full((2,), stick), torch.tensor([delay]), kinematics,
     )  # fmt: skip
     speed, before = torch.zeros(2, dtype=torch.float64), torch.zeros_like(u)
     told = drive.shaped(u)

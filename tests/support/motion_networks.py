@@ -39,8 +39,10 @@ def drive_model(seed=0, actuators=2, **parts):
     found = {
         "lag": 0.12 + 0.08 * drawn["lag"],
         "slowing": 1.0 + 0.4 * drawn["slowing"],
+        "braking": 0.8 + 0.4 * drawn["braking"],
         "rate": 5.0 + 3.0 * drawn["rate"],
         "bend": 0.15 * drawn["bend"],
+        "stick": 0.02 + 0.02 * drawn["stick"],
         "delay": 0.05 + 0.04 * drawn["delay"],
         "kinematics": torch.tensor([0.15, 0.05, 1.0]) * drawn["kinematics"],
     }

@@ -44,6 +44,16 @@ def test_the_laws_of_a_robot_that_keeps_them_are_found():
     assert drive.rate.tolist() == pytest.approx([3.0, 3.0], rel=0.15)
 
 
+def test_it_is_found_how_a_robot_brakes_and_how_long_it_sticks():
+    data = drive_data(600, braking=0.4, stick=0.03, stops=0.25, noise=0.0005)
+    longest, columns = float(data.input_scale[4]), CommandFeatures.of(NAMES)
+    rows = data.scaled_inputs, data.y, data.follows, columns, longest, data.within
+    drive = fit_drive(Motion(*rows))
+    assert drive.braking.tolist() == pytest.approx([0.4, 0.4], rel=0.25)
+    assert drive.stick.tolist() == pytest.approx([0.03, 0.03], abs=0.006)
+    assert drive.slowing.tolist() == pytest.approx([1.0, 1.0], rel=0.25)
+
+
 @pytest.mark.parametrize("rows", [20, 30, 60])
 def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
     data = drive_data(rows, noise=0.003)
@@ -81,7 +91,7 @@ def test_one_row_in_a_hundred_far_off_changes_nothing_that_matters():
     y[::100, :2] += 0.3
     spoilt = TrainingData(data.inputs, data.x, y, data.within)
     clean, own = (errors(trained(d, generations=12), fresh) for d in (data, spoilt))
-    assert (own < 1.5 * clean + 1e-4).all()
+    assert (own < 1.5 * clean + torch.tensor([1e-4, 1e-4, 1e-3])).all()
 
 
 def test_poses_within_commands_make_their_beginnings_known():

@@ -2,10 +2,11 @@
 
 Each input that a command drives (a wheel's speed, a forward speed, a steering angle) is taken for
 an actuator. From the speed p that it has it goes to the speed u that it is told, after a delay,
-as a first-order lag whose rate of change is limited; within its dead band it stands, and near full
-speed it may fall behind in proportion. The speeds, and their products by pairs, make a body twist,
-linearly: a differential drive, an omnidirectional base and a car at small steering angles are all
-of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
+as a first-order lag whose rate of change is limited; where it slows down or stops the lag may be
+another. Static friction holds it for a while where it starts or turns round; within its dead band
+it stands, and near full speed it may fall behind in proportion. The speeds, and their products by
+pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at small
+steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 
 So the displacement until any instant of a command follows in closed form: while the speeds change,
 in :data:`PHASES` pieces of constant twist, and one more for the rest.
@@ -24,6 +25,12 @@ from neurosim.base.se2 import tensors as se2
 
 #: Pieces of constant twist while the speeds change, and how many time constants that lasts.
 PHASES, SETTLED = 2, 2.5
+
+#: Static friction holds an actuator that stands; one of this speed, a share, it no longer holds.
+MOVING = 0.02
+
+#: Slower is standing, and speeds are alike: rounding is not to decide which way a wheel moves.
+STILL = 1e-9
 
 #: No piece of a command is shorter, s.
 SHORTEST = 1e-3
@@ -50,20 +57,26 @@ class DriveModel:
     Attributes:
         lag: time constants, [C] s.
         slowing: of the lag where the speed falls: a factor, [C].
+        braking: of the lag where it is told to stand: a factor, [C].
         rate: the most that a speed changes, [C] 1/s.
         bend: what is missing at full speed, a share, [C].
+        stick: what starts or turns round stands for this over the speed it is told, [C] s.
         delay: from a command to the first answer, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].
     """
 
     lag: Tensor
     slowing: Tensor
+    braking: Tensor
     rate: Tensor
     bend: Tensor
+    stick: Tensor
     delay: Tensor
     kinematics: Tensor
 
-    NAMES: ClassVar[tuple[str, ...]] = ("lag", "slowing", "rate", "bend", "delay", "kinematics")
+    #: Laws of each actuator, and all that a drive model consists of.
+    LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "bend", "stick")
+    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "delay", "kinematics")
 
     def __post_init__(self) -> None:
         count = len(self.lag)
@@ -75,13 +88,16 @@ class DriveModel:
                     f"{field.name} must be of shape {shapes[field.name]}, not {tuple(value.shape)}"
                 )
             object.__setattr__(self, field.name, value.detach().double())
-        if (torch.cat([self.lag, self.slowing, self.rate]) <= 0).any() or (self.delay < 0).any():
-            raise ValueError("lag, slowing and rate must be above 0, and no delay below")
+        above = torch.cat([self.lag, self.slowing, self.braking, self.rate])
+        if (above <= 0).any() or (torch.cat([self.stick, self.delay]) < 0).any():
+            raise ValueError(
+                "lag, slowing, braking and rate must be above 0, stick and delay not below"
+            )
 
     @staticmethod
     def shapes(count: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of the tensors for so many actuators."""
-        each = dict.fromkeys(("lag", "slowing", "rate", "bend"), (count,))
+        each = dict.fromkeys(DriveModel.LAWS, (count,))
         return {**each, "delay": (1,), "kinematics": (features_of(count), 3)}
 
     def to(self, device: torch.device | str) -> DriveModel:
@@ -94,26 +110,36 @@ class DriveModel:
 
     def approach(self, before: Tensor, told: Tensor, time: Tensor) -> Approach:
         """Return how far speeds have come from ``before`` to ``told`` [B, C] after ``time`` [B]."""
-        lag = torch.where(told.abs() < before.abs(), self.lag * self.slowing, self.lag)
-        difference = told - before
+        difference, speed = told - before, told.abs().clamp(min=STILL)
+        lag = torch.where(speed < before.abs(), self.lag * self.slowing, self.lag)
+        lag = torch.where(speed <= STILL, self.lag * self.braking, lag)
         size, linear = difference.abs(), self.rate * lag
         ramp = (size - linear).clamp(min=0.0) / self.rate  # how long the limit holds
-        t = (time.unsqueeze(-1) - self.delay).clamp(min=0.0)
-        on_ramp = torch.minimum(t, ramp)
         fading = torch.minimum(size, linear)
+        # It is held at the instant at which this is left of the difference: at speed 0, or at once.
+        then = torch.minimum(size, torch.where(told * before > 0.0, size, speed))
+        held = (1.0 - before * told.sign() / MOVING).clamp(0.0, 1.0) * (speed > STILL)
+        stands = held * self.stick / speed
+        bow = ramp + lag * (fading / then.clamp(min=STILL)).clamp(min=1.0).log()
+        zero = torch.where(then < linear, bow, (size - then) / self.rate)
+        t = (time.unsqueeze(-1) - self.delay).clamp(min=0.0)
+        stood = torch.minimum((t - zero).clamp(min=0.0), stands)
+        t = t - stood
+        on_ramp = torch.minimum(t, ramp)
         decay = torch.exp(-(t - on_ramp) / lag)
         after = t > ramp
         left = torch.where(after, fading * decay, size - self.rate * on_ramp)
         missed = on_ramp * (size - 0.5 * self.rate * on_ramp)
         missed = missed + torch.where(after, fading * lag * (1.0 - decay), 0.0)
-        missed = missed + size * torch.minimum(time.unsqueeze(-1), self.delay)
+        missed = missed + size * torch.minimum(time.unsqueeze(-1), self.delay) + then * stood
         sign = difference.sign()
-        settling = torch.where(size > 0.0, ramp + SETTLED * lag + self.delay, 0.0)
+        settling = torch.where(size > STILL, ramp + SETTLED * lag + stands + self.delay, 0.0)
         return Approach(sign * left, sign * missed, settling)
 
     def reached(self, before: Tensor, told: Tensor, time: Tensor) -> Tensor:
         """Return the speeds [B, C] after ``time`` [B] s."""
-        return told - self.approach(before, told, time).left
+        speed = told - self.approach(before, told, time).left
+        return torch.where(speed.abs() < STILL, 0.0, speed)
 
     def pieces(self, before: Tensor, told: Tensor, time: Tensor) -> list[Tensor]:
         """Return what each piece of constant twist is linear in, PHASES + 1 tensors [B, F]."""

@@ -15,7 +15,7 @@ from numba import njit
 
 from neurosim.base.se2 import compiled as se2
 from neurosim.simulators.motion.derived import SAME
-from neurosim.simulators.motion.drive import PHASES, SETTLED, SHORTEST
+from neurosim.simulators.motion.drive import MOVING, PHASES, SETTLED, SHORTEST, STILL
 from neurosim.simulators.motion.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
@@ -39,11 +39,13 @@ class Arrays(NamedTuple):
     centres: np.ndarray  #: of kernel units, over their lengths, [J, K]
     lengths: np.ndarray  #: [J]
     kernel_weights: np.ndarray  #: [M, O, K]
-    drives: bool  #: whether there is a drive model; if not, the next six hold anything
-    lag: np.ndarray  #: [C], this and the next five as in DriveModel
+    drives: bool  #: whether there is a drive model; if not, the next eight hold anything
+    lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray  #: [C]
+    braking: np.ndarray  #: [C]
     rate: np.ndarray  #: [C]
     bend: np.ndarray  #: [C]
+    stick: np.ndarray  #: [C]
     delay: np.ndarray  #: [1]
     kinematics: np.ndarray  #: [F, 3]
     longest: float  #: what durations are scaled by, s; infinite without one
@@ -73,28 +75,40 @@ def _speed(a, value, c):
     return x * (1.0 - a.bend[c] * abs(x))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy")
 def _approach(a, c, before, told, time):
     """Return (left, missed, settling) of an actuator; see :class:`Approach`."""
+    difference, speed = told - before, max(abs(told), STILL)
+    size = abs(difference)
     lag = a.lag[c]
-    if abs(told) < abs(before):
+    if speed <= STILL:
+        lag *= a.braking[c]
+    elif speed < abs(before):
         lag *= a.slowing[c]
-    difference, rate = told - before, a.rate[c]
-    size, linear = abs(difference), rate * lag
-    if size == 0.0:
-        return 0.0, 0.0, 0.0
-    ramp = max(size - linear, 0.0) / rate
+    rate = a.rate[c]
+    linear = rate * lag
+    ramp, fading = max(size - linear, 0.0) / rate, min(size, linear)
     t = max(time - a.delay[0], 0.0)
+    stands = stood = then = 0.0
+    held = 1.0 - before * math.copysign(1.0, told) / MOVING
+    if a.stick[c] > 0.0 and speed > STILL and held > 0.0:
+        then = size if told * before > 0.0 else min(size, speed)
+        zero = (size - then) / rate
+        if then < linear:
+            zero = ramp + lag * math.log(max(fading / max(then, STILL), 1.0))
+        stands = min(held, 1.0) * a.stick[c] / speed
+        stood = min(max(t - zero, 0.0), stands)
+        t -= stood
     on_ramp = min(t, ramp)
     left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
     if t > ramp:
-        fading = min(size, linear)
         decay = math.exp(-(t - on_ramp) / lag)
         left = fading * decay
         missed += fading * lag * (1.0 - decay)
-    missed += size * min(time, a.delay[0])
+    missed += size * min(time, a.delay[0]) + then * stood
     sign = math.copysign(1.0, difference)
-    return sign * left, sign * missed, ramp + SETTLED * lag + a.delay[0]
+    settling = ramp + SETTLED * lag + stands + a.delay[0] if size > STILL else 0.0
+    return sign * left, sign * missed, settling
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -128,7 +142,8 @@ def tell(a, source, command, k, memory, x):
         else:
             for c in range(count):
                 told = _speed(a, memory[count + c], c)
-                memory[c] = told - _approach(a, c, memory[c], told, memory[2 * count])[0]
+                speed = told - _approach(a, c, memory[c], told, memory[2 * count])[0]
+                memory[c] = 0.0 if abs(speed) < STILL else speed
                 memory[count + c] = command[source[a.driven[c]]]
             memory[2 * count] = 0.0
             memory[2 * count + 1] = k

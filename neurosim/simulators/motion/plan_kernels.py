@@ -68,8 +68,10 @@ class Ensemble(NamedTuple):
     drives: bool
     lag: np.ndarray
     slowing: np.ndarray
+    braking: np.ndarray
     rate: np.ndarray
     bend: np.ndarray
+    stick: np.ndarray
     delay: np.ndarray
     kinematics: np.ndarray
     longest: float

@@ -66,22 +66,24 @@ class CombinedSettings(PursuitSettings):
         dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
         swing_rows: with fewer rows, no change of direction is looked for.
-        search_rows: rows that product units are searched for with; read-outs are of all rows.
+        search_rows: commands that product units are searched for with, and
+        search_parts: parts of commands; read-outs are of all rows.
         centres: units of the Gaussian process.
         part_weight: of a part of a command, beside a whole command.
         most_parts: poses within commands that are learned from.
         noise_rows: rows that the noise is learned from.
         lean: how far members lean to product units or to the Gaussian process.
         whole_commands: learn from whole commands alone, not from parts of them.
-        without: mechanisms that are left out, to see what they are good for: ``laws`` (lag, delay,
-            rate and bend), ``dead_zone``, ``swing``,
+        without: mechanisms that are left out, to see what they are good for: ``laws`` (all of a
+            drive model but its kinematics), ``dead_zone``, ``swing``,
             ``product_units``, ``process``, ``row_weights``.
     """
 
     floor: float = 0.02
     dead_zone: tuple[float, ...] | None = None
     swing_rows: int = 300
-    search_rows: int = 4000
+    search_rows: int = 6000
+    search_parts: int = 2000
     centres: int = 75
     part_weight: float = 0.3
     most_parts: int = 40000
@@ -92,8 +94,9 @@ class CombinedSettings(PursuitSettings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if min(self.swing_rows, self.search_rows, self.centres, self.most_parts) < 1:
-            raise ValueError("swing_rows, search_rows, centres and most_parts are at least 1")
+        counts = ("swing_rows", "search_rows", "search_parts", "centres", "most_parts")
+        if min(getattr(self, name) for name in counts) < 1:
+            raise ValueError(f"{', '.join(counts)} are at least 1")
         if self.noise_rows < 1 or not self.part_weight > 0.0 or not 0.0 <= self.lean <= 1.0:
             raise ValueError("noise_rows is at least 1, part_weight above 0, and lean 0 to 1")
         for name in self.without:
@@ -252,11 +255,7 @@ class CombinedTrainer:
             seen: which rows they see, [N]; all if not given.
             number: of the searches, other ones draw other numbers.
         """
-        settings, rows = self._settings, self._rows
-        if seen is not None:
-            rows = Residuals(*(part[seen] for part in rows))
-        stride = -(-len(rows.x) // settings.search_rows)
-        rows = Residuals(*(part[::stride] for part in rows))
+        settings, rows = self._settings, self._searched(seen)
         generator = torch.Generator(self._device).manual_seed(self._seed + number)
         root = rows.weight.sqrt()
         left, factor = (rows.left * root[:, None]).T, (rows.factor * root[:, None]).T
@@ -268,6 +267,22 @@ class CombinedTrainer:
             Pursuit(rows.given, factor[None, 2:], left[2:], often, *rest),
             Pursuit(rows.given, shift, left[:2], settings, *rest),
         ]
+
+    def _searched(self, seen: Tensor | None) -> Residuals:
+        """Return rows that units are searched for with; each also counts for those left out.
+
+        Of one half of the rows half as many.
+        """
+        rows, whole = self._rows, torch.arange(len(self._rows.x)) < len(self._data.x)
+        found = []
+        most_of = self._settings.search_rows, self._settings.search_parts
+        for kind, most in zip((whole, ~whole), most_of, strict=True):
+            kept = torch.nonzero(kind if seen is None else kind & seen).squeeze(1)
+            few = min(len(kept), most if seen is None else most // 2)
+            chosen = kept[torch.arange(few) * len(kept) // max(few, 1)]
+            part = Residuals(*(column[chosen] for column in rows))
+            found.append(part._replace(weight=part.weight * (len(kept) / max(few, 1))))
+        return Residuals(*(torch.cat(pair) for pair in zip(*found, strict=True)))
 
     @staticmethod
     def make_network(
@@ -412,11 +427,10 @@ class CombinedTrainer:
         """Return what the simulator is made of, for people."""
         drive, names = self._drive, [entry["name"] for entry in self._data.inputs]
         driven = [names[place] for place in self._columns.driven]
-        laws = ("lag", "slowing", "rate", "bend")
         return {
             "actuators": {
                 name: {
-                    **{law: float(getattr(drive, law)[c]) for law in laws},
+                    **{law: float(getattr(drive, law)[c]) for law in drive.LAWS},
                     "dead_zone": float(self._dead_zone[self._columns.driven[c]]),
                 }
                 for c, name in enumerate(driven)

@@ -31,21 +31,23 @@ _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 _STEPS, _ROUNDS = (0.5, 0.2, 0.08, 0.03), 6
 #: A step must raise the log-likelihood by this much.
 _GAIN = 0.5
-#: What is searched for: ln of lag and delay together (which alone say how far the robot gets), ln
-#: slowing, ln rate, bend and delay (s). What is usual, and how far from it.
-_USUAL = (math.log(0.1), 0.0, math.log(20.0), 0.0, 0.0)
-_WIDTH = (1.0, 0.5, 1.5, 0.15, 0.08)
-#: Limits of the same.
+#: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
+#: gets), of slowing, of braking over slowing, and of the rate; bend; stick and delay (s). What is
+#: usual, how far from it, and limits.
+_TOTAL, _SLOWING, _BRAKING, _RATE, _BEND, _STICK, _DELAY = range(7)
+_USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, 0.0, 0.0)
+_WIDTH = (1.0, 0.5, 0.5, 1.5, 0.15, 0.02, 0.08)
 _SHORTEST = 0.003
-_LOWEST = (math.log(_SHORTEST), math.log(0.2), math.log(0.3), -0.5, 0.0)
-_HIGHEST = (math.log(2.0), math.log(5.0), math.log(50.0), 0.5, 0.5)
+_LOWEST = (math.log(_SHORTEST), math.log(0.2), math.log(0.2), math.log(0.3), -0.5, 0.0, 0.0)
+_HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.5, 0.2, 0.5)
 #: Products count, before rows say more, for no more than this share of what is to be explained.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
 _FREEDOM, _HUBER = 2.0, 1.345
 _REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
-_AT_ONCE = torch.tensor([[_LOWEST[0], 0.0, _HIGHEST[2], 0.0, 0.0]], dtype=torch.float64).T
+_AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
+_AT_ONCE[_TOTAL], _AT_ONCE[_RATE] = _LOWEST[_TOTAL], _HIGHEST[_RATE]
 
 
 @dataclass(frozen=True)
@@ -100,8 +102,9 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
     usual = torch.tensor(_USUAL, dtype=torch.float64)
     width = torch.tensor(_WIDTH, dtype=torch.float64)
     # First of all actuators together, then of each. A delay is one for all: the first column's.
-    shared = [torch.eye(5, dtype=torch.float64)[law, :, None].repeat(1, count) for law in range(5)]
-    own = [torch.zeros_like(shared[0]) for _ in range(4 * count)]
+    each = torch.eye(len(_USUAL), dtype=torch.float64)
+    shared = [one[:, None].repeat(1, count) for one in each]
+    own = [torch.zeros_like(shared[0]) for _ in range(_DELAY * count)]
     for number, direction in enumerate(own):
         direction[number // count, number % count] = 1.0
     directions = [direction * width.unsqueeze(1) for direction in (*shared, *own)]
@@ -115,9 +118,9 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
         nonlocal best, cost
         laws = torch.maximum(torch.minimum(laws, highest), lowest)
         off = (laws - usual.unsqueeze(1)) / width.unsqueeze(1)
-        off[4, 1:] = 0.0
+        off[_DELAY, 1:] = 0.0
         # A rate above the usual is no limit.
-        off[2] = off[2].clamp(max=0.0)
+        off[_RATE] = off[_RATE].clamp(max=0.0)
         found = _fitted(_model(laws), searched)[1] + 0.5 * off.square().sum().item()
         if found < cost - _GAIN:
             best, cost = laws, found
@@ -128,7 +131,8 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
         for rate in _RATES:
             for delay in _DELAYS:
                 coarse = usual.unsqueeze(1).repeat(1, count)
-                coarse[0], coarse[2], coarse[4] = math.log(lag + delay), math.log(rate), delay
+                coarse[_TOTAL], coarse[_RATE] = math.log(lag + delay), math.log(rate)
+                coarse[_DELAY] = delay
                 tried(coarse)
 
     def followed(change: Tensor) -> None:
@@ -150,10 +154,12 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
 
 
 def _model(laws: Tensor) -> DriveModel:
-    total, slowing, rate = laws[:3].exp()
-    lag = (total - laws[4, 0]).clamp(min=_SHORTEST)
+    total, slowing, braking, rate = laws[: _RATE + 1].exp()
+    delay = laws[_DELAY, :1]
+    lag = (total - delay).clamp(min=_SHORTEST)
     shape = DriveModel.shapes(len(lag))["kinematics"]
-    return DriveModel(lag, slowing, rate, laws[3], laws[4, :1], torch.zeros(shape))
+    parts = lag, slowing, slowing * braking, rate, laws[_BEND], laws[_STICK], delay
+    return DriveModel(*parts, torch.zeros(shape))
 
 
 def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, float]:
