@@ -59,6 +59,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
             **{k: v for k, v in asdict(simulator.network).items() if k != "inputs"},
         },
         "coordinates": simulator.coordinates,
+        "drive": None if simulator.drive is None else list(DriveModel.NAMES),
         "derived": asdict(simulator.derived),
         "kernel_units": 0 if simulator.kernel_units is None else len(simulator.kernel_units),
         "members": simulator.members,
@@ -131,6 +132,12 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     actuators = len(CommandFeatures.of(tuple(i["name"] for i in inputs)).driven)
     drives, units = content["coordinates"] == "residual-twist", _units(path, content)
     if drives:
+        if content.get("drive") != list(DriveModel.NAMES):
+            raise FileError(
+                path,
+                "is no drive model that this version reads: train the simulator anew",
+                field="drive",
+            )
         expected |= {f"drive.{k}": v for k, v in DriveModel.shapes(actuators).items()}
     if units:
         given = len(inputs) + len(derived)
@@ -151,7 +158,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
     others = ("format", "version", "outputs", "members", "central", "noise", "derived")
-    described = (*others, "kernel_units", "domain", *fields)
+    described = (*others, "drive", "kernel_units", "domain", *fields)
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(

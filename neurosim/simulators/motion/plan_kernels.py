@@ -204,6 +204,20 @@ def _dot(a, b):
 @njit(cache=True, fastmath={"contract", "nsz"}, error_model="numpy")
 def _kernel_units(centres, lengths, x, out):
     """Write the kernel units."""
+    inputs = centres.shape[0]
+    if 5 <= inputs <= 6:
+        # As in :func:`_units`.
+        p0, p1, p2 = x[0] / lengths[0], x[1] / lengths[1], x[2] / lengths[2]
+        p3, p4 = x[3] / lengths[3], x[4] / lengths[4]
+        c0, c1, c2, c3, c4 = centres[0], centres[1], centres[2], centres[3], centres[4]
+        p5, c5 = (x[5] / lengths[5], centres[5]) if inputs > 5 else (p4, c4)
+        more = 1.0 if inputs > 5 else 0.0
+        for u in range(out.shape[0]):
+            a0, a1, a2, a3 = p0 - c0[u], p1 - c1[u], p2 - c2[u], p3 - c3[u]
+            a4, a5 = p4 - c4[u], more * (p5 - c5[u])
+            away = a0 * a0 + a1 * a1 + a2 * a2 + a3 * a3 + a4 * a4 + a5 * a5
+            out[u] = _exp2(max(_HALF_LOG2_E * away, -_LOG2_LIMIT))
+        return
     for u in range(out.shape[0]):
         out[u] = 0.0
     for i in range(centres.shape[0]):

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any, NamedTuple
 
 import torch
@@ -171,7 +172,11 @@ class CombinedTrainer:
             ceilings=True,
             floor=settings.floor,
         )
-        self._searches = self._new_searches()
+        #: In all rows and in each half of them: see :meth:`_by_halves`.
+        self._searches = [
+            self._new_searches(seen, number)
+            for number, seen in enumerate((None, self._half, ~self._half))
+        ]
 
     # The drive model
 
@@ -248,11 +253,11 @@ class CombinedTrainer:
 
     # The product units
 
-    def _new_searches(self, seen: Tensor | None = None, number: int = 0) -> list[Pursuit]:
+    def _new_searches(self, seen: Tensor | None, number: int) -> list[Pursuit]:
         """Return the searches for the turn and for both translations.
 
         Args:
-            seen: which rows they see, [N]; all if not given.
+            seen: which rows they see, [N]; None for all.
             number: of the searches, other ones draw other numbers.
         """
         settings, rows = self._settings, self._searched(seen)
@@ -293,29 +298,25 @@ class CombinedTrainer:
 
     def advance(self) -> Tensor:
         """Give the turn one unit more and the translation two; return mean squared errors [3]."""
-        with one_thread(self._device):
-            self._grow(self._searches)
-        turn, shift = (search.mean_squared_error for search in self._searches)
+        if "product_units" not in self._settings.without:
+            with one_thread(self._device):
+                for turn, shift in self._searches:
+                    turn.grow()
+                    for _ in range(2):
+                        shift.grow()
+        turn, shift = (search.mean_squared_error for search in self._searches[0])
         return torch.cat([shift, turn]).cpu()
-
-    def _grow(self, searches: list[Pursuit]) -> None:
-        if "product_units" in self._settings.without:
-            return
-        turn, shift = searches
-        turn.grow()
-        for _ in range(2):
-            shift.grow()
 
     def state(self) -> dict[str, Tensor]:
         """Return the state of the searches; what came before follows from the rows."""
         state: dict[str, Tensor] = {}
-        for number, search in enumerate(self._searches):
+        for number, search in enumerate(chain.from_iterable(self._searches)):
             state |= {f"{number}.{key}": value for key, value in search.state().items()}
         return state
 
     def load(self, state: Mapping[str, Tensor]) -> None:
         """Go on from a state, bit for bit."""
-        for number, search in enumerate(self._searches):
+        for number, search in enumerate(chain.from_iterable(self._searches)):
             begin = f"{number}."
             search.load({k.removeprefix(begin): v for k, v in state.items() if k.startswith(begin)})
 
@@ -328,7 +329,7 @@ class CombinedTrainer:
 
     def _result(self) -> MotionNetwork:
         rows, settings = self._rows, self._settings
-        learners = self._product_units(self._searches)
+        learners = self._product_units(self._searches[0])
         trust = self._trust(learners)
         generator = torch.Generator().manual_seed(self._seed)
         known = rows.factor.abs() >= _LEAST
@@ -371,15 +372,12 @@ class CombinedTrainer:
         """Return what learners say that have seen one half of the rows, [2, 3, 2, N].
 
         Units that were searched for with a row flatter themselves there. So they are searched for
-        once more in each half of the rows; the other half judges. By half, by output, of product
+        in each half of the rows too; the other half judges. By half, by output, of product
         units and of the Gaussian process.
         """
         said = torch.zeros(2, OUTPUTS, 2, len(trust), dtype=torch.float64)
         for number, seen in enumerate((self._half, ~self._half)):
-            searches = self._new_searches(seen, number + 1)
-            for _ in range(self.generations):
-                self._grow(searches)
-            for o, own in enumerate(self._product_units(searches)):
+            for o, own in enumerate(self._product_units(self._searches[number + 1])):
                 for k, learner in enumerate((own, kernel)):
                     weights, _ = learner.posterior(trust[:, o] * seen, o)
                     said[number, o, k] = learner.features @ weights
