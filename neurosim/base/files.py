@@ -114,6 +114,40 @@ def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
         raise UserError(f"{path} is not empty; name a new folder, or remove this one yourself")
 
 
+def inside(folder: str | Path, name: object, *, file: str | Path, field: str) -> Path:
+    """Return the place of a file that an artefact names, which stands in the artefact's folder.
+
+    Args:
+        folder: of the artefact.
+        name: as it is written in the artefact.
+        file: in which it is written, for the message.
+        field: where it stands in there.
+
+    Raises:
+        FileError: if it is not the plain name of a file, and so could lead out of the folder.
+    """
+    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set("/\\:\0")
+    if not plain:
+        raise FileError(
+            file, f"expected the name of a file in this folder, found {name!r:.60}", field=field
+        )
+    return Path(folder) / str(name)
+
+
+def check_no_links(folder: str | Path) -> None:
+    """Refuse to go on in a folder that holds links: what is written there may not lead elsewhere.
+
+    Raises:
+        UserError: naming the first link in it.
+    """
+    for path in sorted(Path(folder).rglob("*")):
+        if path.is_symlink():
+            raise UserError(
+                f"{path} is a link to {os.readlink(path)}, and what is written here must stay "
+                "here: put the file itself in its place, or remove it"
+            )
+
+
 def write_json(path: str | Path, format: str, version: int, content: Mapping[str, Any]) -> None:
     """Write ``content`` as JSON under the keys ``format`` and ``version``.
 

@@ -29,6 +29,7 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
+from neurosim.cli._robots import robot_option_of
 from neurosim.cli._types import PATH
 
 
@@ -180,12 +181,7 @@ def changed(
     default=0,
     help="Generations on a robot after those in the simulator; nobody puts it in place.",
 )
-@choice_options(
-    "--robot",
-    "neurosim.trials.rig:RIGS",
-    default="virtual-khepera",
-    help="The robot of --robot-generations.",
-)
+@robot_option_of("virtual-khepera", "The robot of --robot-generations.")
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
 @resume_option
 @seed_option

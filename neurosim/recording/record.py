@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from neurosim.base.errors import UserError
+from neurosim.base.files import check_no_links
 from neurosim.base.provenance import robot_kind
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
 from neurosim.recording.commands import CommandSource, SeeingSource
@@ -236,6 +237,7 @@ def _wanted(
 
 def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     recording = Recording(out)
+    check_no_links(out)
     if recording.meta["complete"]:
         raise UserError(f"{out} is complete; there is nothing to resume")
     for part, keys in _SAME.items():

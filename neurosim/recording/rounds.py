@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import check_new_folder
+from neurosim.base.files import check_new_folder, check_no_links
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, RandomCommands
 from neurosim.recording.record import record
 from neurosim.recording.settings import RecordSettings
@@ -104,6 +104,8 @@ def record_rounds(
     if settings.guard.at_line == "end":
         raise UserError("--at-line end would end the first round; leave it out with --guided")
     numbers = rounds.numbers()
+    if resume:
+        check_no_links(out)
     if not resume:
         check_new_folder(out)
     elif not (out / _name(1)).is_dir():

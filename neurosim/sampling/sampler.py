@@ -138,6 +138,7 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         files.write_json(path, FORMAT, VERSION, about)
         return
     found = files.read_json(path, FORMAT, VERSION, {"settings": dict, "seed": int, "robot": dict})
+    files.check_no_links(out)
     if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
             path, "was begun with other settings; give the same to go on", field="settings"

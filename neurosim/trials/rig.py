@@ -168,6 +168,10 @@ class Rigs:
         """Return all names."""
         return [*_VIRTUAL, *ROBOTS.names()]
 
+    def is_virtual(self, name: str) -> bool:
+        """Return whether the robot of this name is one of the virtual lab."""
+        return name in _VIRTUAL
+
     def get(self, name: str) -> Callable[..., Any]:
         """Return what has the robot's options as its keywords.
 

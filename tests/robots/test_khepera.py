@@ -310,11 +310,12 @@ def test_the_line_goes_away():
         driver.close()
 
 
-def test_a_spy_on_the_line(line, tmp_path):
+def test_a_spy_on_the_line_which_overwrites_a_file_is_refused(line, tmp_path):
     _, path = line
-    with Khepera(f"spy://{path}?file={tmp_path / 'log'}", timeout=PATIENCE) as driver:
-        assert driver.read_counts() == (120, -7)
-    assert "H" in (tmp_path / "log").read_text()
+    (tmp_path / "log").write_text("mine")
+    with pytest.raises(RobotError, match="overwrites the file that it names"):
+        Khepera(f"spy://{path}?file={tmp_path / 'log'}", timeout=PATIENCE).connect()
+    assert (tmp_path / "log").read_text() == "mine"
 
 
 def test_the_khepera_iii_has_other_letters_prefixes_and_sensors(line):

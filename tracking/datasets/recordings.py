@@ -27,6 +27,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
     check_new_folder,
+    inside,
     integer,
     make_folder,
     number,
@@ -187,6 +188,9 @@ class Recording:
             {"robot": dict, "sessions": list, "videos": list, "markers": dict, "board": dict},
         )
         _check_markers(self.path / "recording.json", self.meta["markers"])
+        for name in self.meta["videos"]:
+            if name is not None:
+                inside(self.path, name, file=self.path / "recording.json", field="videos")
 
     @classmethod
     def create(cls, path: str | Path, meta: Mapping[str, Any]) -> Recording:

@@ -30,7 +30,7 @@ class Khepera:
     :attr:`reboots` counts it.
 
     Args:
-        port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or any URL that pyserial opens.
+        port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or a URL such as socket://host:port.
         dialect: Protocol: khepera (I and II), khepera3 or epuck.
         baud: Speed of the serial line; by default the dialect's own (a Khepera's is set by
             jumpers).

@@ -45,8 +45,8 @@ class SerialLine:
     """A serial port that is read line by line.
 
     Args:
-        port: a device (``/dev/ttyUSB0``, ``COM3``) or any URL of pyserial (``socket://host:port``,
-            ``rfc2217://host:port``, ``spy://device``).
+        port: a device (``/dev/ttyUSB0``, ``COM3``) or a URL of pyserial (``socket://host:port``,
+            ``rfc2217://host:port``), but not ``spy://``, which overwrites the file that it names.
         baud: bits per second.
         stop_bits: 1 or 2.
     """
@@ -70,6 +70,11 @@ class SerialLine:
         Raises:
             RobotError: if it cannot be opened, with the reason.
         """
+        if self.port.strip().lower().startswith("spy:"):
+            raise RobotError(
+                f"cannot open the serial port {self.port}: spy:// is not taken here, for it "
+                "overwrites the file that it names; give the port alone"
+            )
         try:
             self._serial = serial.serial_for_url(
                 self.port,
