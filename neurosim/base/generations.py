@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
-from types import FrameType
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import Any, Protocol
 
+from neurosim.base.interrupts import deferred_interrupt
 from neurosim.base.progress import Progress
 
 #: Seconds between checkpoints: a kill loses no more than this.
 CHECKPOINT_EVERY = 5.0
-#: What asks a program to end.
-SIGNALS = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
 
 
 class Stage(Protocol):
@@ -36,51 +30,6 @@ class Stage(Protocol):
     def state(self) -> Mapping[str, Any]:
         """Return all that the next generations depend on, as arrays."""
         ...
-
-
-class Interrupt:
-    """Whether the program was asked to end.
-
-    Attributes:
-        pending: it was, and has not been answered yet.
-    """
-
-    def __init__(self) -> None:
-        self.pending = False
-
-
-@contextmanager
-def deferred_interrupt() -> Iterator[Interrupt]:
-    """Let a generation end before Ctrl-C is answered; the second Ctrl-C is answered at once.
-
-    Compiled code that runs on several cores does not survive an exception that is raised in the
-    middle of it. SIGTERM and SIGHUP are deferred likewise, where Python handles them. What is
-    ignored (``nohup``, a shell's background) stays ignored.
-
-    Raises:
-        KeyboardInterrupt: at the second one, also where it came out of compiled code wrapped.
-    """
-    interrupt, before = Interrupt(), {}
-    if threading.current_thread() is threading.main_thread():
-        handlers = {number: signal.getsignal(number) for number in SIGNALS}
-        before = {number: found for number, found in handlers.items() if callable(found)}
-
-    def answer(number: int, frame: FrameType | None) -> None:
-        if interrupt.pending:
-            before[number](number, frame)
-        interrupt.pending = True
-
-    for number in before:
-        signal.signal(number, answer)
-    try:
-        yield interrupt
-    except SystemError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
-        raise error.__cause__ from None
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def run_generations(

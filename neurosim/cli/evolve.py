@@ -13,6 +13,7 @@ import click
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import exit_code
 from neurosim.cli._common import (
     emit,
     is_given,
@@ -314,7 +315,7 @@ def _say(
         resumable = Checkpoint(out, "evolution").begun
         how = ", continue with --resume" if resumable else ""
         click.echo(f"neurosim: interrupted; the best so far is kept{how}", err=True)
-        click.get_current_context().exit(130)
+        click.get_current_context().exit(exit_code())
 
 
 @contextmanager

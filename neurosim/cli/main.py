@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 import neurosim
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.interrupts import answer_signals, exit_code, interruption_in
 from neurosim.cli._types import PATH
 from neurosim.cli.build_tables import build_tables
 from neurosim.cli.calibrate import calibrate
@@ -121,19 +120,13 @@ for verb in (
     cli.add_command(verb)
 
 
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
-
-
 def main() -> None:
     """Run the command line; the only place where errors become exit codes."""
     # OpenCV's own complaints stand beside the one sentence and say less.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # A closed terminal or a kill must stop the motors as Ctrl-C does.
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _interrupt)
+    answer_signals()
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -141,11 +134,8 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        _interrupted()
-    except SystemError as error:
-        # Ctrl-C within compiled code comes out of it wrapped, once or more often.
-        if not any(isinstance(each, KeyboardInterrupt) for each in _chain(error)):
+    except (KeyboardInterrupt, click.exceptions.Abort, SystemError) as error:
+        if isinstance(error, SystemError) and interruption_in(error) is None:
             raise
         _interrupted()
     except MemoryError:
@@ -165,21 +155,10 @@ def main() -> None:
         sys.exit(1)
 
 
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    """Give an error and all that led to it."""
-    waiting, seen = [error], set()
-    while waiting:
-        each = waiting.pop()
-        if id(each) not in seen:
-            seen.add(id(each))
-            yield each
-            waiting += [one for one in (each.__cause__, each.__context__) if one is not None]
-
-
 def _interrupted() -> None:
     click.echo(
         "neurosim: interrupted; what was written so far can be read; re-run with --resume to "
         "continue, where supported",
         err=True,
     )
-    sys.exit(130)
+    sys.exit(exit_code())

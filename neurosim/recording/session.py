@@ -27,7 +27,7 @@ from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import Perimeter
 from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Battery, Lamp, Robot, Sensors
+from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
 from tracking.camera.cameras import Camera
 from tracking.datasets.recordings import Recording
 
@@ -162,8 +162,10 @@ class Session:
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
-            else:
+            elif duration is None:
                 self._robot.drive(left, right)
+            else:
+                drive_for(self._robot, left, right, duration)
             self._speeds = (left, right)
         self._sent = now
 

@@ -7,7 +7,8 @@ import threading
 import numpy as np
 import pytest
 
-from neurosim.base.generations import SIGNALS, deferred_interrupt, run_generations
+from neurosim.base.generations import run_generations
+from neurosim.base.interrupts import SIGNALS, deferred_interrupt
 
 
 class Counting:
