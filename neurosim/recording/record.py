@@ -73,6 +73,7 @@ def record(
             recording to be resumed; if a robot lacks what a source that sees needs.
         LinkLost: if the robot stopped answering; what was recorded stays.
         BatteryLow: if the battery fell below the limit.
+        CameraLost: if the camera delivers no more frames; the robot was stopped at once.
     """
     out = Path(out)
     if calibration is not None:
@@ -138,6 +139,7 @@ def record(
             if finish is not None:
                 finish(out, session)
         if camera is not None and getattr(camera, "failed", False):
+            # After the last command: what is missing is the end of the video.
             raise UserError(
                 f"the camera stopped delivering frames; {out} keeps what was filmed: "
                 "check the camera and go on with --resume"

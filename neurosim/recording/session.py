@@ -28,7 +28,7 @@ from neurosim.recording.perimeter import Perimeter
 from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
-from tracking.camera.cameras import Camera
+from tracking.camera.cameras import STALLED, Camera
 from tracking.datasets.recordings import Recording
 
 #: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
@@ -44,6 +44,10 @@ LOOK_EVERY = 1 / 30
 PATIENCE = 60.0
 #: Going back inside by position ends this near to its goal, m.
 NEAR = 0.25
+
+
+class CameraLost(UserError):
+    """The camera delivers no more frames; the recording is readable and can be resumed."""
 
 
 class BatteryLow(UserError):
@@ -77,11 +81,15 @@ class Session:
         spotter: Spotter | None,
     ):
         self._camera = camera
+        # One that cannot fail, as the virtual lab's, need not be looked after.
+        self._may_fail = hasattr(camera, "failed") or hasattr(camera, "stalled")
+        self._running: int | None = None
         self._spotter = spotter
         self._perimeter = Perimeter(
             settings.board, settings.guard.margin, settings.full_speed, settings.track
         )
         self._session = session
+        self._path = recording.path
         self._robot = robot
         self._clock = robot.clock
         self._source = source
@@ -100,16 +108,27 @@ class Session:
         self._rng = np.random.default_rng([session, settings.commands])
 
     def run(self) -> bool:
-        """Drive between a flash and a flash; return whether all that was to be sent was sent."""
-        self._flash()
-        self._learn_board()
-        if self._is_blind():
-            self._wait_for_sight()
-        done = self._drive()
-        self._write("stop", 0, 0)
-        self._stopped()
-        self._flash()
-        self._write("end")
+        """Drive between a flash and a flash; return whether all that was to be sent was sent.
+
+        Raises:
+            CameraLost: as soon as the camera delivers no more frames; the robot was stopped.
+            BatteryLow: if the battery fell below the limit.
+            UserError: if the robot does not find its way back, or is not seen for too long.
+        """
+        try:
+            self._flash()
+            self._learn_board()
+            if self._is_blind():
+                self._wait_for_sight()
+            done = self._drive()
+            self._write("stop", 0, 0)
+            self._stopped()
+            self._flash()
+            self._write("end")
+        except CameraLost:
+            kind = "stop" if self._running is None else "cut"
+            self._write(kind, 0, 0, number=self._running)
+            raise
         return done
 
     def _drive(self) -> bool:
@@ -118,7 +137,8 @@ class Session:
         with Progress("recording", total, "commands") as progress:
             progress.advance(total - len(self._waiting))
             since_battery = 0
-            while self._waiting and not getattr(self._camera, "failed", False):
+            while self._waiting:
+                self._check_camera()
                 if since_battery % 20 == 0:
                     self._check_battery()
                 since_battery += 1
@@ -167,6 +187,7 @@ class Session:
             else:
                 drive_for(self._robot, left, right, duration)
             self._speeds = (left, right)
+            self._running = number if kind == "command" else None
         self._sent = now
 
     def _flash(self) -> None:
@@ -183,7 +204,28 @@ class Session:
         self._wait(STILL)
 
     def _wait(self, seconds: float) -> None:
-        self._clock.sleep_until(self._clock.now() + seconds)
+        self._sleep_until(self._clock.now() + seconds)
+
+    def _sleep_until(self, time: float) -> None:
+        """Wait, and look after the camera meanwhile.
+
+        Raises:
+            CameraLost: if it fails.
+        """
+        while self._may_fail and (now := self._clock.now()) < time:
+            self._check_camera()
+            self._clock.sleep_until(min(time, now + LOOK_EVERY))
+        self._clock.sleep_until(time)
+
+    def _check_camera(self) -> None:
+        """Raise CameraLost once the camera delivers no more frames: nobody sees the robot."""
+        stalled = getattr(self._camera, "stalled", False)
+        if stalled or getattr(self._camera, "failed", False):
+            what = f"delivered no frame for {STALLED:g} s or more" if stalled else "stopped"
+            raise CameraLost(
+                f"the camera {what}, and the robot was stopped; {self._path} keeps what was "
+                f"filmed: check the camera, put the robot {self._go_on}"
+            )
 
     def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:
         """Let a command run until ``end`` (s); return False as soon as the robot must stop.
@@ -198,12 +240,13 @@ class Session:
         watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
         if moving and watched:
             while (now := self._clock.now()) + 1.5 * took < end:
+                self._check_camera()
                 if self._must_stop(self._lines()):
                     return False
                 if not self._board:
                     self._clock.sleep_until(min(now + LOOK_EVERY, end))
                 took = max(took, self._clock.now() - now)
-        self._clock.sleep_until(end)
+        self._sleep_until(end)
         return True
 
     # The perimeter
@@ -343,7 +386,7 @@ class Session:
         command = Command(round(left), round(right), seconds)
         self._write("manoeuvre", command.left, command.right, round(seconds, 3))
         if not look:
-            self._clock.sleep_until(self._sent + seconds)
+            self._sleep_until(self._sent + seconds)
             return True
         return self._hold(command, self._sent + seconds)
 

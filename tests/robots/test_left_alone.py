@@ -22,24 +22,8 @@ pytestmark = [
 #: Seconds of the lab after which a robot that still drives is one that nobody stops.
 FOR_EVER = 60.0
 #: Straight on for 3 s, again and again.
-WORDS = [
-    "record",
-    "r",
-    "--camera",
-    "none",
-    "--commands",
-    "100",
-    "--at-line",
-    "ignore",
-    "--straight",
-    "1",
-    "--stopped",
-    "0",
-    "--durations",
-    "3..3",
-    "--max-speed",
-    "20",
-]
+WORDS = ["record", "r", "--camera", "none", "--commands", "100", "--at-line", "ignore"]
+WORDS += ["--straight", "1", "--stopped", "0", "--durations", "3..3", "--max-speed", "20"]
 
 
 @contextmanager
