@@ -8,25 +8,41 @@ that a crash leaves the old file or none.
 from __future__ import annotations
 
 import csv
+import errno
+import glob
 import hashlib
 import json
 import math
 import os
 import shutil
+import socket
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from neurosim.base.errors import FileError, UserError
 
+try:
+    import fcntl
+except ImportError:  # Windows
+    import msvcrt
+
+    fcntl = None  # type: ignore[assignment]
+
+
+#: How much of a name stands in the name of what is written beside its place.
+_OF_NAME = 32
+
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a path to write to beside ``path``; rename it into place when the block succeeds.
+
+    What a program that was killed left beside ``path`` is removed.
 
     Raises:
         UserError: if something stands at ``path`` that is neither file nor folder, such as a
@@ -35,14 +51,73 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     _refuse_device(path, "a file")
     make_folder(path.parent)
-    # The suffix stays at the end: encoders and savers choose their format by it.
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    # The suffix stays at the end: encoders and savers choose their format by it. The rest of the
+    # name is drawn, so that nobody can put a link in its place beforehand.
+    prefix, suffix = f".{path.stem[:_OF_NAME]}.", f".partial{path.suffix}"
+    _sweep(path.parent, prefix, suffix)
+    number, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+    partial = Path(name)
     try:
+        _lock(number)  # while this program lives, nobody takes it for left behind
         yield partial
         partial.chmod(0o666 & ~_umask())  # some writers make files that only their owner reads
+        _to_disk(partial)
+        if os.name == "nt":
+            os.close(number)  # an open file is not renamed there
+            number = -1
         os.replace(partial, path)
+        _to_disk(path.parent)
     finally:
+        if number >= 0:
+            os.close(number)
         partial.unlink(missing_ok=True)
+
+
+def _sweep(folder: Path, prefix: str, suffix: str = "") -> None:
+    """Remove what programs that were killed left in a folder: no living one holds its lock."""
+    for path in folder.glob(f"{glob.escape(prefix)}*{glob.escape(suffix)}"):
+        with suppress(OSError):
+            if path.is_symlink():
+                continue
+            number = os.open(path, os.O_RDONLY)
+            try:
+                if _lock(number):
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            finally:
+                os.close(number)
+
+
+def _lock(number: int) -> bool | None:
+    """Lock an open file or folder for this program; return whether no other had it, if known."""
+    if fcntl is None:
+        try:
+            os.lseek(number, 1 << 20, os.SEEK_SET)  # beyond the text, which others may read
+            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(number, 0, os.SEEK_SET)
+        return True
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # None on a file system that has no locks.
+        return False if error.errno in (errno.EWOULDBLOCK, errno.EAGAIN) else None
+    return True
+
+
+def _to_disk(path: Path) -> None:
+    """Have the system write a file, or a folder's entries, to the disk; best effort on a folder."""
+    if os.name == "nt":
+        return  # there a file is flushed by whoever has it open for writing
+    number = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    except OSError:
+        if path.is_file():
+            raise
+    finally:
+        os.close(number)
 
 
 def _refuse_device(path: Path, wanted: str) -> None:
@@ -66,26 +141,50 @@ def write_text(path: str | Path, text: str) -> None:
 def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill; it appears at ``path`` only if the block succeeds.
 
+    What a program that was killed left beside ``path`` is removed, or put back.
+
     Raises:
         UserError: if ``path`` exists and is not an empty folder (and ``overwrite`` is not set).
     """
     path = Path(path)
     check_new_folder(path, overwrite=overwrite)
     make_folder(path.parent)
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    prefix, aside = f".{path.name[:_OF_NAME]}.partial-", f".{path.name[:_OF_NAME]}.old-"
+    _put_back(path, aside)
+    _sweep(path.parent, prefix)
+    partial = Path(tempfile.mkdtemp(prefix=prefix, dir=path.parent))
+    number = os.open(partial, os.O_RDONLY) if fcntl is not None else -1
     try:
+        if number >= 0:
+            _lock(number)
         yield partial
         partial.chmod(0o777 & ~_umask())  # mkdtemp's 0700 is not what a shared folder wants
+        for written in partial.rglob("*"):
+            _to_disk(written)
+        check_new_folder(path, overwrite=overwrite)  # another program may have made it meanwhile
         if path.exists():
             # Moved aside rather than deleted first: an interruption leaves one whole folder.
-            old = partial.with_name(partial.name + "-old")
+            old = path.with_name(aside + partial.name[len(prefix) :])
             os.replace(path, old)
             os.replace(partial, path)
             shutil.rmtree(old)
         else:
             os.replace(partial, path)
+        _to_disk(path.parent)
     finally:
+        if number >= 0:
+            os.close(number)
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_back(path: Path, aside: str) -> None:
+    """Put back what was moved aside where a kill left nothing in its place; else remove it."""
+    for old in path.parent.glob(f"{glob.escape(aside)}*"):
+        with suppress(OSError):
+            if path.exists():
+                shutil.rmtree(old)
+            else:
+                os.replace(old, path)
 
 
 def make_folder(path: Path) -> None:
@@ -100,6 +199,69 @@ def make_folder(path: Path) -> None:
     path.mkdir(parents=True, exist_ok=True)
 
 
+def is_empty(folder: str | Path) -> bool:
+    """Return whether there is no such folder, or nothing in it but what a killed program left."""
+    folder = Path(folder)
+    return not folder.is_dir() or all(_is_left(path) for path in folder.iterdir())
+
+
+def _is_left(path: Path) -> bool:
+    return path.name == _LOCK or (path.name.startswith(".") and ".partial" in path.name)
+
+
+#: The name of a folder's lock.
+_LOCK = ".lock"
+
+
+@contextmanager
+def locked(folder: str | Path, doing: str) -> Iterator[None]:
+    """Keep a folder for this process alone while the block runs.
+
+    The file ``.lock`` in it says which process on which computer has it. One that a process left
+    that is no more does not count.
+
+    Args:
+        folder: that is there.
+        doing: what is done in it, for the message of another process: ``recorded into``.
+
+    Raises:
+        UserError: if another process has it, here or on another computer.
+    """
+    path, host = Path(folder) / _LOCK, socket.gethostname()
+    file = _taken(path, host, folder, doing)
+    try:
+        file.truncate(0)
+        file.write(f"{os.getpid()} on {host}\n")
+        file.flush()
+        yield
+    finally:
+        if os.name == "nt":
+            file.close()  # an open file is not removed there
+        path.unlink(missing_ok=True)
+        file.close()
+
+
+def _taken(path: Path, host: str, folder: str | Path, doing: str) -> TextIO:
+    """Return the lock's file, open and locked."""
+    while True:
+        number = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        file = open(number, "r+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        free = _lock(number) is not False
+        holder, _, where = file.read(512).strip().partition(" on ")
+        if not free or (where and where != host):
+            file.close()
+            what = f"process {holder} on {where}" if where else "another process"
+            then = "wait for that, or end it"
+            if free:
+                then += f"; if it is no more, remove {path}"
+            raise UserError(f"{folder} is being {doing} by {what}: {then}")
+        # Whoever had it may have removed it just before it was locked here.
+        if path.exists() and os.path.samestat(os.fstat(number), path.stat()):
+            file.seek(0)
+            return file
+        file.close()
+
+
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     """Refuse an output folder that would overwrite something.
 
@@ -110,7 +272,7 @@ def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     _refuse_device(path, "a folder")
     if path.is_file():
         raise UserError(f"{path} is a file; name a folder that does not exist yet")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
+    if not is_empty(path) and not overwrite:
         raise UserError(f"{path} is not empty; name a new folder, or remove this one yourself")
 
 
@@ -334,10 +496,13 @@ def read_header(path: str | Path) -> tuple[str, ...]:
 
 
 class LineLog:
-    """A CSV file that grows line by line, each flushed to the disk as it is written.
+    """A CSV file that grows line by line, each handed to the system as it is written.
 
-    A kill between two lines loses nothing; one within a line leaves a torn last line, which
-    ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
+    A kill of the program between two lines loses nothing; one within a line leaves a torn last
+    line, which ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
+    What the computer's own failure loses is up to its system (some seconds) until the log is
+    closed, which waits for the disk: a line is written down before a motor is set, and a disk may
+    take longer than a robot can wait.
     """
 
     def __init__(self, path: str | Path, columns: Sequence[str]):
@@ -361,15 +526,17 @@ class LineLog:
             self._file.flush()
 
     def append(self, *values: Any) -> None:
-        """Write one line and flush it; floats in shortest exact form, None and NaN as nothing."""
+        """Hand one line to the system; floats in shortest exact form, None and NaN as nothing."""
         if len(values) != len(self.columns):
             raise ValueError(f"expected {len(self.columns)} values, got {len(values)}")
         self._writer.writerow([_field(value) for value in values])
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file, once the disk has it."""
+        if not self._file.closed:
+            with self._file:
+                os.fsync(self._file.fileno())
 
     def __enter__(self) -> LineLog:
         return self

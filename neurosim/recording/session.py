@@ -29,7 +29,7 @@ from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
 from tracking.camera.cameras import STALLED, Camera
-from tracking.datasets.recordings import Recording
+from tracking.datasets.recordings import CommandLine, Recording
 
 #: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
 #: and no whole number of frames long, so that each edge meets another phase of the shutter.
@@ -42,6 +42,8 @@ LINES = ("line_left", "line_right")
 LOOK_EVERY = 1 / 30
 #: A robot that is lost has so long to be put into view again, s.
 PATIENCE = 60.0
+#: A frame is written into the video so long after it was taken, at most, s.
+WRITTEN_LATE = 2.0
 #: Going back inside by position ends this near to its goal, m.
 NEAR = 0.25
 
@@ -212,7 +214,8 @@ class Session:
         Raises:
             CameraLost: if it fails.
         """
-        while self._may_fail and (now := self._clock.now()) < time:
+        # A clock may be short of a time by its last digits, and sleep no more.
+        while self._may_fail and (now := self._clock.now()) < time - 1e-3:
             self._check_camera()
             self._clock.sleep_until(min(time, now + LOOK_EVERY))
         self._clock.sleep_until(time)
@@ -413,16 +416,19 @@ class Session:
 
 
 def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
-    """Return the commands still to be sent: all that no session sent to their end."""
+    """Return the commands still to be sent: all that no session sent to their end, and filmed."""
     attempts: dict[int, int] = {}
     settled: set[int] = set()
     if (recording.path / "commands.csv").exists():
-        lines = [line for line in recording.commands() if line.is_motor]
+        every = recording.commands()
+        filmed = _filmed_until(recording, every)
+        lines = [line for line in every if line.is_motor]
         for line, after in zip_longest(lines, lines[1:]):
             if line.kind != "command" or line.command is None:
                 continue
             attempts[line.command] = attempts.get(line.command, 0) + 1
             ran = after is not None and after.session == line.session and after.kind != "cut"
+            ran = ran and after.time <= filmed[line.session]
             if ran or attempts[line.command] >= settings.guard.attempts:
                 settled.add(line.command)
     todo = (
@@ -431,3 +437,19 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
         if index not in settled
     )
     return deque(todo)
+
+
+def _filmed_until(recording: Recording, lines: list[CommandLine]) -> dict[int, float]:
+    """Return until when the robot was filmed in each session, s on the robot's clock.
+
+    A kill loses frames that were still to be written into the video, though they are counted. What
+    was tracked live is kept without the video.
+    """
+    until = {line.session: math.inf for line in lines}
+    ended = {line.session for line in lines if line.kind == "end"}
+    for session in until.keys() - ended:
+        lost = recording.lost_film(session)
+        if lost > 0:
+            last = max(line.time for line in lines if line.session == session)
+            until[session] = last - lost - WRITTEN_LATE
+    return until

@@ -10,6 +10,9 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import Progress
@@ -82,6 +85,21 @@ def sample(
         "motors": "counters" if eye is None else "camera",
     }
     _begin(out, {**about, "options": dict(options or {})}, resume)
+    with files.locked(out, "sampled into"):
+        return _sample(out, robot, settings, levels, place, seed, progress, eye)
+
+
+def _sample(
+    out: Path,
+    robot: Sampler,
+    settings: SampleSettings,
+    levels: NDArray[np.int64],
+    place: Place,
+    seed: int,
+    progress: bool,
+    eye: Eye | None,
+) -> dict[str, Any]:
+    """Sample what has not been sampled yet; see :func:`sample`."""
     total = settings.repeats * settings.distances * len(OBJECTS)
     bar = Progress("sample", total, "turns") if progress else None
     try:

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,10 +27,9 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
-    check_new_folder,
     inside,
     integer,
-    make_folder,
+    new_folder,
     number,
     optional_number,
     read_csv,
@@ -38,6 +38,7 @@ from neurosim.base.files import (
     write_csv,
     write_json,
 )
+from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
 MARKERS_FORMAT = "neurosim-markers"
@@ -193,19 +194,20 @@ class Recording:
                 inside(self.path, name, file=self.path / "recording.json", field="videos")
 
     @classmethod
-    def create(cls, path: str | Path, meta: Mapping[str, Any]) -> Recording:
-        """Make the folder of a new recording.
+    def create(
+        cls, path: str | Path, meta: Mapping[str, Any], calibration: str | Path | None = None
+    ) -> Recording:
+        """Make the folder of a new recording, whole or not at all.
 
         Args:
             path: a folder that does not exist yet, or is empty.
             meta: what recording.json is to say; ``markers`` and ``board`` have defaults.
+            calibration: calibration.json of the camera, which is copied into it.
 
         Raises:
             UserError: if there is something at ``path``.
         """
         path = Path(path)
-        check_new_folder(path)
-        make_folder(path)
         content = {
             "created": _wall_clock(),
             "complete": False,
@@ -219,7 +221,10 @@ class Recording:
             "videos": [],
             **meta,
         }
-        write_json(path / "recording.json", FORMAT, VERSION, content)
+        with new_folder(path) as folder:
+            write_json(folder / "recording.json", FORMAT, VERSION, content)
+            if calibration is not None:
+                shutil.copyfile(calibration, folder / "calibration.json")
         return cls(path)
 
     def save_meta(self) -> None:
@@ -348,6 +353,27 @@ class Recording:
             line = int(np.flatnonzero(rows)[backwards[0] + 1]) + 2
             raise FileError(path, "the camera's clock goes backwards", line=line, field="time")
         return times
+
+    def lost_film(self, session: int) -> float:
+        """Return for how many seconds the last frames of a session are nowhere to be seen.
+
+        They are in frames.csv and not in the video, which a killed program leaves so; nor were
+        they tracked when they were taken.
+        """
+        path, times = self.video(session), self.frame_times(session)
+        if path is None or times is None:
+            return 0.0
+        sightings = self.path / "sightings.csv"
+        if sightings.exists():
+            table = read_csv(sightings, {"session": integer}, drop_torn_line=True)
+            if session in table["session"]:
+                return 0.0
+        try:
+            with Video(path) as video:
+                there = sum(1 for _ in video)
+        except FileError:
+            there = 0
+        return float(times[-1] - times[min(max(there, 1), len(times)) - 1])
 
     @property
     def is_tracked(self) -> bool:

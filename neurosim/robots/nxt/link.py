@@ -257,6 +257,7 @@ def _open_device(filename: str) -> nxt.brick.Brick:
             errno.EACCES: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EPERM: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EBUSY: "it is busy; another program may hold the line",
+            errno.EAGAIN: "it is busy; another program holds the line",
             errno.EISDIR: "it is a folder, not a device file",
             errno.EHOSTDOWN: "the brick does not answer; is it on and in range?",
         }.get(error.errno, os.strerror(error.errno) if error.errno else str(error))
@@ -269,12 +270,15 @@ def _connect(sock: Any) -> nxt.brick.Brick:
 
     A session's leader (a notebook's kernel, a service) would be hung up on when the line closes.
     """
+    import fcntl
     import tty
 
     def opener(path: str, flags: int) -> int:
         return os.open(path, flags | os.O_NOCTTY)
 
     sock._device = open(sock._filename, "r+b", buffering=0, opener=opener)  # noqa: SIM115
+    # For this program alone, as pyserial does it: two of them would drive one robot.
+    fcntl.flock(sock._device, fcntl.LOCK_EX | fcntl.LOCK_NB)
     tty.setraw(sock._device)
     return nxt.brick.Brick(sock)
 
