@@ -105,13 +105,20 @@ def uninterrupted() -> Iterator[None]:
 
     For compiled code that runs on several cores, which does not survive an exception that is
     raised in the middle of it (:func:`deferred_interrupt` is for a whole generation). What came
-    meanwhile is answered at the end, by whoever would have answered it.
+    meanwhile is answered at the end, by whoever would have answered it; the third is answered at
+    once, for what runs inside may be anything. Also a decorator.
 
     Raises:
-        KeyboardInterrupt: at the end.
+        KeyboardInterrupt: at the end, or at the third.
     """
     came: list[int] = []
-    before = _replaced(lambda number, frame: came.append(number))
+
+    def answer(number: int, frame: FrameType | None) -> None:
+        came.append(number)
+        if len(came) > 2:
+            before[number](number, frame)
+
+    before = _replaced(answer)
     try:
         yield
     finally:
