@@ -16,6 +16,7 @@ import math
 import os
 import shutil
 import socket
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
@@ -332,6 +333,99 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
+#: A JSON file is no larger, bytes; nor is any other text.
+MOST_JSON, MOST_TEXT = 64 * 2**20, 1024 * 2**20
+
+
+def check_name(path: str | Path) -> str:
+    """Return the name of a file as text, as libraries beneath Python take it.
+
+    Raises:
+        FileError: if it is not UTF-8, which ends some of them in a crash.
+    """
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        raise FileError(ascii(str(path)), "the name is not UTF-8; rename the file") from None
+    return str(path)
+
+
+def check_file(path: str | Path, expected: str, *, most: int | None = None) -> None:
+    """Make sure that a file can be read to its end: a pipe may wait for ever, a device has none.
+
+    Args:
+        path: the file.
+        expected: what it should be, for messages: ``a CSV file``.
+        most: how large it may be, bytes.
+
+    Raises:
+        FileError: if there is no such file, or it is none.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileError(path, f"no such file; expected {expected}") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror}); expected {expected}") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FileError(path, f"is a folder; expected {expected}")
+    if not stat.S_ISREG(status.st_mode):
+        raise FileError(path, f"is a pipe or a device; expected {expected}")
+    if most is not None and status.st_size > most:
+        raise FileError(path, f"is larger than {most // 2**20} MB; expected {expected}")
+
+
+def read_text(
+    path: str | Path,
+    expected: str,
+    *,
+    encoding: str = "utf-8",
+    most: int = MOST_TEXT,
+    not_text: str | None = None,
+) -> str:
+    """Return the text of a file, line ends as they are.
+
+    Args:
+        path: the file.
+        expected: what it should be, for messages: ``a CSV file``.
+        encoding: of the file.
+        most: how large it may be, bytes.
+        not_text: what to do where it is not text; by default what was expected is said.
+
+    Raises:
+        FileError: if there is no such file, or it is none, or not text.
+    """
+    check_file(path, expected, most=most)
+    try:
+        with open(path, encoding=encoding, newline="") as file:
+            return file.read()
+    except UnicodeDecodeError:
+        raise FileError(path, f"is not text; {not_text or f'expected {expected}'}") from None
+
+
+def _json_integer(text: str) -> int:
+    if len(text) > 20 or abs(int(text)) >= 2**64:
+        raise ValueError(f"the number {text[:12]}... of {len(text)} digits is too large")
+    return int(text)
+
+
+def _json_number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is no number that a file can hold")
+    return value
+
+
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {twice!r:.40} stands twice in one object")
+    return found
+
+
 def read_json(
     path: str | Path, format: str, version: int, fields: Mapping[str, type | tuple] | None = None
 ) -> dict[str, Any]:
@@ -348,18 +442,23 @@ def read_json(
             field.
     """
     path = Path(path)
+    text = read_text(path, f"a {format} file, JSON in UTF-8", most=MOST_JSON)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
-        raise FileError(path, f"no such file; expected a {format} file") from None
-    except IsADirectoryError:
-        raise FileError(path, f"is a folder; expected a {format} file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected JSON in UTF-8") from None
+        document = json.loads(
+            text,
+            parse_int=_json_integer,
+            parse_float=_json_number,
+            parse_constant=_json_number,
+            object_pairs_hook=_json_object,
+        )
     except json.JSONDecodeError as error:
         raise FileError(
             path, f"is not whole JSON ({error.msg}); it may have been cut short", line=error.lineno
         ) from None
+    except RecursionError:
+        raise FileError(path, f"is nested too deeply; expected a {format} file") from None
+    except ValueError as error:
+        raise FileError(path, str(error)) from None
     if not isinstance(document, dict):
         raise FileError(path, f"expected a JSON object of format {format!r}")
     if document.get("format") != format:
@@ -404,7 +503,10 @@ def optional_number(text: str) -> float:
 
 def integer(text: str) -> int:
     """Parse an integer of a CSV field."""
-    return int(text)
+    value = int(text)
+    if abs(value) >= 2**63:
+        raise ValueError("too large")
+    return value
 
 
 def flag(text: str) -> bool:
@@ -442,19 +544,12 @@ def read_csv(
             should be.
     """
     path = Path(path)
-    try:
-        with open(path, encoding="utf-8", newline="") as file:
-            text = file.read()
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a folder; expected a CSV file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected CSV in UTF-8") from None
+    text = read_text(path, "a CSV file in UTF-8")
     if drop_torn_line and not text.endswith("\n"):
         text = text[: text.rfind("\n") + 1]
     reader = csv.reader(text.splitlines())
-    header = next(reader, None)
+    rows = _rows(path, reader)
+    header = next(rows, None)
     if not header:
         raise FileError(path, "is empty; expected a line with the column names", line=1)
     for name in columns:
@@ -462,7 +557,7 @@ def read_csv(
             raise FileError(path, f"this column is missing; found {', '.join(header)}", field=name)
     places = [(name, header.index(name), parse) for name, parse in columns.items()]
     table: dict[str, list] = {name: [] for name in columns}
-    for row in reader:
+    for row in rows:
         if not row:
             continue
         if len(row) != len(header):
@@ -482,16 +577,24 @@ def read_csv(
     return table
 
 
+def _rows(path: Path, reader: Any) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise FileError(path, f"is no CSV ({error})", line=reader.line_num) from None
+
+
 def read_header(path: str | Path) -> tuple[str, ...]:
     """Return the column names in the first line of a CSV file.
 
     Raises:
         FileError: if there is no such file, or it is not CSV.
     """
+    check_file(path, "a CSV file in UTF-8")
     try:
         with open(path, encoding="utf-8", newline="") as file:
             return tuple(next(csv.reader(file), ()))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(path, f"cannot be read as CSV in UTF-8: {error}") from None
 
 
@@ -570,7 +673,12 @@ def write_csv(path: str | Path, columns: Mapping[str, Sequence]) -> None:
 
 
 def sha256(path: str | Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal."""
+    """Return the SHA-256 of a file, in hexadecimal.
+
+    Raises:
+        FileError: if it is no file.
+    """
+    check_file(path, "a file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -601,10 +709,9 @@ def read_tensors(
     from safetensors.numpy import load_file
 
     path = Path(path)
+    check_file(path, "a safetensors file")
     try:
         tensors = load_file(str(path))
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
     except (SafetensorError, OSError) as error:
         raise FileError(
             path, f"is not a whole safetensors file ({error}); it may have been cut short"

@@ -148,6 +148,11 @@ def main() -> None:
         # The reader of a pipe went away (head, less): not worth a word.
         sys.stderr.close()
         sys.exit(1)
+    except RuntimeError as error:
+        if not str(error).startswith("Symlink loop"):  # as Path.resolve says it
+            raise
+        click.echo(f"neurosim: a link leads to itself: {str(error).split(' from ')[-1]}", err=True)
+        sys.exit(1)
     except OSError as error:
         # Disk full, no permission: the user's to put right, and the file is named.
         where = f": {error.filename}" if error.filename else ""

@@ -173,6 +173,9 @@ def record(
         as_json,
         _words(result) + _next(out, recording.is_tracked, calibration),
     )
+    if (out / "sightings.csv").exists() and not recording.is_tracked:
+        # It was tracked, and has no poses: why was said on stderr.
+        click.get_current_context().exit(1)
 
 
 def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:

@@ -337,3 +337,93 @@ def test_the_lock_of_another_computer_counts(tmp_path):
     with pytest.raises(UserError, match=says), files.locked(tmp_path, "recorded into"):
         pass
     assert (tmp_path / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"x": ' + "9" * 5000 + "}", "of 5000 digits is too large"),
+        ('{"x": ' + "9" * 25 + "}", "of 25 digits is too large"),
+        ('{"x": 1e999}', "1e999 is no number that a file can hold"),
+        ('{"x": NaN}', "NaN is no number"),
+        ('{"x": -Infinity}', "-Infinity is no number"),
+        ('{"x": ' + "[" * 100_000, "is nested too deeply; expected a thing file"),
+        ('{"x": ' + '{"y": ' * 100_000, "is nested too deeply; expected a thing file"),
+        ('{"x": 1, "x": 2}', "the key 'x' stands twice"),
+    ],
+)
+def test_json_of_what_no_program_writes_is_refused(tmp_path, text, says):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(FileError, match=says):
+        files.read_json(path, "thing", 1)
+
+
+def test_large_numbers_that_fit_are_read(tmp_path):
+    files.write_json(tmp_path / "a.json", "thing", 1, {"x": 2**64 - 1, "y": -(2**63), "z": 1e300})
+    assert files.read_json(tmp_path / "a.json", "thing", 1)["x"] == 2**64 - 1
+
+
+READERS = [
+    lambda path: files.read_json(path, "thing", 1),
+    lambda path: files.read_csv(path, {"a": str}),
+    lambda path: files.read_tensors(path),
+    files.read_header,
+    files.sha256,
+    lambda path: files.read_text(path, "text"),
+]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("read", READERS)
+def test_what_is_no_file_is_not_waited_for(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    for name, says in (
+        ("pipe", "is a pipe or a device"),
+        ("loop", r"cannot be read \(Too many levels of symbolic links\)"),
+        ("none", "no such file"),
+        ("", "is a folder"),
+    ):
+        with pytest.raises(FileError, match=says):
+            read(tmp_path / name)
+    with pytest.raises(FileError, match="is a pipe or a device"):
+        read("/dev/zero")
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    with open(tmp_path / "a.json", "wb") as file:
+        file.truncate(files.MOST_JSON + 1)
+    with pytest.raises(FileError, match="is larger than 64 MB; expected a thing file"):
+        files.read_json(tmp_path / "a.json", "thing", 1)
+
+
+def test_a_field_that_never_ends_is_no_csv(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n1," + "2" * 200_000 + "\n")
+    with pytest.raises(FileError, match=r"line 2: is no CSV \(field larger"):
+        files.read_csv(tmp_path / "a.csv", {"a": str})
+
+
+def test_a_name_that_is_not_utf_8_is_refused():
+    assert files.check_name("é/ü.avi") == "é/ü.avi"
+    with pytest.raises(FileError, match=r"a\\udcff\.avi.*the name is not UTF-8; rename the file"):
+        files.check_name(os.fsdecode(b"a\xff.avi"))
+
+
+def test_compiled_functions_have_a_place_without_a_home(tmp_path, monkeypatch):
+    from neurosim.base import compiled
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    compiled.keep_compiled(tmp_path)  # beside the source
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    compiled.keep_compiled(tmp_path)  # in the user's cache
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    compiled.keep_compiled(tmp_path)
+    folder = os.environ["NUMBA_CACHE_DIR"]
+    assert os.stat(folder).st_mode & 0o777 == 0o700
+    os.rmdir(folder)

@@ -137,3 +137,47 @@ def test_a_folder_of_files_is_no_folder_of_links(tmp_path):
     (tmp_path / "a" / "c").symlink_to("nowhere")
     with pytest.raises(UserError, match="c is a link to nowhere"):
         check_no_links(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are Unicode there")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["track", "\udcff.avi", "-o", "t"],
+        ["record", "r", "--camera", "\udcff.avi", "--robot", "khepera", "--port", "loop://"],
+        ["calibrate", "\udcff.jpg", "--square", "40"],
+        ["record", "\udcff", "--commands", "1"],
+    ],
+)
+def test_a_name_that_is_not_utf_8(refused, tmp_path, words):
+    for name in (b"\xff.avi", b"\xff.jpg"):
+        (tmp_path / os.fsdecode(name)).write_bytes(b"x")
+    said = refused(*words)
+    assert "the name is not UTF-8" in said or "no Khepera" in said or "sends back" in said
+
+
+@links
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["dataset", "loop", "-o", "d"],
+        ["train", "loop", "-o", "s"],
+        ["report", "loop", "-o", "r.html"],
+        ["track", "loop"],
+        ["evolve", "loop", "-o", "c"],
+        ["dataset", "--from", "csv", "loop", "-o", "d"],
+        ["build-tables", "loop", "-o", "t"],
+    ],
+)
+def test_a_link_that_leads_to_itself(refused, tmp_path, words):
+    (tmp_path / "loop").symlink_to("loop")
+    refused(*words)
+
+
+def test_an_arena_of_too_many_obstacles(refused, tmp_path):
+    square = [[-9, -9, 9, -9], [9, -9, 9, 9], [9, 9, -9, 9], [-9, 9, -9, -9]]
+    obstacles = [[0.0, 0.0, 0.001]] * 20_000
+    content = {"outline": square, "obstacles": obstacles}
+    write_json(tmp_path / "arena.json", "neurosim-arena", 1, content)
+    said = refused("lab", "khepera", "--arena", "arena.json", "--seconds", "1")
+    assert "field 'obstacles': expected at most 1000, found 20,000" in said

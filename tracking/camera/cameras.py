@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import LineLog
+from neurosim.base.files import LineLog, check_name
 from tracking.camera.video import Video
 
 #: A camera that delivers no frame for so many seconds, or for so many frames' time, has stalled.
@@ -64,7 +64,7 @@ class OpenCVCamera:
     ):
         self._source = source
         self._now = now
-        self._capture = cv2.VideoCapture(source)
+        self._capture = cv2.VideoCapture(check_name(source) if isinstance(source, str) else source)
         if not self._capture.isOpened():
             raise UserError(
                 f"camera {source!r} cannot be opened: is it plugged in and not in use elsewhere? "
@@ -221,7 +221,7 @@ class VideoSink:
         if self._path.exists():
             raise UserError(f"{self._path} exists already; a recording is never overwritten")
         fourcc = cv2.VideoWriter.fourcc(*"MJPG")
-        self._writer = cv2.VideoWriter(str(self._path), fourcc, fps, size)
+        self._writer = cv2.VideoWriter(check_name(self._path), fourcc, fps, size)
         if not self._writer.isOpened():
             raise UserError(f"{self._path}: OpenCV cannot write this video here")
         self._log = log

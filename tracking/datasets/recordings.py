@@ -41,6 +41,8 @@ from neurosim.base.files import (
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
+#: A command lasts no longer, s.
+LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
 TRACKING_FORMAT = "neurosim-tracking"
 
@@ -299,9 +301,12 @@ class Recording:
         for entry in lines:
             if entry.is_motor and (math.isnan(entry.left) or math.isnan(entry.right)):
                 raise FileError(path, "a motor command needs both speeds", line=entry.line)
-            if entry.kind == "command" and (entry.command is None or not entry.duration > 0):
+            lasts = 0 < entry.duration <= LONGEST
+            if entry.kind == "command" and (entry.command is None or not lasts):
                 raise FileError(
-                    path, "a command needs a number and a duration above 0", line=entry.line
+                    path,
+                    f"a command needs a number and a duration above 0 and up to {LONGEST:g} s",
+                    line=entry.line,
                 )
             if before is not None:
                 _check_order(path, before, entry)
