@@ -26,6 +26,7 @@ from typing import Any, TextIO
 import numpy as np
 
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import Mismatch, Shape, check
 
 try:
     import fcntl
@@ -427,7 +428,7 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def read_json(
-    path: str | Path, format: str, version: int, fields: Mapping[str, type | tuple] | None = None
+    path: str | Path, format: str, version: int, fields: Mapping[str, Shape] | None = None
 ) -> dict[str, Any]:
     """Read a JSON file of this ``format`` and ``version``.
 
@@ -435,7 +436,8 @@ def read_json(
         path: the file.
         format: the expected value of the key ``format``.
         version: the newest version this code reads; older ones are the caller's to refuse.
-        fields: keys that must be there, with their types.
+        fields: keys that must be there, with their types or shapes (:mod:`neurosim.base.schema`);
+            one that ends in a question mark may be missing.
 
     Raises:
         FileError: if the file is missing, cut short, of another format or version, or lacks a
@@ -473,15 +475,13 @@ def read_json(
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
-    for name, kind in (fields or {}).items():
-        if name not in document:
+    for name, shape in (fields or {}).items():
+        if isinstance(name, str) and not name.endswith("?") and name not in document:
             raise FileError(path, "is missing", field=name)
-        value = document[name]
-        wrong_bool = isinstance(value, bool) and kind not in (bool, object)
-        if not isinstance(value, kind) or wrong_bool:
-            names = kind if isinstance(kind, tuple) else (kind,)
-            expected = " or ".join(k.__name__ for k in names)
-            raise FileError(path, f"expected {expected}, found {value!r:.60}", field=name)
+        try:
+            check(document, {name: shape})
+        except Mismatch as error:
+            raise FileError(path, error.what, field=error.field) from None
     return document
 
 

@@ -424,6 +424,13 @@ class SettingsCommand(click.Command):
             raise self._of_another(error, state) or error from None
         except click.MissingParameter as error:
             raise self._missing(error, state) or error from None
+        except (TypeError, AttributeError) as error:
+            if not ctx.default_map:
+                raise
+            raise UserError(
+                f"the options that this was begun with cannot be read ({error}): give them again, "
+                "or begin anew"
+            ) from None
         given = {each.name: each for each in self.get_params(ctx) if _is_set(ctx, each.name)}
         state.given = {
             name: _plain(ctx.params[name])

@@ -38,6 +38,7 @@ from neurosim.base.files import (
     write_csv,
     write_json,
 )
+from neurosim.base.schema import Maybe, Rows, Shape
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
@@ -45,6 +46,27 @@ FORMAT, VERSION = "neurosim-recording", 1
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
 TRACKING_FORMAT = "neurosim-tracking"
+
+_RECORDING: dict[str, Shape] = {
+    "robot": {"kind?": str, "virtual?": bool},
+    "camera?": dict,
+    "sessions": [dict],
+    "videos": [Maybe(str)],
+    "markers": dict,
+    "board": {"length": float, "width": float},
+    "settings?": {"source?": {"controller?": dict}},
+    "complete?": bool,
+}
+_MARKER_SEEN = {"colour?": str, "sure?": float, "doubt?": str}
+_TRACKING: dict[str, Shape] = {
+    "sessions": [
+        {
+            "session?": int,
+            "clock?": {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float},
+            "markers?": {"front?": _MARKER_SEEN, "rear?": _MARKER_SEEN},
+        }
+    ]
+}
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -188,7 +210,7 @@ class Recording:
             self.path / "recording.json",
             FORMAT,
             VERSION,
-            {"robot": dict, "sessions": list, "videos": list, "markers": dict, "board": dict},
+            _RECORDING,
         )
         _check_markers(self.path / "recording.json", self.meta["markers"])
         for name in self.meta["videos"]:
@@ -394,8 +416,8 @@ class Recording:
         path = self.path / "tracking.json"
         if not path.exists():
             return []
-        sessions = read_json(path, TRACKING_FORMAT, VERSION, {"sessions": list})["sessions"]
-        return [session for session in sessions if "clock" in session]
+        sessions = read_json(path, TRACKING_FORMAT, VERSION, _TRACKING)["sessions"]
+        return [session for session in sessions if session.get("clock") is not None]
 
     def poses(self) -> Poses:
         """Read poses.csv.
@@ -485,7 +507,8 @@ def _check_order(path: Path, before: CommandLine, entry: CommandLine) -> None:
 def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
     for name in ("front", "rear"):
         marker = markers.get(name)
-        if not isinstance(marker, dict) or not {"colour", "x", "y"} <= marker.keys():
+        whole = isinstance(marker, dict) and {"colour", "x", "y"} <= marker.keys()
+        if not whole or not isinstance(marker["colour"], str):
             raise FileError(path, "expected colour, x and y", field=f"markers.{name}")
     lamp = markers.get("lamp")
     if lamp is not None and not (isinstance(lamp, dict) and {"x", "y"} <= lamp.keys()):
