@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import nullcontext
@@ -12,6 +13,8 @@ from neurosim.base.progress import Progress
 
 #: Seconds between checkpoints: a kill loses no more than this.
 CHECKPOINT_EVERY = 5.0
+#: A first generation that takes longer is said to be compiled, s.
+COMPILES_AFTER = 4.0
 
 
 class Stage(Protocol):
@@ -30,6 +33,23 @@ class Stage(Protocol):
     def state(self) -> Mapping[str, Any]:
         """Return all that the next generations depend on, as arrays."""
         ...
+
+
+def _says_that_it_compiles(shown: Progress | None, label: str) -> threading.Timer:
+    """Start what says, unless it is cancelled soon, why the first generation takes so long."""
+    message = (
+        f"{label}: the first generation is under way; the first time on a computer its loops are "
+        "compiled, which takes up to half a minute and is kept"
+    )
+
+    def say() -> None:
+        if shown is not None:
+            shown.say(message)
+
+    timer = threading.Timer(COMPILES_AFTER, say)
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def run_generations(
@@ -59,8 +79,10 @@ def run_generations(
         if shown is not None and stage.done:
             shown.advance(stage.done)
         saved = time.monotonic()
+        slow = _says_that_it_compiles(shown, label)
         while stage.done < total:
             note = stage.generation()
+            slow.cancel()
             if shown is not None:
                 shown.advance(note=note)
             if interrupt.pending:
@@ -68,6 +90,7 @@ def run_generations(
             if save is not None and time.monotonic() - saved >= every:
                 save(stage.state())
                 saved = time.monotonic()
+        slow.cancel()
     if interrupt.pending and save is not None:
         save(stage.state())
     return interrupt.pending

@@ -290,7 +290,7 @@ def _say(
     if best.given:
         verdict = "completes the task" if best.predicted["completes"] else "does not complete it"
         text = (
-            f"{paths[0]}: {len(best.given)} commands, fitness {fitness:.1f}, {verdict} in the "
+            f"{paths[0]}: {len(best.given)} commands, fitness {fitness:z.1f}, {verdict} in the "
             f"simulator; {complete} of {runs} runs found a plan that does.\n"
         )
     else:

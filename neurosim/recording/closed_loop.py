@@ -92,7 +92,7 @@ class ClosedLoopSession(Session):
         deadlines: how well the rate was kept so far.
     """
 
-    _go_on = "at its start and begin again"
+    go_on = "at its start and begin again"
 
     def __init__(
         self,

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import atomic_path, check_new_folder, check_no_links, locked
 from neurosim.base.provenance import robot_kind
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
@@ -133,6 +133,9 @@ def record(
                 )
                 try:
                     done = driven.run()
+                except LinkLost as error:
+                    how = driven.go_on
+                    raise LinkLost(f"{error}; what was sent is kept, put the robot {how}") from None
                 finally:
                     # Before the camera stops: it should still see the robot stand still, and
                     # nothing that goes wrong with the video may leave the motors on.
@@ -253,6 +256,8 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
         raise UserError(f"{out} is complete; there is nothing to resume")
     for part, keys in _SAME.items():
         was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        if not isinstance(was, dict):
+            raise FileError(out / "recording.json", "expected an object", field=part)
         if part == "robot":
             was, now = ({**side, "kind": robot_kind(side)} for side in (was, now))
         if keys is not None:

@@ -68,7 +68,7 @@ class Session:
     """One session: from the flash at its start to the flash at its end."""
 
     #: What a user does next where a session was interrupted.
-    _go_on = "in the middle of the board and go on with --resume"
+    go_on = "in the middle of the board and go on with --resume"
 
     def __init__(
         self,
@@ -227,7 +227,7 @@ class Session:
             what = f"delivered no frame for {STALLED:g} s or more" if stalled else "stopped"
             raise CameraLost(
                 f"the camera {what}, and the robot was stopped; {self._path} keeps what was "
-                f"filmed: check the camera, put the robot {self._go_on}"
+                f"filmed: check the camera, put the robot {self.go_on}"
             )
 
     def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:
@@ -314,7 +314,7 @@ class Session:
                 self._write("stop", 0, 0)
                 raise UserError(
                     f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
-                    f"robot {self._go_on}"
+                    f"robot {self.go_on}"
                 )
             self._wait(LOOK_EVERY)
 
@@ -376,7 +376,7 @@ class Session:
     def _give_up(self) -> NoReturn:
         self._write("stop", 0, 0)
         raise UserError(
-            f"the robot does not find its way back inside the lines; put it {self._go_on}"
+            f"the robot does not find its way back inside the lines; put it {self.go_on}"
         )
 
     def _turn(self, angle: float) -> None:
@@ -411,7 +411,7 @@ class Session:
         self._write("pause")
         raise BatteryLow(
             f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "
-            f"the robot {self._go_on}"
+            f"the robot {self.go_on}"
         )
 
 

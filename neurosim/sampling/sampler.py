@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import files
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.progress import Progress
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
@@ -86,7 +86,11 @@ def sample(
     }
     _begin(out, {**about, "options": dict(options or {})}, resume)
     with files.locked(out, "sampled into"):
-        return _sample(out, robot, settings, levels, place, seed, progress, eye)
+        try:
+            return _sample(out, robot, settings, levels, place, seed, progress, eye)
+        except LinkLost as error:
+            how = "what was sampled is kept, go on with --resume"
+            raise LinkLost(f"{error}; {how}") from None
 
 
 def _sample(
@@ -168,6 +172,8 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         )
     for part, names in _SAME.items():
         then, now = (side.get(part) or {} for side in (found, about))
+        if not isinstance(then, Mapping):
+            raise FileError(path, "expected an object", field=part)
         for name in names:
             if then.get(name) not in (None, now.get(name)):
                 raise FileError(
