@@ -11,7 +11,10 @@ What a script needs is here, and imported when it is used::
 """
 
 from importlib import import_module
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from neurosim.base.compiled import keep_compiled
 
 __version__ = "0.1.0"
 
@@ -48,6 +51,9 @@ _PUBLIC = {
     "Episode": "neurosim.base.trajectory",
     "UserError": "neurosim.base.errors",
 }
+
+# Before anything imports Numba.
+keep_compiled(Path(__file__).parent)
 
 #: What can be registered by name, and where.
 _REGISTRIES = {

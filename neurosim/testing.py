@@ -29,7 +29,16 @@ from neurosim.controllers.registry import CONTROLLERS
 from neurosim.loop.settings import default_settings
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.networks.control import NOT_READINGS
-from neurosim.robots.base import Battery, Counters, Lamp, Proximity, Robot, Sensors, WholeSpeeds
+from neurosim.robots.base import (
+    Battery,
+    Counters,
+    Lamp,
+    Proximity,
+    Robot,
+    SelfStopping,
+    Sensors,
+    WholeSpeeds,
+)
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.go_to import GoTo
@@ -97,6 +106,11 @@ def check_robot(make: Callable[[], Robot]) -> None:
         if isinstance(robot, Battery):
             volts = robot.battery()
             _require(not volts <= 0, f"battery() must be volts above 0 or NaN, not {volts}")
+        if isinstance(robot, SelfStopping):
+            for wrong in ((101.0, 0.0), (0.0, math.inf)):
+                _refuses(f"drive_for{(*wrong, 0.1)}", robot.drive_for, *wrong, 0.1)
+            robot.drive_for(20.0, -20.0, 0.1)
+            robot.stop()
         if isinstance(robot, Lamp):
             robot.lamp(True)
             robot.lamp(False)

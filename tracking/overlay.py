@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.files import check_name
 from tracking.markers.colours import Colour
 from tracking.markers.pair import Sighting
 
@@ -56,7 +57,7 @@ class Overlay:
         """
         self.path = Path(path)
         fourcc = _FOURCC[self.path.suffix.lower()]
-        self._writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*fourcc), fps, size)
+        self._writer = cv2.VideoWriter(check_name(path), cv2.VideoWriter.fourcc(*fourcc), fps, size)
         if not self._writer.isOpened():
             raise UserError(f"{self.path}: OpenCV cannot write this video here")
         self._colours = colours

@@ -8,25 +8,43 @@ that a crash leaves the old file or none.
 from __future__ import annotations
 
 import csv
+import errno
+import glob
 import hashlib
 import json
 import math
 import os
 import shutil
+import socket
+import stat
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import Mismatch, Shape, check
+
+try:
+    import fcntl
+except ImportError:  # Windows
+    import msvcrt
+
+    fcntl = None  # type: ignore[assignment]
+
+
+#: How much of a name stands in the name of what is written beside its place.
+_OF_NAME = 32
 
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a path to write to beside ``path``; rename it into place when the block succeeds.
+
+    What a program that was killed left beside ``path`` is removed.
 
     Raises:
         UserError: if something stands at ``path`` that is neither file nor folder, such as a
@@ -35,14 +53,73 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     path = Path(path)
     _refuse_device(path, "a file")
     make_folder(path.parent)
-    # The suffix stays at the end: encoders and savers choose their format by it.
-    partial = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    # The suffix stays at the end: encoders and savers choose their format by it. The rest of the
+    # name is drawn, so that nobody can put a link in its place beforehand.
+    prefix, suffix = f".{path.stem[:_OF_NAME]}.", f".partial{path.suffix}"
+    _sweep(path.parent, prefix, suffix)
+    number, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+    partial = Path(name)
     try:
+        _lock(number)  # while this program lives, nobody takes it for left behind
         yield partial
         partial.chmod(0o666 & ~_umask())  # some writers make files that only their owner reads
+        _to_disk(partial)
+        if os.name == "nt":
+            os.close(number)  # an open file is not renamed there
+            number = -1
         os.replace(partial, path)
+        _to_disk(path.parent)
     finally:
+        if number >= 0:
+            os.close(number)
         partial.unlink(missing_ok=True)
+
+
+def _sweep(folder: Path, prefix: str, suffix: str = "") -> None:
+    """Remove what programs that were killed left in a folder: no living one holds its lock."""
+    for path in folder.glob(f"{glob.escape(prefix)}*{glob.escape(suffix)}"):
+        with suppress(OSError):
+            if path.is_symlink():
+                continue
+            number = os.open(path, os.O_RDONLY)
+            try:
+                if _lock(number):
+                    shutil.rmtree(path) if path.is_dir() else path.unlink()
+            finally:
+                os.close(number)
+
+
+def _lock(number: int) -> bool | None:
+    """Lock an open file or folder for this program; return whether no other had it, if known."""
+    if fcntl is None:
+        try:
+            os.lseek(number, 1 << 20, os.SEEK_SET)  # beyond the text, which others may read
+            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
+        except OSError:
+            return False
+        finally:
+            os.lseek(number, 0, os.SEEK_SET)
+        return True
+    try:
+        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        # None on a file system that has no locks.
+        return False if error.errno in (errno.EWOULDBLOCK, errno.EAGAIN) else None
+    return True
+
+
+def _to_disk(path: Path) -> None:
+    """Have the system write a file, or a folder's entries, to the disk; best effort on a folder."""
+    if os.name == "nt":
+        return  # there a file is flushed by whoever has it open for writing
+    number = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(number)
+    except OSError:
+        if path.is_file():
+            raise
+    finally:
+        os.close(number)
 
 
 def _refuse_device(path: Path, wanted: str) -> None:
@@ -66,26 +143,50 @@ def write_text(path: str | Path, text: str) -> None:
 def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill; it appears at ``path`` only if the block succeeds.
 
+    What a program that was killed left beside ``path`` is removed, or put back.
+
     Raises:
         UserError: if ``path`` exists and is not an empty folder (and ``overwrite`` is not set).
     """
     path = Path(path)
     check_new_folder(path, overwrite=overwrite)
     make_folder(path.parent)
-    partial = Path(tempfile.mkdtemp(prefix=f".{path.name}.partial-", dir=path.parent))
+    prefix, aside = f".{path.name[:_OF_NAME]}.partial-", f".{path.name[:_OF_NAME]}.old-"
+    _put_back(path, aside)
+    _sweep(path.parent, prefix)
+    partial = Path(tempfile.mkdtemp(prefix=prefix, dir=path.parent))
+    number = os.open(partial, os.O_RDONLY) if fcntl is not None else -1
     try:
+        if number >= 0:
+            _lock(number)
         yield partial
         partial.chmod(0o777 & ~_umask())  # mkdtemp's 0700 is not what a shared folder wants
+        for written in partial.rglob("*"):
+            _to_disk(written)
+        check_new_folder(path, overwrite=overwrite)  # another program may have made it meanwhile
         if path.exists():
             # Moved aside rather than deleted first: an interruption leaves one whole folder.
-            old = partial.with_name(partial.name + "-old")
+            old = path.with_name(aside + partial.name[len(prefix) :])
             os.replace(path, old)
             os.replace(partial, path)
             shutil.rmtree(old)
         else:
             os.replace(partial, path)
+        _to_disk(path.parent)
     finally:
+        if number >= 0:
+            os.close(number)
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def _put_back(path: Path, aside: str) -> None:
+    """Put back what was moved aside where a kill left nothing in its place; else remove it."""
+    for old in path.parent.glob(f"{glob.escape(aside)}*"):
+        with suppress(OSError):
+            if path.exists():
+                shutil.rmtree(old)
+            else:
+                os.replace(old, path)
 
 
 def make_folder(path: Path) -> None:
@@ -100,6 +201,69 @@ def make_folder(path: Path) -> None:
     path.mkdir(parents=True, exist_ok=True)
 
 
+def is_empty(folder: str | Path) -> bool:
+    """Return whether there is no such folder, or nothing in it but what a killed program left."""
+    folder = Path(folder)
+    return not folder.is_dir() or all(_is_left(path) for path in folder.iterdir())
+
+
+def _is_left(path: Path) -> bool:
+    return path.name == _LOCK or (path.name.startswith(".") and ".partial" in path.name)
+
+
+#: The name of a folder's lock.
+_LOCK = ".lock"
+
+
+@contextmanager
+def locked(folder: str | Path, doing: str) -> Iterator[None]:
+    """Keep a folder for this process alone while the block runs.
+
+    The file ``.lock`` in it says which process on which computer has it. One that a process left
+    that is no more does not count.
+
+    Args:
+        folder: that is there.
+        doing: what is done in it, for the message of another process: ``recorded into``.
+
+    Raises:
+        UserError: if another process has it, here or on another computer.
+    """
+    path, host = Path(folder) / _LOCK, socket.gethostname()
+    file = _taken(path, host, folder, doing)
+    try:
+        file.truncate(0)
+        file.write(f"{os.getpid()} on {host}\n")
+        file.flush()
+        yield
+    finally:
+        if os.name == "nt":
+            file.close()  # an open file is not removed there
+        path.unlink(missing_ok=True)
+        file.close()
+
+
+def _taken(path: Path, host: str, folder: str | Path, doing: str) -> TextIO:
+    """Return the lock's file, open and locked."""
+    while True:
+        number = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
+        file = open(number, "r+", encoding="utf-8", errors="replace")  # noqa: SIM115
+        free = _lock(number) is not False
+        holder, _, where = file.read(512).strip().partition(" on ")
+        if not free or (where and where != host):
+            file.close()
+            what = f"process {holder} on {where}" if where else "another process"
+            then = "wait for that, or end it"
+            if free:
+                then += f"; if it is no more, remove {path}"
+            raise UserError(f"{folder} is being {doing} by {what}: {then}")
+        # Whoever had it may have removed it just before it was locked here.
+        if path.exists() and os.path.samestat(os.fstat(number), path.stat()):
+            file.seek(0)
+            return file
+        file.close()
+
+
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     """Refuse an output folder that would overwrite something.
 
@@ -110,8 +274,42 @@ def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:
     _refuse_device(path, "a folder")
     if path.is_file():
         raise UserError(f"{path} is a file; name a folder that does not exist yet")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
+    if not is_empty(path) and not overwrite:
         raise UserError(f"{path} is not empty; name a new folder, or remove this one yourself")
+
+
+def inside(folder: str | Path, name: object, *, file: str | Path, field: str) -> Path:
+    """Return the place of a file that an artefact names, which stands in the artefact's folder.
+
+    Args:
+        folder: of the artefact.
+        name: as it is written in the artefact.
+        file: in which it is written, for the message.
+        field: where it stands in there.
+
+    Raises:
+        FileError: if it is not the plain name of a file, and so could lead out of the folder.
+    """
+    plain = isinstance(name, str) and name not in ("", ".", "..") and not set(name) & set("/\\:\0")
+    if not plain:
+        raise FileError(
+            file, f"expected the name of a file in this folder, found {name!r:.60}", field=field
+        )
+    return Path(folder) / str(name)
+
+
+def check_no_links(folder: str | Path) -> None:
+    """Refuse to go on in a folder that holds links: what is written there may not lead elsewhere.
+
+    Raises:
+        UserError: naming the first link in it.
+    """
+    for path in sorted(Path(folder).rglob("*")):
+        if path.is_symlink():
+            raise UserError(
+                f"{path} is a link to {os.readlink(path)}, and what is written here must stay "
+                "here: put the file itself in its place, or remove it"
+            )
 
 
 def write_json(path: str | Path, format: str, version: int, content: Mapping[str, Any]) -> None:
@@ -136,8 +334,101 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} is not JSON")
 
 
+#: A JSON file is no larger, bytes; nor is any other text.
+MOST_JSON, MOST_TEXT = 64 * 2**20, 1024 * 2**20
+
+
+def check_name(path: str | Path) -> str:
+    """Return the name of a file as text, as libraries beneath Python take it.
+
+    Raises:
+        FileError: if it is not UTF-8, which ends some of them in a crash.
+    """
+    try:
+        str(path).encode("utf-8")
+    except UnicodeEncodeError:
+        raise FileError(ascii(str(path)), "the name is not UTF-8; rename the file") from None
+    return str(path)
+
+
+def check_file(path: str | Path, expected: str, *, most: int | None = None) -> None:
+    """Make sure that a file can be read to its end: a pipe may wait for ever, a device has none.
+
+    Args:
+        path: the file.
+        expected: what it should be, for messages: ``a CSV file``.
+        most: how large it may be, bytes.
+
+    Raises:
+        FileError: if there is no such file, or it is none.
+    """
+    path = Path(path)
+    try:
+        status = path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        raise FileError(path, f"no such file; expected {expected}") from None
+    except OSError as error:
+        raise FileError(path, f"cannot be read ({error.strerror}); expected {expected}") from None
+    if stat.S_ISDIR(status.st_mode):
+        raise FileError(path, f"is a folder; expected {expected}")
+    if not stat.S_ISREG(status.st_mode):
+        raise FileError(path, f"is a pipe or a device; expected {expected}")
+    if most is not None and status.st_size > most:
+        raise FileError(path, f"is larger than {most // 2**20} MB; expected {expected}")
+
+
+def read_text(
+    path: str | Path,
+    expected: str,
+    *,
+    encoding: str = "utf-8",
+    most: int = MOST_TEXT,
+    not_text: str | None = None,
+) -> str:
+    """Return the text of a file, line ends as they are.
+
+    Args:
+        path: the file.
+        expected: what it should be, for messages: ``a CSV file``.
+        encoding: of the file.
+        most: how large it may be, bytes.
+        not_text: what to do where it is not text; by default what was expected is said.
+
+    Raises:
+        FileError: if there is no such file, or it is none, or not text.
+    """
+    check_file(path, expected, most=most)
+    try:
+        with open(path, encoding=encoding, newline="") as file:
+            return file.read()
+    except UnicodeDecodeError:
+        raise FileError(path, f"is not text; {not_text or f'expected {expected}'}") from None
+
+
+def _json_integer(text: str) -> int:
+    if len(text) > 20 or abs(int(text)) >= 2**64:
+        raise ValueError(f"the number {text[:12]}... of {len(text)} digits is too large")
+    return int(text)
+
+
+def _json_number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:20]} is no number that a file can hold")
+    return value
+
+
+def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"the key {twice!r:.40} stands twice in one object")
+    return found
+
+
 def read_json(
-    path: str | Path, format: str, version: int, fields: Mapping[str, type | tuple] | None = None
+    path: str | Path, format: str, version: int, fields: Mapping[str, Shape] | None = None
 ) -> dict[str, Any]:
     """Read a JSON file of this ``format`` and ``version``.
 
@@ -145,25 +436,31 @@ def read_json(
         path: the file.
         format: the expected value of the key ``format``.
         version: the newest version this code reads; older ones are the caller's to refuse.
-        fields: keys that must be there, with their types.
+        fields: keys that must be there, with their types or shapes (:mod:`neurosim.base.schema`);
+            one that ends in a question mark may be missing.
 
     Raises:
         FileError: if the file is missing, cut short, of another format or version, or lacks a
             field.
     """
     path = Path(path)
+    text = read_text(path, f"a {format} file, JSON in UTF-8", most=MOST_JSON)
     try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (FileNotFoundError, NotADirectoryError):
-        raise FileError(path, f"no such file; expected a {format} file") from None
-    except IsADirectoryError:
-        raise FileError(path, f"is a folder; expected a {format} file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected JSON in UTF-8") from None
+        document = json.loads(
+            text,
+            parse_int=_json_integer,
+            parse_float=_json_number,
+            parse_constant=_json_number,
+            object_pairs_hook=_json_object,
+        )
     except json.JSONDecodeError as error:
         raise FileError(
             path, f"is not whole JSON ({error.msg}); it may have been cut short", line=error.lineno
         ) from None
+    except RecursionError:
+        raise FileError(path, f"is nested too deeply; expected a {format} file") from None
+    except ValueError as error:
+        raise FileError(path, str(error)) from None
     if not isinstance(document, dict):
         raise FileError(path, f"expected a JSON object of format {format!r}")
     if document.get("format") != format:
@@ -178,15 +475,13 @@ def read_json(
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
-    for name, kind in (fields or {}).items():
-        if name not in document:
+    for name, shape in (fields or {}).items():
+        if isinstance(name, str) and not name.endswith("?") and name not in document:
             raise FileError(path, "is missing", field=name)
-        value = document[name]
-        wrong_bool = isinstance(value, bool) and kind not in (bool, object)
-        if not isinstance(value, kind) or wrong_bool:
-            names = kind if isinstance(kind, tuple) else (kind,)
-            expected = " or ".join(k.__name__ for k in names)
-            raise FileError(path, f"expected {expected}, found {value!r:.60}", field=name)
+        try:
+            check(document, {name: shape})
+        except Mismatch as error:
+            raise FileError(path, error.what, field=error.field) from None
     return document
 
 
@@ -208,7 +503,10 @@ def optional_number(text: str) -> float:
 
 def integer(text: str) -> int:
     """Parse an integer of a CSV field."""
-    return int(text)
+    value = int(text)
+    if abs(value) >= 2**63:
+        raise ValueError("too large")
+    return value
 
 
 def flag(text: str) -> bool:
@@ -246,19 +544,12 @@ def read_csv(
             should be.
     """
     path = Path(path)
-    try:
-        with open(path, encoding="utf-8", newline="") as file:
-            text = file.read()
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a folder; expected a CSV file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected CSV in UTF-8") from None
+    text = read_text(path, "a CSV file in UTF-8")
     if drop_torn_line and not text.endswith("\n"):
         text = text[: text.rfind("\n") + 1]
     reader = csv.reader(text.splitlines())
-    header = next(reader, None)
+    rows = _rows(path, reader)
+    header = next(rows, None)
     if not header:
         raise FileError(path, "is empty; expected a line with the column names", line=1)
     for name in columns:
@@ -266,7 +557,7 @@ def read_csv(
             raise FileError(path, f"this column is missing; found {', '.join(header)}", field=name)
     places = [(name, header.index(name), parse) for name, parse in columns.items()]
     table: dict[str, list] = {name: [] for name in columns}
-    for row in reader:
+    for row in rows:
         if not row:
             continue
         if len(row) != len(header):
@@ -286,24 +577,35 @@ def read_csv(
     return table
 
 
+def _rows(path: Path, reader: Any) -> Iterator[list[str]]:
+    try:
+        yield from reader
+    except csv.Error as error:
+        raise FileError(path, f"is no CSV ({error})", line=reader.line_num) from None
+
+
 def read_header(path: str | Path) -> tuple[str, ...]:
     """Return the column names in the first line of a CSV file.
 
     Raises:
         FileError: if there is no such file, or it is not CSV.
     """
+    check_file(path, "a CSV file in UTF-8")
     try:
         with open(path, encoding="utf-8", newline="") as file:
             return tuple(next(csv.reader(file), ()))
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
         raise FileError(path, f"cannot be read as CSV in UTF-8: {error}") from None
 
 
 class LineLog:
-    """A CSV file that grows line by line, each flushed to the disk as it is written.
+    """A CSV file that grows line by line, each handed to the system as it is written.
 
-    A kill between two lines loses nothing; one within a line leaves a torn last line, which
-    ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
+    A kill of the program between two lines loses nothing; one within a line leaves a torn last
+    line, which ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
+    What the computer's own failure loses is up to its system (some seconds) until the log is
+    closed, which waits for the disk: a line is written down before a motor is set, and a disk may
+    take longer than a robot can wait.
     """
 
     def __init__(self, path: str | Path, columns: Sequence[str]):
@@ -327,15 +629,17 @@ class LineLog:
             self._file.flush()
 
     def append(self, *values: Any) -> None:
-        """Write one line and flush it; floats in shortest exact form, None and NaN as nothing."""
+        """Hand one line to the system; floats in shortest exact form, None and NaN as nothing."""
         if len(values) != len(self.columns):
             raise ValueError(f"expected {len(self.columns)} values, got {len(values)}")
         self._writer.writerow([_field(value) for value in values])
         self._file.flush()
 
     def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        """Close the file, once the disk has it."""
+        if not self._file.closed:
+            with self._file:
+                os.fsync(self._file.fileno())
 
     def __enter__(self) -> LineLog:
         return self
@@ -369,7 +673,12 @@ def write_csv(path: str | Path, columns: Mapping[str, Sequence]) -> None:
 
 
 def sha256(path: str | Path) -> str:
-    """Return the SHA-256 of a file, in hexadecimal."""
+    """Return the SHA-256 of a file, in hexadecimal.
+
+    Raises:
+        FileError: if it is no file.
+    """
+    check_file(path, "a file")
     with open(path, "rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -400,10 +709,9 @@ def read_tensors(
     from safetensors.numpy import load_file
 
     path = Path(path)
+    check_file(path, "a safetensors file")
     try:
         tensors = load_file(str(path))
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
     except (SafetensorError, OSError) as error:
         raise FileError(
             path, f"is not a whole safetensors file ({error}); it may have been cut short"

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager, nullcontext
-from types import FrameType
+from collections.abc import Callable, Mapping
+from contextlib import nullcontext
 from typing import Any, Protocol
 
+from neurosim.base.interrupts import deferred_interrupt
 from neurosim.base.progress import Progress
 
 #: Seconds between checkpoints: a kill loses no more than this.
 CHECKPOINT_EVERY = 5.0
-#: What asks a program to end.
-SIGNALS = [
-    getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)
-]
+#: A first generation that takes longer is said to be compiled, s.
+COMPILES_AFTER = 4.0
 
 
 class Stage(Protocol):
@@ -38,49 +35,21 @@ class Stage(Protocol):
         ...
 
 
-class Interrupt:
-    """Whether the program was asked to end.
+def _says_that_it_compiles(shown: Progress | None, label: str) -> threading.Timer:
+    """Start what says, unless it is cancelled soon, why the first generation takes so long."""
+    message = (
+        f"{label}: the first generation is under way; the first time on a computer its loops are "
+        "compiled, which takes up to half a minute and is kept"
+    )
 
-    Attributes:
-        pending: it was, and has not been answered yet.
-    """
+    def say() -> None:
+        if shown is not None:
+            shown.say(message)
 
-    def __init__(self) -> None:
-        self.pending = False
-
-
-@contextmanager
-def deferred_interrupt() -> Iterator[Interrupt]:
-    """Let a generation end before Ctrl-C is answered; the second Ctrl-C is answered at once.
-
-    Compiled code that runs on several cores does not survive an exception that is raised in the
-    middle of it. SIGTERM and SIGHUP are deferred likewise, where Python handles them. What is
-    ignored (``nohup``, a shell's background) stays ignored.
-
-    Raises:
-        KeyboardInterrupt: at the second one, also where it came out of compiled code wrapped.
-    """
-    interrupt, before = Interrupt(), {}
-    if threading.current_thread() is threading.main_thread():
-        handlers = {number: signal.getsignal(number) for number in SIGNALS}
-        before = {number: found for number, found in handlers.items() if callable(found)}
-
-    def answer(number: int, frame: FrameType | None) -> None:
-        if interrupt.pending:
-            before[number](number, frame)
-        interrupt.pending = True
-
-    for number in before:
-        signal.signal(number, answer)
-    try:
-        yield interrupt
-    except SystemError as error:
-        if not isinstance(error.__cause__, KeyboardInterrupt):
-            raise
-        raise error.__cause__ from None
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    timer = threading.Timer(COMPILES_AFTER, say)
+    timer.daemon = True
+    timer.start()
+    return timer
 
 
 def run_generations(
@@ -110,8 +79,10 @@ def run_generations(
         if shown is not None and stage.done:
             shown.advance(stage.done)
         saved = time.monotonic()
+        slow = _says_that_it_compiles(shown, label)
         while stage.done < total:
             note = stage.generation()
+            slow.cancel()
             if shown is not None:
                 shown.advance(note=note)
             if interrupt.pending:
@@ -119,6 +90,7 @@ def run_generations(
             if save is not None and time.monotonic() - saved >= every:
                 save(stage.state())
                 saved = time.monotonic()
+        slow.cancel()
     if interrupt.pending and save is not None:
         save(stage.state())
     return interrupt.pending

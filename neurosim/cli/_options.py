@@ -202,6 +202,9 @@ class Group:
             :data:`neurosim.cli._types.UNITS`; of a pair one for each.
         helps: helps in place of the docstring's.
         kinds: types of options in place of those that the annotations stand for.
+        outside: says by its name whether what is chosen is a thing outside this program, such as a
+            robot. ``--resume`` takes neither that nor its options from what is resumed: a file, of
+            whomever, does not choose what is opened or driven.
     """
 
     into: str
@@ -219,6 +222,7 @@ class Group:
     units: Mapping[str, str | tuple[str, ...]] = field(default_factory=dict)
     helps: Mapping[str, str] = field(default_factory=dict)
     kinds: Mapping[str, click.ParamType] = field(default_factory=dict)
+    outside: Callable[[str], bool] = lambda name: False
 
     @property
     def chooser(self) -> str:
@@ -342,7 +346,8 @@ class SettingsCommand(click.Command):
     Which options there are depends on what is chosen, so the line is read twice: at first with the
     options of everything that can be chosen.
 
-    With ``--resume`` options that are not given are those that what is resumed was begun with.
+    With ``--resume`` options that are not given are those that what is resumed was begun with, but
+    for things outside this program (see :class:`Group`), which must be named again.
 
     Args:
         begun: finds, by the verb's values, the options that what is resumed was begun with.
@@ -419,6 +424,13 @@ class SettingsCommand(click.Command):
             raise self._of_another(error, state) or error from None
         except click.MissingParameter as error:
             raise self._missing(error, state) or error from None
+        except (TypeError, AttributeError) as error:
+            if not ctx.default_map:
+                raise
+            raise UserError(
+                f"the options that this was begun with cannot be read ({error}): give them again, "
+                "or begin anew"
+            ) from None
         given = {each.name: each for each in self.get_params(ctx) if _is_set(ctx, each.name)}
         state.given = {
             name: _plain(ctx.params[name])
@@ -449,12 +461,20 @@ class SettingsCommand(click.Command):
             ctx.default_map = {name: value for name, value in kept if value is not None}
         for group in self._groups:
             if group.option is not None:
+                kept_name = str((ctx.default_map or {}).get(group.chooser) or "")
                 if _is_set(first, group.chooser):
                     name = first.params[group.chooser]
+                elif kept_name and group.outside(kept_name):
+                    raise UserError(
+                        f"this was begun with {group.option} {kept_name}: give that and its "
+                        "options again, for --resume takes from a file nothing that opens a device"
+                    )
                 else:
-                    kept_name = (ctx.default_map or {}).get(group.chooser)
                     name = kept_name or group.default_name(state.chosen)
                 state.chosen[group.chooser] = name
+                if ctx.default_map and group.outside(name):
+                    for option in _options_or_none(group, state.chosen).values():
+                        ctx.default_map.pop(option.name, None)
 
     def _of_another(self, error: click.NoSuchOption, state: _State) -> UserError | None:
         """Return what to say of an option that something else has that can be chosen."""

@@ -2,15 +2,34 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 from neurosim.cli._options import choice_options, settings_options
 from neurosim.cli._types import SIZE
 
-#: Adds ``--robot`` and the options of the robot that it names; see :mod:`neurosim.trials.rig`.
-robot_option = choice_options(
-    "--robot",
-    "neurosim.trials.rig:RIGS",
-    default="virtual",
-    help="The robot: one of the virtual lab, or a real one by the name of its driver",
+
+def _is_real(name: str) -> bool:
+    from neurosim.trials.rig import RIGS
+
+    return not RIGS.is_virtual(name)
+
+
+def robot_option_of(default: str, help: str) -> Callable[[Callable], Callable]:
+    """Return what adds ``--robot`` and the options of the robot that it names.
+
+    Args:
+        default: the robot's name; see :mod:`neurosim.trials.rig`.
+        help: of the option; the names are added.
+    """
+    return choice_options(
+        "--robot", "neurosim.trials.rig:RIGS", default=default, help=help, outside=_is_real
+    )
+
+
+#: Adds ``--robot`` and the options of the robot that it names.
+robot_option = robot_option_of(
+    "virtual", "The robot: one of the virtual lab, or a real one by the name of its driver"
 )
 
 #: Adds the options of the camera.
@@ -21,3 +40,14 @@ camera_options = settings_options(
     names={"size": "camera-size"},
     kinds={"size": SIZE},
 )
+
+
+def without_camera(options: Any) -> dict[str, Any]:
+    """Return the options of what is resumed without a camera, unless it is the virtual lab's.
+
+    A file, of whomever, does not choose what is opened: a camera's name may be any file or URL.
+    """
+    options = dict(options) if isinstance(options, dict) else {}
+    if options.get("camera") not in ("lab", "none"):
+        options.pop("camera", None)
+    return options

@@ -10,8 +10,21 @@ from typing import Any
 
 import click
 
+from neurosim.base.files import check_name
+
 #: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
-PATH = click.Path(path_type=Path)
+
+
+class _Named(click.Path):
+    """A path whose name can be written down: UTF-8."""
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> Any:
+        """Return the path."""
+        check_name(value)
+        return super().convert(value, param, ctx)
+
+
+PATH = _Named(path_type=Path)
 
 
 class Number(click.types.FloatParamType):

@@ -11,7 +11,7 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import read_json, write_json
+from neurosim.base.files import is_empty, read_json, write_json
 from neurosim.cli._common import is_given, seed_option
 from neurosim.cli._types import PATH
 
@@ -89,7 +89,7 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
     """Return what a demo was begun with; write it down where it begins."""
     path, now = out / "demo.json", {"commands": commands, "seed": seed}
     if not path.exists():
-        if out.exists() and any(out.iterdir()):
+        if not is_empty(out):
             raise UserError(
                 f"{out} is not empty, and not what a demo was begun with; name a new folder"
             )

@@ -13,6 +13,7 @@ import click
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import exit_code
 from neurosim.cli._common import (
     emit,
     is_given,
@@ -29,6 +30,7 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
+from neurosim.cli._robots import robot_option_of
 from neurosim.cli._types import PATH
 
 
@@ -180,12 +182,7 @@ def changed(
     default=0,
     help="Generations on a robot after those in the simulator; nobody puts it in place.",
 )
-@choice_options(
-    "--robot",
-    "neurosim.trials.rig:RIGS",
-    default="virtual-khepera",
-    help="The robot of --robot-generations.",
-)
+@robot_option_of("virtual-khepera", "The robot of --robot-generations.")
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
 @resume_option
 @seed_option
@@ -293,7 +290,7 @@ def _say(
     if best.given:
         verdict = "completes the task" if best.predicted["completes"] else "does not complete it"
         text = (
-            f"{paths[0]}: {len(best.given)} commands, fitness {fitness:.1f}, {verdict} in the "
+            f"{paths[0]}: {len(best.given)} commands, fitness {fitness:z.1f}, {verdict} in the "
             f"simulator; {complete} of {runs} runs found a plan that does.\n"
         )
     else:
@@ -318,7 +315,7 @@ def _say(
         resumable = Checkpoint(out, "evolution").begun
         how = ", continue with --resume" if resumable else ""
         click.echo(f"neurosim: interrupted; the best so far is kept{how}", err=True)
-        click.get_current_context().exit(130)
+        click.get_current_context().exit(exit_code())
 
 
 @contextmanager

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import signal
 import sys
 import traceback
-from collections.abc import Iterator
 from pathlib import Path
 
 import click
 
 import neurosim
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.interrupts import answer_signals, exit_code, interruption_in
 from neurosim.cli._types import PATH
 from neurosim.cli.build_tables import build_tables
 from neurosim.cli.calibrate import calibrate
@@ -121,19 +120,13 @@ for verb in (
     cli.add_command(verb)
 
 
-def _interrupt(number: int, frame: object) -> None:
-    raise KeyboardInterrupt
-
-
 def main() -> None:
     """Run the command line; the only place where errors become exit codes."""
     # OpenCV's own complaints stand beside the one sentence and say less.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # A closed terminal or a kill must stop the motors as Ctrl-C does.
-    for name in ("SIGTERM", "SIGHUP"):
-        if hasattr(signal, name):
-            signal.signal(getattr(signal, name), _interrupt)
+    answer_signals()
     try:
         cli.main(standalone_mode=False)
     except click.exceptions.Exit as stop:
@@ -141,11 +134,8 @@ def main() -> None:
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except (KeyboardInterrupt, click.exceptions.Abort):
-        _interrupted()
-    except SystemError as error:
-        # Ctrl-C within compiled code comes out of it wrapped, once or more often.
-        if not any(isinstance(each, KeyboardInterrupt) for each in _chain(error)):
+    except (KeyboardInterrupt, click.exceptions.Abort, SystemError) as error:
+        if isinstance(error, SystemError) and interruption_in(error) is None:
             raise
         _interrupted()
     except MemoryError:
@@ -158,22 +148,16 @@ def main() -> None:
         # The reader of a pipe went away (head, less): not worth a word.
         sys.stderr.close()
         sys.exit(1)
+    except RuntimeError as error:
+        if not str(error).startswith("Symlink loop"):  # as Path.resolve says it
+            raise
+        click.echo(f"neurosim: a link leads to itself: {str(error).split(' from ')[-1]}", err=True)
+        sys.exit(1)
     except OSError as error:
         # Disk full, no permission: the user's to put right, and the file is named.
         where = f": {error.filename}" if error.filename else ""
         click.echo(f"neurosim: {error.strerror or error}{where}", err=True)
         sys.exit(1)
-
-
-def _chain(error: BaseException) -> Iterator[BaseException]:
-    """Give an error and all that led to it."""
-    waiting, seen = [error], set()
-    while waiting:
-        each = waiting.pop()
-        if id(each) not in seen:
-            seen.add(id(each))
-            yield each
-            waiting += [one for one in (each.__cause__, each.__context__) if one is not None]
 
 
 def _interrupted() -> None:
@@ -182,4 +166,4 @@ def _interrupted() -> None:
         "continue, where supported",
         err=True,
     )
-    sys.exit(130)
+    sys.exit(exit_code())

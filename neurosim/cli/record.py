@@ -19,7 +19,7 @@ from neurosim.cli._common import (
     seed_option,
 )
 from neurosim.cli._options import SettingsCommand, given_options, settings_options
-from neurosim.cli._robots import camera_options, robot_option
+from neurosim.cli._robots import camera_options, robot_option, without_camera
 from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 
     for path in (values["out"] / "recording.json", values["out"] / "round-01" / "recording.json"):
         if path.exists():
-            options = read_json(path, "neurosim-recording", 1).get("options")
-            options = dict(options) if isinstance(options, dict) else {}
+            options = without_camera(read_json(path, "neurosim-recording", 1).get("options"))
+            options.pop("calibration", None)
             if (kept := path.with_name("calibration.json")).exists():
                 options["calibration"] = str(kept)  # whatever became of the one that was given
             return options
@@ -173,6 +173,9 @@ def record(
         as_json,
         _words(result) + _next(out, recording.is_tracked, calibration),
     )
+    if (out / "sightings.csv").exists() and not recording.is_tracked:
+        # It was tracked, and has no poses: why was said on stderr.
+        click.get_current_context().exit(1)
 
 
 def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:

@@ -22,10 +22,10 @@ from neurosim.cli._common import (
 )
 from neurosim.cli._options import (
     SettingsCommand,
-    choice_options,
     given_options,
     settings_options,
 )
+from neurosim.cli._robots import robot_option_of, without_camera
 from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
@@ -46,17 +46,15 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 
     path = values["out"] / "sampling.json"
     options = read_json(path, FORMAT, VERSION).get("options") if path.exists() else None
-    return options if isinstance(options, dict) else {}
+    return without_camera(options)
 
 
 @click.command(cls=SettingsCommand, begun=_begun)
 @click.argument("out", type=PATH)
-@choice_options(
-    "--robot",
-    "neurosim.trials.rig:RIGS",
-    default="virtual-khepera",
-    help="The robot, one with a ring of proximity sensors; that of the virtual lab is put in place "
-    "by the lab",
+@robot_option_of(
+    "virtual-khepera",
+    "The robot, one with a ring of proximity sensors; that of the virtual lab is put in place by "
+    "the lab",
 )
 @settings_options(
     "settings",

@@ -23,6 +23,8 @@ from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan
 from neurosim.controllers.registry import CONTROLLERS
 
 FORMAT, VERSION = "neurosim-controller", 1
+#: A command of a plan lasts no longer, s.
+LONGEST = 3600.0
 
 _PARTS = ("task", "simulator", "predicted", "evolution")
 
@@ -206,10 +208,11 @@ def _command(path: Path, field: str, value: Any) -> Command | None:
     if value is None:
         return None
     left, right, duration = _numbers(path, field, value)
-    if max(abs(left), abs(right)) > 100 or duration <= 0:
+    if max(abs(left), abs(right)) > 100 or not 0 < duration <= LONGEST:
         raise FileError(
             path,
-            f"expected speeds in -100 to 100 % and a duration above 0 s, found {value}",
+            "expected speeds in -100 to 100 % and a duration above 0 and up to "
+            f"{LONGEST:g} s, found {value}",
             field=field,
         )
     return left, right, duration

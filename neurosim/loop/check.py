@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.interrupts import uninterrupted
 from neurosim.base.statistics import wilson
 from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import SavedController, read_controller
@@ -110,7 +111,8 @@ def check(
     evaluator = Evaluator(simulator, task, controller.controller, placing=placing)
     if controller.controller.blind and not extrapolate:
         commands, given = controller.controller.commands(controller.genes[None], 0.0)
-        check_commands(simulator, commands[given], "the commands")
+        with uninterrupted():
+            check_commands(simulator, commands[given], "the commands")
     starts, drawn = evaluator.starts(draws, np.random.default_rng(seed))
     if not drawn:
         starts = np.tile(np.asarray(controller.start, np.float64), (draws, 1))

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
@@ -101,10 +102,12 @@ class Evaluator:
         member = np.full(len(starts), -1) if self.simulator.members > 1 else None
         return Draws(starts, member)
 
+    @uninterrupted()
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
         return self.rollouts.run(genes, draws, reuse=reuse)
 
+    @uninterrupted()
     def judge(self, genes: NDArray[np.float64], draws: Draws) -> tuple[Judgement, Trajectory]:
         """Return judgements [P, R] of individuals [P, G], and their trajectories."""
         trajectory = self.run(genes, draws)
@@ -132,17 +135,19 @@ class Evaluator:
         """
         measure, parts, told = objective_named(objective), [], []
         for part in self._parts(len(genes), len(draws)):
-            trajectory = self.run(genes[part], draws, reuse=True)
-            part_merit = measure(self.task, trajectory, self.task.judge(trajectory))
-            if unsupported is not None and self.simulator.knows_gaps:
-                share = self.unsupported(trajectory)
-                part_merit = put_behind(part_merit, share, unsupported)
-            parts.append(part_merit)
-            told.append([getattr(self, f"_{name}")(trajectory) for name in hints])
+            with uninterrupted():
+                trajectory = self.run(genes[part], draws, reuse=True)
+                part_merit = measure(self.task, trajectory, self.task.judge(trajectory))
+                if unsupported is not None and self.simulator.knows_gaps:
+                    share = self.unsupported(trajectory)
+                    part_merit = put_behind(part_merit, share, unsupported)
+                parts.append(part_merit)
+                told.append([getattr(self, f"_{name}")(trajectory) for name in hints])
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         columns = [np.concatenate(part) for part in zip(*told, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))
 
+    @uninterrupted()
     def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
         """Return the share [P] of the time that individuals spent in unsupported commands.
 

@@ -21,6 +21,7 @@ from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import RobotError, UserError
 from neurosim.base.files import check_new_folder
 from neurosim.base.generations import CHECKPOINT_EVERY, run_generations
+from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
 from neurosim.controllers import FixedPlan, SavedController, make_controller, read_controller
 from neurosim.controllers.base import Controller
@@ -549,7 +550,8 @@ def evolve(
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
-    evolution = Evolution(evaluator, settings, seed, reality, real_generations)
+    with uninterrupted():
+        evolution = Evolution(evaluator, settings, seed, reality, real_generations)
     robot = None if reality is None else reality.describe()
 
     def saved(results: list[Result]) -> list[SavedController]:
@@ -590,9 +592,26 @@ def evolve(
                 raise checkpoint.damaged() from None
     elif evolution.resumable:
         checkpoint.begin(begun, options)
+
+    def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
+        if controller.blind and not found[0].given:
+            if interrupted:
+                raise UserError("so far no plan gives any command; continue with --resume")
+            checkpoint.remove()
+            raise UserError("no plan that gives any command came of this; use more generations")
+        for folder, one in zip(folders, found, strict=False):
+            one.write(folder, overwrite=resume)
+        if not interrupted:
+            checkpoint.remove()
+        return found
+
     interrupted = False
     try:
         interrupted = evolution.run(checkpoint, progress)
+        if evolution.real is None:
+            # What was found is judged and written before Ctrl-C is answered.
+            with uninterrupted():
+                return written(saved(evolution.results(interrupted)), interrupted)
         found = saved(evolution.results(interrupted))
     except RobotError as error:
         if not evolution.stages[0].done:
@@ -609,16 +628,7 @@ def evolve(
     finally:
         if not evolution.stages[0].done and not resume:
             checkpoint.remove()  # nothing came of it
-    if controller.blind and not found[0].given:
-        if interrupted:
-            raise UserError("so far no plan gives any command; continue with --resume")
-        checkpoint.remove()
-        raise UserError("no plan that gives any command came of this; use more generations")
-    for folder, one in zip(folders, found, strict=False):
-        one.write(folder, overwrite=resume)
-    if not interrupted:
-        checkpoint.remove()
-    return found
+    return written(found, interrupted)
 
 
 def _same_robot(robot: Mapping[str, Any]) -> dict[str, Any]:

@@ -81,7 +81,7 @@ class RealSearch:
         self._fitness = np.full(len(fitness), np.nan)
         self.done += 1
         self._keep()
-        return f"best {self.best[-1][0]:.1f}"
+        return f"best {self.best[-1][0]:z.1f}"
 
     def candidates(self) -> NDArray[np.float64]:
         """Return the best of the last generation [C, G], or the one chosen of them."""

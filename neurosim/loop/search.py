@@ -101,7 +101,7 @@ class Search:
         self.done += 1
         if self._outcomes and self._objective == "probability":
             return f"completes in {100 * merit.success.max():.0f} % of {len(self._draws)} outcomes"
-        return f"best {np.max(self.best[-1]):.1f}"
+        return f"best {np.max(self.best[-1]):z.1f}"
 
     def _draw(self) -> Draws:
         repeats = repeats_of(self._objective) if self._evaluator.simulator.uncertain else 1

@@ -92,7 +92,7 @@ class ClosedLoopSession(Session):
         deadlines: how well the rate was kept so far.
     """
 
-    _go_on = "at its start and begin again"
+    go_on = "at its start and begin again"
 
     def __init__(
         self,
@@ -131,7 +131,7 @@ class ClosedLoopSession(Session):
         begin = due = asked + 2 * self._lead
         with Progress("driving", source.steps, "steps") as progress:
             for number in range(source.steps):
-                self._clock.sleep_until(due - self._lead)
+                self._sleep_until(due - self._lead)
                 looked = self._clock.now()
                 time, seen = self._observe(due, due - begin)
                 if not self._may_go_on(seen):
@@ -150,7 +150,7 @@ class ClosedLoopSession(Session):
                 if not self._hold(command, due - self._lead, self._lead):
                     return self._cut()
         self._look(due)
-        self._clock.sleep_until(due)
+        self._sleep_until(due)
         return True
 
     @property
@@ -199,23 +199,22 @@ class ClosedLoopSession(Session):
 
     def _stopped(self) -> None:
         """See where the robot comes to rest."""
-        self._clock.sleep_until(self._sent + self._seeing.rest)
+        self._sleep_until(self._sent + self._seeing.rest)
         self._look(self._clock.now())
 
     def _may_go_on(self, seen: Observation) -> bool:
-        if getattr(self._camera, "failed", False):
-            return False
+        self._check_camera()
         if self._seeing.needs_pose and seen.pose is None:
             return False
         return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
 
     def _cut(self) -> bool:
-        """Stop at once and look where that was; return whether the drive is over."""
+        """Stop at once and look where that was; the drive is then over: return True."""
         if self.deadlines.steps:
             self._write("cut", 0, 0, number=self.deadlines.steps - 1)
         self._say("the robot was stopped before the end: at a line, the board's edge, or unseen")
         self._look(self._clock.now())
-        return not getattr(self._camera, "failed", False)
+        return True
 
     def _is_blind(self) -> bool:
         """Return whether nothing tells where the robot is, though that must be known."""

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, LinkLost, UserError
+from neurosim.base.files import atomic_path, check_new_folder, check_no_links, locked
 from neurosim.base.provenance import robot_kind
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
 from neurosim.recording.commands import CommandSource, SeeingSource
@@ -72,6 +73,7 @@ def record(
             recording to be resumed; if a robot lacks what a source that sees needs.
         LinkLost: if the robot stopped answering; what was recorded stays.
         BatteryLow: if the battery fell below the limit.
+        CameraLost: if the camera delivers no more frames; the robot was stopped at once.
     """
     out = Path(out)
     if calibration is not None:
@@ -81,14 +83,21 @@ def record(
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
     if options is not None:
         wanted["options"] = dict(options)
-    recording = _resumed(out, wanted) if resume else None
-    with robot:
-        if recording is None:
-            recording = Recording.create(out, wanted)
-            if calibration is not None:
-                shutil.copyfile(calibration, out / "calibration.json")
-        elif calibration is not None:
+    if resume:
+        _resumed(out, wanted)
+    else:
+        check_new_folder(out)
+    with robot, contextlib.ExitStack() as kept:
+        if not resume:
+            Recording.create(out, wanted, calibration)
+        # Read again, now that nobody else writes in it.
+        kept.enter_context(locked(out, "recorded into"))
+        recording = _resumed(out, wanted) if resume else Recording(out)
+        if resume and calibration is not None:
             _check_same_calibration(out, Path(calibration))
+        if recording.meta["complete"]:
+            _write_poses(recording, say)
+            return recording
         # Connected, it can say more: its name, its firmware.
         recording.meta["robot"] = robot.describe()
         number = recording.sessions + 1
@@ -124,6 +133,9 @@ def record(
                 )
                 try:
                     done = driven.run()
+                except LinkLost as error:
+                    how = driven.go_on
+                    raise LinkLost(f"{error}; what was sent is kept, put the robot {how}") from None
                 finally:
                     # Before the camera stops: it should still see the robot stand still, and
                     # nothing that goes wrong with the video may leave the motors on.
@@ -137,14 +149,15 @@ def record(
             if finish is not None:
                 finish(out, session)
         if camera is not None and getattr(camera, "failed", False):
+            # After the last command: what is missing is the end of the video.
             raise UserError(
                 f"the camera stopped delivering frames; {out} keeps what was filmed: "
                 "check the camera and go on with --resume"
             )
         recording.meta["complete"] = done
         recording.save_meta()
-    if done and spotter is not None:
-        _write_poses(recording, say)
+        if done and spotter is not None:
+            _write_poses(recording, say)
     return recording
 
 
@@ -236,10 +249,15 @@ def _wanted(
 
 def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     recording = Recording(out)
-    if recording.meta["complete"]:
+    check_no_links(out)
+    # One that was killed between its last command and its poses still lacks these.
+    unseen = not recording.is_tracked and (out / "sightings.csv").exists()
+    if recording.meta["complete"] and not unseen:
         raise UserError(f"{out} is complete; there is nothing to resume")
     for part, keys in _SAME.items():
         was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        if not isinstance(was, dict):
+            raise FileError(out / "recording.json", "expected an object", field=part)
         if part == "robot":
             was, now = ({**side, "kind": robot_kind(side)} for side in (was, now))
         if keys is not None:
@@ -290,6 +308,7 @@ def _check_calibration(path: Path, camera: Camera | None, markers: dict[str, Any
 def _check_same_calibration(out: Path, calibration: Path) -> None:
     kept = out / "calibration.json"
     if not kept.exists():
-        shutil.copyfile(calibration, kept)
+        with atomic_path(kept) as partial:
+            shutil.copyfile(calibration, partial)
     elif kept.read_bytes() != calibration.read_bytes():
         raise UserError(f"{out} was recorded with another calibration than {calibration}")

@@ -5,13 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import check_new_folder
+from neurosim.base.files import check_new_folder, check_no_links, locked
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, RandomCommands
 from neurosim.recording.record import record
 from neurosim.recording.settings import RecordSettings
@@ -104,6 +104,8 @@ def record_rounds(
     if settings.guard.at_line == "end":
         raise UserError("--at-line end would end the first round; leave it out with --guided")
     numbers = rounds.numbers()
+    if resume:
+        check_no_links(out)
     if not resume:
         check_new_folder(out)
     elif not (out / _name(1)).is_dir():
@@ -111,54 +113,59 @@ def record_rounds(
     elif is_whole(out, rounds):
         raise UserError(f"{out} is complete; there is nothing to resume")
     made: list[Recording] = []
-    for number, indices in enumerate(numbers, start=1):
-        folder = out / _name(number)
-        how = {
-            "kind": "guided",
-            "round": number,
-            "rounds": len(numbers),
-            "commands_in_all": settings.commands,
-            "candidates": source.describe(),
-        }
-        begun = (folder / "recording.json").exists()
-        start = _end(made[-1]) if made else (0.0, 0.0, 0.0)
-        # What was chosen before an interruption stands; with other settings it is refused.
-        if begun:
-            chosen = _chosen_before(folder, how)
-        elif not made:
-            drawn = [source.command(index) for index in indices]
-            chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
-        else:
-            _say(
-                f"round {number} of {len(numbers)}: learning from what was recorded, then choosing "
-                f"{len(indices)} commands"
-            )
-            commands, said = choose(made, source, indices, start)
-            chosen = FixedCommands(commands, {**how, **said})
-        there = Recording(folder) if begun else None
-        if there is None or not there.meta["complete"]:
-            _say(f"round {number} of {len(numbers)}: {len(indices)} commands")
-            sessions = sum(recording.sessions for recording in made)
-            sessions += there.sessions if there else 0
-            # Each session has noise of its own, and begins where the last one ended.
-            with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
-                there = record(
-                    folder,
-                    rig.robot,
-                    rig.camera,
-                    chosen,
-                    replace(settings, commands=len(indices)),
-                    calibration=calibration,
-                    live=live,
-                    on_seen=on_seen,
-                    resume=begun,
-                    finish=rig.finish,
-                    lab=rig.lab,
-                    options=options,
+    held = False
+    with ExitStack() as kept:
+        for number, indices in enumerate(numbers, start=1):
+            folder = out / _name(number)
+            if out.exists() and not held:  # its first round makes it
+                kept.enter_context(locked(out, "recorded into"))
+                held = True
+            how = {
+                "kind": "guided",
+                "round": number,
+                "rounds": len(numbers),
+                "commands_in_all": settings.commands,
+                "candidates": source.describe(),
+            }
+            begun = (folder / "recording.json").exists()
+            start = _end(made[-1]) if made else (0.0, 0.0, 0.0)
+            # What was chosen before an interruption stands; with other settings it is refused.
+            if begun:
+                chosen = _chosen_before(folder, how)
+            elif not made:
+                drawn = [source.command(index) for index in indices]
+                chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
+            else:
+                _say(
+                    f"round {number} of {len(numbers)}: learning from what was recorded, then "
+                    f"choosing {len(indices)} commands"
                 )
-        if not there.is_tracked:
-            track(folder)
-        made.append(there)
+                commands, said = choose(made, source, indices, start)
+                chosen = FixedCommands(commands, {**how, **said})
+            there = Recording(folder) if begun else None
+            if there is None or not there.meta["complete"]:
+                _say(f"round {number} of {len(numbers)}: {len(indices)} commands")
+                sessions = sum(recording.sessions for recording in made)
+                sessions += there.sessions if there else 0
+                # Each session has noise of its own, and begins where the last one ended.
+                with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
+                    there = record(
+                        folder,
+                        rig.robot,
+                        rig.camera,
+                        chosen,
+                        replace(settings, commands=len(indices)),
+                        calibration=calibration,
+                        live=live,
+                        on_seen=on_seen,
+                        resume=begun,
+                        finish=rig.finish,
+                        lab=rig.lab,
+                        options=options,
+                    )
+            if not there.is_tracked:
+                track(folder)
+            made.append(there)
     return made
 
 

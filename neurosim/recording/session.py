@@ -27,9 +27,9 @@ from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import Perimeter
 from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Battery, Lamp, Robot, Sensors
-from tracking.camera.cameras import Camera
-from tracking.datasets.recordings import Recording
+from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
+from tracking.camera.cameras import STALLED, Camera
+from tracking.datasets.recordings import CommandLine, Recording
 
 #: Seconds the lamp is on, off, on: two flashes of different length, which no reflection repeats,
 #: and no whole number of frames long, so that each edge meets another phase of the shutter.
@@ -42,8 +42,14 @@ LINES = ("line_left", "line_right")
 LOOK_EVERY = 1 / 30
 #: A robot that is lost has so long to be put into view again, s.
 PATIENCE = 60.0
+#: A frame is written into the video so long after it was taken, at most, s.
+WRITTEN_LATE = 2.0
 #: Going back inside by position ends this near to its goal, m.
 NEAR = 0.25
+
+
+class CameraLost(UserError):
+    """The camera delivers no more frames; the recording is readable and can be resumed."""
 
 
 class BatteryLow(UserError):
@@ -62,7 +68,7 @@ class Session:
     """One session: from the flash at its start to the flash at its end."""
 
     #: What a user does next where a session was interrupted.
-    _go_on = "in the middle of the board and go on with --resume"
+    go_on = "in the middle of the board and go on with --resume"
 
     def __init__(
         self,
@@ -77,11 +83,15 @@ class Session:
         spotter: Spotter | None,
     ):
         self._camera = camera
+        # One that cannot fail, as the virtual lab's, need not be looked after.
+        self._may_fail = hasattr(camera, "failed") or hasattr(camera, "stalled")
+        self._running: int | None = None
         self._spotter = spotter
         self._perimeter = Perimeter(
             settings.board, settings.guard.margin, settings.full_speed, settings.track
         )
         self._session = session
+        self._path = recording.path
         self._robot = robot
         self._clock = robot.clock
         self._source = source
@@ -100,16 +110,27 @@ class Session:
         self._rng = np.random.default_rng([session, settings.commands])
 
     def run(self) -> bool:
-        """Drive between a flash and a flash; return whether all that was to be sent was sent."""
-        self._flash()
-        self._learn_board()
-        if self._is_blind():
-            self._wait_for_sight()
-        done = self._drive()
-        self._write("stop", 0, 0)
-        self._stopped()
-        self._flash()
-        self._write("end")
+        """Drive between a flash and a flash; return whether all that was to be sent was sent.
+
+        Raises:
+            CameraLost: as soon as the camera delivers no more frames; the robot was stopped.
+            BatteryLow: if the battery fell below the limit.
+            UserError: if the robot does not find its way back, or is not seen for too long.
+        """
+        try:
+            self._flash()
+            self._learn_board()
+            if self._is_blind():
+                self._wait_for_sight()
+            done = self._drive()
+            self._write("stop", 0, 0)
+            self._stopped()
+            self._flash()
+            self._write("end")
+        except CameraLost:
+            kind = "stop" if self._running is None else "cut"
+            self._write(kind, 0, 0, number=self._running)
+            raise
         return done
 
     def _drive(self) -> bool:
@@ -118,7 +139,8 @@ class Session:
         with Progress("recording", total, "commands") as progress:
             progress.advance(total - len(self._waiting))
             since_battery = 0
-            while self._waiting and not getattr(self._camera, "failed", False):
+            while self._waiting:
+                self._check_camera()
                 if since_battery % 20 == 0:
                     self._check_battery()
                 since_battery += 1
@@ -162,9 +184,12 @@ class Session:
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
-            else:
+            elif duration is None:
                 self._robot.drive(left, right)
+            else:
+                drive_for(self._robot, left, right, duration)
             self._speeds = (left, right)
+            self._running = number if kind == "command" else None
         self._sent = now
 
     def _flash(self) -> None:
@@ -181,7 +206,29 @@ class Session:
         self._wait(STILL)
 
     def _wait(self, seconds: float) -> None:
-        self._clock.sleep_until(self._clock.now() + seconds)
+        self._sleep_until(self._clock.now() + seconds)
+
+    def _sleep_until(self, time: float) -> None:
+        """Wait, and look after the camera meanwhile.
+
+        Raises:
+            CameraLost: if it fails.
+        """
+        # A clock may be short of a time by its last digits, and sleep no more.
+        while self._may_fail and (now := self._clock.now()) < time - 1e-3:
+            self._check_camera()
+            self._clock.sleep_until(min(time, now + LOOK_EVERY))
+        self._clock.sleep_until(time)
+
+    def _check_camera(self) -> None:
+        """Raise CameraLost once the camera delivers no more frames: nobody sees the robot."""
+        stalled = getattr(self._camera, "stalled", False)
+        if stalled or getattr(self._camera, "failed", False):
+            what = f"delivered no frame for {STALLED:g} s or more" if stalled else "stopped"
+            raise CameraLost(
+                f"the camera {what}, and the robot was stopped; {self._path} keeps what was "
+                f"filmed: check the camera, put the robot {self.go_on}"
+            )
 
     def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:
         """Let a command run until ``end`` (s); return False as soon as the robot must stop.
@@ -196,12 +243,13 @@ class Session:
         watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
         if moving and watched:
             while (now := self._clock.now()) + 1.5 * took < end:
+                self._check_camera()
                 if self._must_stop(self._lines()):
                     return False
                 if not self._board:
                     self._clock.sleep_until(min(now + LOOK_EVERY, end))
                 took = max(took, self._clock.now() - now)
-        self._clock.sleep_until(end)
+        self._sleep_until(end)
         return True
 
     # The perimeter
@@ -266,7 +314,7 @@ class Session:
                 self._write("stop", 0, 0)
                 raise UserError(
                     f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
-                    f"robot {self._go_on}"
+                    f"robot {self.go_on}"
                 )
             self._wait(LOOK_EVERY)
 
@@ -328,7 +376,7 @@ class Session:
     def _give_up(self) -> NoReturn:
         self._write("stop", 0, 0)
         raise UserError(
-            f"the robot does not find its way back inside the lines; put it {self._go_on}"
+            f"the robot does not find its way back inside the lines; put it {self.go_on}"
         )
 
     def _turn(self, angle: float) -> None:
@@ -341,7 +389,7 @@ class Session:
         command = Command(round(left), round(right), seconds)
         self._write("manoeuvre", command.left, command.right, round(seconds, 3))
         if not look:
-            self._clock.sleep_until(self._sent + seconds)
+            self._sleep_until(self._sent + seconds)
             return True
         return self._hold(command, self._sent + seconds)
 
@@ -363,21 +411,24 @@ class Session:
         self._write("pause")
         raise BatteryLow(
             f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "
-            f"the robot {self._go_on}"
+            f"the robot {self.go_on}"
         )
 
 
 def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
-    """Return the commands still to be sent: all that no session sent to their end."""
+    """Return the commands still to be sent: all that no session sent to their end, and filmed."""
     attempts: dict[int, int] = {}
     settled: set[int] = set()
     if (recording.path / "commands.csv").exists():
-        lines = [line for line in recording.commands() if line.is_motor]
+        every = recording.commands()
+        filmed = _filmed_until(recording, every)
+        lines = [line for line in every if line.is_motor]
         for line, after in zip_longest(lines, lines[1:]):
             if line.kind != "command" or line.command is None:
                 continue
             attempts[line.command] = attempts.get(line.command, 0) + 1
             ran = after is not None and after.session == line.session and after.kind != "cut"
+            ran = ran and after.time <= filmed[line.session]
             if ran or attempts[line.command] >= settings.guard.attempts:
                 settled.add(line.command)
     todo = (
@@ -386,3 +437,19 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
         if index not in settled
     )
     return deque(todo)
+
+
+def _filmed_until(recording: Recording, lines: list[CommandLine]) -> dict[int, float]:
+    """Return until when the robot was filmed in each session, s on the robot's clock.
+
+    A kill loses frames that were still to be written into the video, though they are counted. What
+    was tracked live is kept without the video.
+    """
+    until = {line.session: math.inf for line in lines}
+    ended = {line.session for line in lines if line.kind == "end"}
+    for session in until.keys() - ended:
+        lost = recording.lost_film(session)
+        if lost > 0:
+            last = max(line.time for line in lines if line.session == session)
+            until[session] = last - lost - WRITTEN_LATE
+    return until

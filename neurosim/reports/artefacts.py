@@ -15,28 +15,118 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
+from neurosim.base.schema import Maybe, Rows, Shape
 from neurosim.controllers import read_controller
 from neurosim.simulators import read_simulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
-from tracking.datasets.dataset import Dataset
+from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
 KINDS = ("trial", "recording", "dataset", "simulator", "controller")
 
-_FIELDS: dict[str, dict[str, type | tuple]] = {
+#: Poses are no farther away, m, and turn no more, rad: a picture of them is drawn.
+_FARTHEST = 1e5
+_POSE = Rows(3, most=_FARTHEST)
+_SESSION = {"recording": str, "session": int}
+_SENT = {"sent": int, "cut": int, "completed": int}
+_ROBOT = {"kind?": str, "virtual?": bool}
+_SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str}
+_MARKER = {"colour?": str, "rgb?": object, "sure?": float, "doubt?": str}
+_PREDICTED = {
+    "poses?": [Maybe(_POSE)],
+    "rest?": _POSE,
+    "fitness?": float,
+    "spread?": float,
+    "expected_fitness?": float,
+    "draws?": float,
+    "probability?": float,
+    "completes?": bool,
+    "unsupported?": float,
+}
+_FIELDS: dict[str, dict[str, Shape]] = {
     "trial": {
         "virtual": bool,
-        "controller": dict,
-        "task": dict,
-        "commands": list,
-        "predicted": dict,
-        "actual": dict,
-        "errors": list,
+        "kind?": str,
+        "controller": {"path?": str, "sha256?": str},
+        "simulator?": dict,
+        "task": {"name": str, "settings?": dict},
+        "commands": Rows(None, 3),
+        "plan_length?": int,
+        "start?": {"planned?": _POSE, "actual?": _POSE},
+        "predicted": _PREDICTED,
+        "actual": {
+            **_PREDICTED,
+            "path?": Rows(None, 4, most=_FARTHEST),
+            "cut?": _POSE,
+            "reason?": str,
+            "seen_by?": str,
+        },
+        "errors": [Maybe({"position": float, "heading": float})],
+        "ended_early?": bool,
+        "deadlines?": {"steps": int, "missed": int, "worst_late_s": float},
     },
-    "recording": {"robot": dict, "sessions": list},
-    "dataset": {"rows": int, "sources": list, "left_out": dict},
+    "recording": {
+        "robot": _ROBOT,
+        "sessions": [dict],
+        "complete?": bool,
+        "board?": {"length": float, "width": float},
+        "settings?": dict,
+    },
+    "dataset": {
+        "rows": int,
+        "sources": [_SOURCE],
+        "left_out": {str: int},
+        "reasons?": {str: str},
+        "warnings?": [str],
+        "robots?": [_ROBOT],
+        "virtual?": bool,
+        "clocks?": [
+            {**_SESSION, "flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float}
+        ],
+        "motor_delays?": [
+            {**_SESSION, "delay": float, "sd": float, "lag": float, "corrected": bool}
+        ],
+        "markers?": [{**_SESSION, "front?": _MARKER, "rear?": _MARKER}],
+        "cutting?": {
+            "by_class": {str: _SENT},
+            "by_duration?": [{"from": float, "to": float, **_SENT}],
+            "equal_reach?": {"ratio?": float, "ratio_first?": float},
+        },
+        "settings?": dict,
+    },
+    "simulator": {
+        "kind": str,
+        "inputs?": [{"name": str, "unit?": str}],
+        "outputs?": [{"name": str, "unit?": str}],
+        "training?": {"held_out?": float},
+        "history?": [{"generation": float, "mse": Rows(None)}],
+        "test_errors?": {key: {"mse": float, "mean_absolute_error": float} for key in OUTPUTS},
+        "source?": _SOURCE,
+        "sources?": [_SOURCE],
+        "wall_clock?": {"training_seconds?": float},
+        "robots?": [_ROBOT],
+        "virtual?": bool,
+    },
+    "controller": {
+        "kind": str,
+        "task": {"name": str, "settings?": dict},
+        "predicted": _PREDICTED,
+        "simulator": _SOURCE,
+        "evolution": {
+            "settings?": dict,
+            "history?": {"best?": Rows(None), "mean?": Rows(None), "transfer?": int},
+            "robot_fitness?": {"mean": float, "spread": float, "trials?": int},
+            "trajectories?": [
+                {
+                    "simulated": Rows(None, 3, most=_FARTHEST),
+                    "robot": Rows(None, 3, most=_FARTHEST),
+                }
+            ],
+            "robot?": _ROBOT,
+        },
+    },
 }
 #: The newest version of each that this page reads.
 _VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
@@ -253,7 +343,9 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
         content = _READERS[kind](path) if kind in _READERS else None
         artefact = Artefact(kind, path, meta, content)
         if kind == "controller":
-            _check_controller(artefact)
+            _ = artefact.task
+        if kind == "simulator":
+            _check_history(artefact)
         getattr(found, f"{kind}s").append(artefact)
     if not seen:
         raise UserError("name at least one folder to report on")
@@ -271,46 +363,37 @@ def _kind(path: Path) -> str:
     raise FileError(path, f"is no folder that a report can show: it has none of {names}")
 
 
-def _check_controller(artefact: Artefact) -> None:
-    """Check what a report shows of a controller beside what its reader checks."""
-    predicted = artefact.meta["predicted"]
-    for name in ("fitness", "spread", "expected_fitness", "draws"):
-        artefact.number(f"predicted.{name}", predicted.get(name))
-    _ = artefact.task
+def _check_history(artefact: Artefact) -> None:
+    """Check that a history is of the outputs."""
+    outputs, history = artefact.meta.get("outputs"), artefact.meta.get("history")
+    names = [output["name"] for output in outputs or ()]
+    if history and not set(names) <= set(OUTPUTS):
+        raise FileError(artefact.json, f"expected {', '.join(OUTPUTS)}", field="outputs")
+    for place, entry in enumerate(history or ()):
+        if outputs is None or len(entry["mse"]) != len(outputs):
+            raise FileError(
+                artefact.json, "expected one for each output", field=f"history[{place}].mse"
+            )
 
 
 def _trial(path: Path, meta: dict[str, Any]) -> Trial:
     trial = Trial("trial", path, meta)
     count, predicted, actual = len(meta["commands"]), meta["predicted"], meta["actual"]
-    if not isinstance(meta["task"].get("name"), str):
-        raise FileError(trial.json, "expected the name of a task", field="task.name")
     _ = trial.task
-    trial.numbers("commands", meta["commands"], 3)
     for part, values in (("predicted", predicted), ("actual", actual)):
-        for name in ("fitness", "probability"):
-            trial.number(f"{part}.{name}", values.get(name))
         poses = values.get("poses")
-        seen = [pose for pose in poses or () if pose is not None]
-        trial.numbers(f"{part}.poses", seen, 3)
+        if part == "predicted" and None in (poses or ()):
+            raise FileError(trial.json, "expected a pose, found None", field="predicted.poses")
         if trial.by_command and (not isinstance(poses, list) or len(poses) != count + 1):
             raise FileError(
                 trial.json,
                 f"expected {count + 1} poses (the start, and one for each of {count} commands)",
                 field=f"{part}.poses",
             )
-    trial.numbers("actual.path", actual.get("path") or [], 4)
     _check_errors(trial, count)
-    late = meta.get("deadlines")
-    if late is not None and not _has_numbers(late, "steps", "missed", "worst_late_s"):
-        raise FileError(
-            trial.json, "expected the numbers steps, missed and worst_late_s", field="deadlines"
-        )
     if (path / "recording.json").exists():
-        trial.recording = read_json(path / "recording.json", "neurosim-recording", 1)
-    board = trial.board
-    if board is not None and not _has_numbers(board, "length", "width"):
-        raise FileError(
-            path / "recording.json", "expected the numbers length and width", field="board"
+        trial.recording = read_json(
+            path / "recording.json", "neurosim-recording", 1, _FIELDS["recording"]
         )
     return trial
 
@@ -319,15 +402,6 @@ def _check_errors(trial: Trial, count: int) -> None:
     errors = trial.meta["errors"]
     if trial.by_command and (not count or len(errors) not in (count, count + 1)):
         raise FileError(trial.json, f"expected one for each of {count} commands", field="errors")
-    for place, error in enumerate(errors):
-        if error is not None and not _has_numbers(error, "position", "heading"):
-            raise FileError(
-                trial.json, "expected the numbers position and heading", field=f"errors[{place}]"
-            )
-
-
-def _has_numbers(value: Any, *names: str) -> bool:
-    return isinstance(value, Mapping) and all(_is_number(value.get(name)) for name in names)
 
 
 def _is_number(value: Any) -> bool:

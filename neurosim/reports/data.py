@@ -149,7 +149,7 @@ def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
     ]
     reach = cutting.get("equal_reach", {})
     note = "A command is cut when a light sensor meets the board's perimeter line."
-    if reach.get("ratio") is not None:
+    if "ratio" in reach and "ratio_first" in reach:
         note += (
             f" Straight commands that were completed reach {reach['ratio']:.1%} as far (speed "
             "times duration, on average) as those that were drawn; without sending again what "

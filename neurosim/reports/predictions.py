@@ -7,6 +7,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from neurosim.base.errors import FileError
 from neurosim.base.files import sha256
 from neurosim.reports.artefacts import Artefact
 from neurosim.training.coverage import central_ranks
@@ -63,7 +64,11 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
     seen, rows = dataset, dataset
     how = f"all {len(rows)} commands of another dataset than the one it was trained on"
     if trained_on_it:
-        share = simulator.meta["training"]["held_out"]
+        share = simulator.meta.get("training", {}).get("held_out")
+        if share is None or not 0 < share < 1:
+            raise FileError(
+                simulator.json, "expected a share of the dataset", field="training.held_out"
+            )
         seen, rows = dataset.split(share)
         how = f"the last {share:.0%} of its dataset in time, {len(rows)} commands"
     ideal = unicycle(seen)

@@ -136,6 +136,34 @@ class Sensors(Protocol):
         ...
 
 
+@runtime_checkable
+class SelfStopping(Protocol):
+    """Stops by itself some time after a command, if no other follows.
+
+    Nothing on the computer can stop a robot once its program was killed, the computer sleeps or
+    the line is cut; a robot that has this does it alone.
+    """
+
+    def drive_for(self, left: float, right: float, seconds: float) -> None:
+        """Set both motors as ``drive`` does, for a command that is to last so long (s).
+
+        They hold the speeds for at least that long; how much longer, without another command, the
+        driver says.
+        """
+        ...
+
+
+def drive_for(robot: Robot, left: float, right: float, seconds: float) -> None:
+    """Set both motors (percent) for a command that is to last ``seconds``.
+
+    A robot that can stops by itself some time later, if no other command comes; the others go on.
+    """
+    if isinstance(robot, SelfStopping):
+        robot.drive_for(left, right, seconds)
+    else:
+        robot.drive(left, right)
+
+
 @dataclass(frozen=True)
 class Geometry:
     """A body on two wheels: the radius of the circle around it, and between its wheels (m)."""

@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+import math
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
-from neurosim.robots.base import Counters
+from neurosim.base.errors import RobotError
+from neurosim.robots.base import Counters, WholeSpeeds
+
+#: A wheel turns no faster than its full speed by this, and a reading may be off by so many pulses.
+FASTER, OFF = 1.5, 25
+#: Garbage is read again so often.
+TRIES = 3
 
 
 class Odometry:
     """Tells a robot's pose by its counters, which are set to 0 at first.
 
-    Between two readings both wheels are taken to turn at steady speeds.
+    Between two readings both wheels are taken to turn at steady speeds. Counters that say that a
+    wheel went farther than it can are read again: a line may spoil a digit.
 
     Args:
         robot: connected, standing.
@@ -24,13 +34,20 @@ class Odometry:
     """
 
     def __init__(self, robot: Counters, start: ArrayLike):
-        robot.set_counts(0, 0)
-        self._robot, self.counts = robot, (0, 0)
+        whole: Any = robot  # it has a clock, too
+        whole.set_counts(0, 0)
+        self._robot = whole
+        self.counts: tuple[int, int] = (0, 0)
+        self._asked: float = whole.clock.now()
         self.pose: NDArray[np.float64] = np.array(start, np.float64)
 
     def read(self) -> NDArray[np.float64]:
-        """Read the counters; return the pose that they stand for, [3]."""
-        robot, counts = self._robot, self._robot.read_counts()
+        """Read the counters; return the pose that they stand for, [3].
+
+        Raises:
+            RobotError: if they say, each time, that a wheel went farther than it can.
+        """
+        robot, counts = self._robot, self._plausible_counts()
         left, right = (
             (after - before) / robot.pulses_per_metre
             for before, after in zip(self.counts, counts, strict=True)
@@ -39,3 +56,27 @@ class Odometry:
         self.pose = se2.compose(self.pose, se2.exp([(left + right) / 2, 0.0, turn]))
         self.counts = counts
         return self.pose
+
+    def _plausible_counts(self) -> tuple[int, int]:
+        clock, since, way = self._robot.clock, self._asked, 0
+        fastest = self._fastest()
+        for _ in range(TRIES):
+            asked = clock.now()
+            counts: tuple[int, int] = self._robot.read_counts()
+            if math.isinf(fastest):
+                return counts
+            way = max(abs(now - before) for now, before in zip(counts, self.counts, strict=True))
+            if way <= OFF + FASTER * fastest * (clock.now() - since):
+                self._asked = asked
+                return counts
+        raise RobotError(
+            f"the robot's counters say that a wheel went {way} pulses, farther than it can: is its "
+            "line disturbed, or was it switched on anew? Put that right and try again"
+        )
+
+    def _fastest(self) -> float:
+        """Return how fast a counter counts at full speed, pulses/s; infinite if nothing says it."""
+        robot: Any = self._robot
+        if not isinstance(robot, WholeSpeeds):
+            return math.inf
+        return robot.full_speed * robot.speed_unit * self._robot.pulses_per_metre

@@ -98,7 +98,7 @@ class Eye:
             seen = [item for item in self._seen if item[0] >= begin]
         times = np.array([time for _, time, _, _ in seen])
         if len(seen) < _PICTURES or np.ptp(times) < _SHARE * duration:
-            failed = getattr(self._camera, "failed", False)
+            failed = any(getattr(self._camera, name, False) for name in ("failed", "stalled"))
             raise UserError(
                 "the camera delivers no more pictures; see to it and go on with --resume"
                 if failed

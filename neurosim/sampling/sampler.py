@@ -10,8 +10,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from neurosim.base import files
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.progress import Progress
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
@@ -82,6 +85,25 @@ def sample(
         "motors": "counters" if eye is None else "camera",
     }
     _begin(out, {**about, "options": dict(options or {})}, resume)
+    with files.locked(out, "sampled into"):
+        try:
+            return _sample(out, robot, settings, levels, place, seed, progress, eye)
+        except LinkLost as error:
+            how = "what was sampled is kept, go on with --resume"
+            raise LinkLost(f"{error}; {how}") from None
+
+
+def _sample(
+    out: Path,
+    robot: Sampler,
+    settings: SampleSettings,
+    levels: NDArray[np.int64],
+    place: Place,
+    seed: int,
+    progress: bool,
+    eye: Eye | None,
+) -> dict[str, Any]:
+    """Sample what has not been sampled yet; see :func:`sample`."""
     total = settings.repeats * settings.distances * len(OBJECTS)
     bar = Progress("sample", total, "turns") if progress else None
     try:
@@ -138,6 +160,7 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         files.write_json(path, FORMAT, VERSION, about)
         return
     found = files.read_json(path, FORMAT, VERSION, {"settings": dict, "seed": int, "robot": dict})
+    files.check_no_links(out)
     if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
             path, "was begun with other settings; give the same to go on", field="settings"
@@ -149,6 +172,8 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         )
     for part, names in _SAME.items():
         then, now = (side.get(part) or {} for side in (found, about))
+        if not isinstance(then, Mapping):
+            raise FileError(path, "expected an object", field=part)
         for name in names:
             if then.get(name) not in (None, now.get(name)):
                 raise FileError(

@@ -11,12 +11,13 @@ import torch
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import not_suspended
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import observe
 from neurosim.lab import LabArena, VirtualKheperaRig
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
-from neurosim.robots.base import Proximity, Robot
+from neurosim.robots.base import Proximity, Robot, drive_for
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
 
@@ -149,7 +150,7 @@ class RobotTrials:
             given, memory = controller.act(row, observed, memory)
             command = given[0].tolist()
             clock.sleep_until(time + self.hold)
-            self.robot.drive(*command)
+            drive_for(self.robot, *command, self.evaluator.episode.step)
             readings.append(seen)
             commands.append(command)
             # A step that took too long shifts those after it rather than shortening them.
@@ -178,7 +179,8 @@ class RobotTrials:
             near = self.robot.activations()[:6].max() > 0.3
             ahead = 0.0 if now - begin < turning or near else 1.0
             turn = side * (1.0 - ahead)
-            self.robot.drive(60.0 * ahead - turn, 60.0 * ahead + turn)
+            speeds = 60.0 * ahead - turn, 60.0 * ahead + turn
+            drive_for(self.robot, *speeds, self.evaluator.episode.step)
             clock.sleep_until(now + self.evaluator.episode.step)
         self.rest()
 
@@ -199,7 +201,7 @@ def on_khepera(
         RobotError: if the robot cannot be reached.
     """
     _check_line(evaluator.simulator, robot.describe()["baud"])
-    with robot:
+    with not_suspended(), robot:
         yield RobotTrials(
             robot,
             evaluator,

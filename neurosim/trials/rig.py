@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import not_suspended
 from neurosim.lab import CameraParams, LabArena, VirtualKheperaRig, VirtualRig
 from neurosim.lab.khepera.rig import START
 from neurosim.robots.base import Robot
@@ -90,15 +91,16 @@ def open_rig(
     if setup.camera == "lab":
         raise UserError("--camera lab is the virtual robot's; name a camera that there is")
     driver = ROBOTS.make(robot, options or {})
-    try:
-        # The robot before the camera: what is wrong with it is said first.
-        driver.connect()
-        camera = None
-        if setup.camera != "none":
-            camera = open_camera(setup.camera or "0", driver.clock.now, setup.size, setup.fps)
-        yield Rig(driver, camera)
-    finally:
-        driver.close()
+    with not_suspended():
+        try:
+            # The robot before the camera: what is wrong with it is said first.
+            driver.connect()
+            camera = None
+            if setup.camera != "none":
+                camera = open_camera(setup.camera or "0", driver.clock.now, setup.size, setup.fps)
+            yield Rig(driver, camera)
+        finally:
+            driver.close()
 
 
 @contextmanager
@@ -167,6 +169,10 @@ class Rigs:
     def names(self) -> list[str]:
         """Return all names."""
         return [*_VIRTUAL, *ROBOTS.names()]
+
+    def is_virtual(self, name: str) -> bool:
+        """Return whether the robot of this name is one of the virtual lab."""
+        return name in _VIRTUAL
 
     def get(self, name: str) -> Callable[..., Any]:
         """Return what has the robot's options as its keywords.

@@ -14,8 +14,11 @@ import hmac
 import json
 import os
 import secrets
+import socket
 import threading
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from importlib.resources import files
@@ -27,6 +30,10 @@ from neurosim.watch.viewer import CORNERS, Viewer
 HOST = "127.0.0.1"
 #: A request's body is a click; nothing is as long as this.
 LONGEST_BODY = 4096
+#: So many connections are held at once; a browser has six.
+CONNECTIONS = 32
+#: What is asked for must have come within so many seconds, or the connection is closed.
+ASK_WITHIN = 10.0
 #: How long a request for the next picture waits for one, s.
 PATIENCE = 1.0
 
@@ -101,6 +108,32 @@ class _Server(ThreadingHTTPServer):
     # On Windows it would let two servers share the port.
     allow_reuse_address = os.name != "nt"
 
+    def __init__(self, *args: Any):
+        super().__init__(*args)
+        # Of every connection: since when it is waited for what it asks; None while it is answered.
+        self.asking: dict[socket.socket, float | None] = {}
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Answer in a thread of its own, unless there are too many already."""
+        if len(self.asking) >= CONNECTIONS:
+            super().shutdown_request(request)
+            return
+        self.asking[request] = time.monotonic()
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        """Close a connection."""
+        self.asking.pop(request, None)
+        super().shutdown_request(request)
+
+    def service_actions(self) -> None:
+        """Close connections that ask for nothing, some times a second."""
+        latest = time.monotonic() - ASK_WITHIN
+        for request, since in list(self.asking.items()):
+            if since is not None and since < latest:
+                with suppress(OSError):
+                    request.shutdown(socket.SHUT_RDWR)
+
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing: a browser that goes away in the middle of a picture is no news."""
 
@@ -119,9 +152,16 @@ class _Handler(BaseHTTPRequestHandler):
     port: int
     over: threading.Event
 
+    server: _Server
+
     protocol_version = "HTTP/1.1"
     server_version, sys_version = "neurosim", ""
     timeout = 30
+
+    def handle_one_request(self) -> None:
+        """Wait for what is asked, and answer it."""
+        self.server.asking[self.connection] = time.monotonic()
+        super().handle_one_request()
 
     def do_GET(self) -> None:
         """Give the page, its parts, or the next picture."""
@@ -147,6 +187,7 @@ class _Handler(BaseHTTPRequestHandler):
             # What a person did is answered to the person.
             status, headers = HTTPStatus.OK, {}
             body, kind = _json({"error": str(error)})
+        self.server.asking[self.connection] = None
         self.send_response(status)
         for name, value in {**_HEADERS, **headers}.items():
             self.send_header(name, value)

@@ -198,3 +198,232 @@ def test_tensors_that_were_cut_short_are_refused(tmp_path):
     files.write_tensors(path, {"w": np.array([1.0, math.nan])})
     with pytest.raises(FileError, match="not finite"):
         files.read_tensors(path, {"w": (2,)})
+
+
+def test_a_temporary_name_follows_no_link_and_cannot_be_foreseen(tmp_path):
+    names = set()
+    for _ in range(3):
+        with files.atomic_path(tmp_path / "a.json") as partial:
+            partial.write_text("x")
+            names.add(partial.name)
+            assert partial.suffix == ".json"
+    assert len(names) == 3
+    # Where a link stands at a name that is drawn, another one is.
+    (tmp_path / "mine").write_text("mine")
+    drawn = iter(["taken", "free"])
+    (tmp_path / ".a.taken.partial.json").symlink_to(tmp_path / "mine")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(files.tempfile, "_get_candidate_names", lambda: drawn)
+        files.write_text(tmp_path / "a.json", "new")
+    assert (tmp_path / "mine").read_text() == "mine"
+    assert (tmp_path / "a.json").read_text() == "new"
+
+
+KILLED = """
+import os, pathlib, signal, sys
+from neurosim.base import files
+place = pathlib.Path({place!r})
+with {writes} as partial:
+    (partial / "half" if partial.is_dir() else partial).write_text("half")
+    print("there", flush=True)
+    {then}
+"""
+
+
+def left_behind(place, writes, then="os.kill(os.getpid(), signal.SIGKILL)"):
+    """Start a program that is killed, or goes on, between the two steps of writing something."""
+    script = KILLED.format(place=str(place), writes=writes, then=then)
+    child = subprocess.Popen(
+        [sys.executable, "-c", script],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+    )
+    assert child.stdout.readline() == b"there\n"
+    return child
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
+@pytest.mark.parametrize("kind", ["atomic_path", "new_folder"])
+def test_what_a_killed_program_left_is_removed_by_the_next(tmp_path, kind):
+    place = tmp_path / "a[1].x"
+    killed = left_behind(place, f"files.{kind}(place)")
+    assert killed.wait() == -signal.SIGKILL
+    killed.stdout.close()
+    killed.stdin.close()
+    # Another one is at work there, and goes on.
+    other = left_behind(place, f"files.{kind}(place)", "sys.stdin.readline()")
+    assert len(list(tmp_path.iterdir())) == 1  # the second has removed what the first left
+    with getattr(files, kind)(place) as partial:
+        assert len(list(tmp_path.iterdir())) == 2
+        (partial / "whole" if partial.is_dir() else partial).write_text("whole")
+    if kind == "atomic_path":
+        other.communicate(b"\n")
+        assert place.read_text() == "half"  # whole in its turn
+    else:
+        other.communicate(b"\n")
+        assert [path.name for path in place.iterdir()] == ["whole"]
+    assert [path.name for path in tmp_path.iterdir()] == [place.name]
+
+
+def test_a_folder_that_was_moved_aside_is_put_back(tmp_path):
+    aside = tmp_path / ".out.old-abc"
+    aside.mkdir()
+    (aside / "precious").write_text("mine")
+    with pytest.raises(RuntimeError), files.new_folder(tmp_path / "out", overwrite=True):
+        raise RuntimeError
+    assert (tmp_path / "out" / "precious").read_text() == "mine"
+    with files.new_folder(tmp_path / "out", overwrite=True) as folder:
+        (folder / "new").touch()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_a_folder_with_leftovers_alone_is_empty(tmp_path):
+    assert files.is_empty(tmp_path / "nothing")
+    for name in (".lock", ".recording.abc.partial.json", ".recording.123.partial.json"):
+        (tmp_path / name).touch()
+    assert files.is_empty(tmp_path)
+    (tmp_path / ".mine").touch()
+    assert not files.is_empty(tmp_path)
+
+
+HOLDS = """
+import sys
+from neurosim.base import files
+with files.locked({folder!r}, "recorded into"):
+    print("holds", flush=True)
+    sys.stdin.readline()
+"""
+
+
+def holder(folder):
+    child = subprocess.Popen(
+        [sys.executable, "-c", HOLDS.format(folder=str(folder))],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+    )
+    assert child.stdout.readline() == b"holds\n"
+    return child
+
+
+def test_a_folder_is_one_process_own(tmp_path):
+    child = holder(tmp_path)
+    try:
+        says = rf"is being recorded into by process {child.pid} on .+: wait for that, or end it$"
+        with pytest.raises(UserError, match=says), files.locked(tmp_path, "recorded into"):
+            pass
+    finally:
+        child.communicate(b"\n")
+    assert list(tmp_path.iterdir()) == []
+    with files.locked(tmp_path, "recorded into"):
+        assert [path.name for path in tmp_path.iterdir()] == [".lock"]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
+def test_the_lock_of_a_process_that_is_no_more_does_not_count(tmp_path):
+    child = holder(tmp_path)
+    child.kill()
+    child.communicate()
+    assert (tmp_path / ".lock").read_text().startswith(f"{child.pid} on ")
+    with files.locked(tmp_path, "recorded into"):
+        assert (tmp_path / ".lock").read_text().startswith(f"{os.getpid()} on ")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_lock_of_another_computer_counts(tmp_path):
+    (tmp_path / ".lock").write_text("12 on elsewhere\n")
+    says = r"by process 12 on elsewhere: .*if it is no more, remove .*\.lock$"
+    with pytest.raises(UserError, match=says), files.locked(tmp_path, "recorded into"):
+        pass
+    assert (tmp_path / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"x": ' + "9" * 5000 + "}", "of 5000 digits is too large"),
+        ('{"x": ' + "9" * 25 + "}", "of 25 digits is too large"),
+        ('{"x": 1e999}', "1e999 is no number that a file can hold"),
+        ('{"x": NaN}', "NaN is no number"),
+        ('{"x": -Infinity}', "-Infinity is no number"),
+        ('{"x": ' + "[" * 100_000, "is nested too deeply; expected a thing file"),
+        ('{"x": ' + '{"y": ' * 100_000, "is nested too deeply; expected a thing file"),
+        ('{"x": 1, "x": 2}', "the key 'x' stands twice"),
+    ],
+)
+def test_json_of_what_no_program_writes_is_refused(tmp_path, text, says):
+    path = tmp_path / "a.json"
+    path.write_text(text)
+    with pytest.raises(FileError, match=says):
+        files.read_json(path, "thing", 1)
+
+
+def test_large_numbers_that_fit_are_read(tmp_path):
+    files.write_json(tmp_path / "a.json", "thing", 1, {"x": 2**64 - 1, "y": -(2**63), "z": 1e300})
+    assert files.read_json(tmp_path / "a.json", "thing", 1)["x"] == 2**64 - 1
+
+
+READERS = [
+    lambda path: files.read_json(path, "thing", 1),
+    lambda path: files.read_csv(path, {"a": str}),
+    lambda path: files.read_tensors(path),
+    files.read_header,
+    files.sha256,
+    lambda path: files.read_text(path, "text"),
+]
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no named pipes")
+@pytest.mark.parametrize("read", READERS)
+def test_what_is_no_file_is_not_waited_for(tmp_path, read):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "loop").symlink_to("loop")
+    for name, says in (
+        ("pipe", "is a pipe or a device"),
+        ("loop", r"cannot be read \(Too many levels of symbolic links\)"),
+        ("none", "no such file"),
+        ("", "is a folder"),
+    ):
+        with pytest.raises(FileError, match=says):
+            read(tmp_path / name)
+    with pytest.raises(FileError, match="is a pipe or a device"):
+        read("/dev/zero")
+
+
+def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):
+    with open(tmp_path / "a.json", "wb") as file:
+        file.truncate(files.MOST_JSON + 1)
+    with pytest.raises(FileError, match="is larger than 64 MB; expected a thing file"):
+        files.read_json(tmp_path / "a.json", "thing", 1)
+
+
+def test_a_field_that_never_ends_is_no_csv(tmp_path):
+    (tmp_path / "a.csv").write_text("a,b\n1," + "2" * 200_000 + "\n")
+    with pytest.raises(FileError, match=r"line 2: is no CSV \(field larger"):
+        files.read_csv(tmp_path / "a.csv", {"a": str})
+
+
+def test_a_name_that_is_not_utf_8_is_refused():
+    assert files.check_name("é/ü.avi") == "é/ü.avi"
+    with pytest.raises(FileError, match=r"a\\udcff\.avi.*the name is not UTF-8; rename the file"):
+        files.check_name(os.fsdecode(b"a\xff.avi"))
+
+
+def test_compiled_functions_have_a_place_without_a_home(tmp_path, monkeypatch):
+    from neurosim.base import compiled
+
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    compiled.keep_compiled(tmp_path)  # beside the source
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    monkeypatch.setattr(os, "access", lambda *_: False)
+    compiled.keep_compiled(tmp_path)  # in the user's cache
+    assert os.environ["NUMBA_CACHE_DIR"] == ""
+    (tmp_path / "file").touch()
+    monkeypatch.setenv("HOME", str(tmp_path / "file"))
+    compiled.keep_compiled(tmp_path)
+    folder = os.environ["NUMBA_CACHE_DIR"]
+    assert os.stat(folder).st_mode & 0o777 == 0o700
+    os.rmdir(folder)

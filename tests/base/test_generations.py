@@ -3,11 +3,13 @@
 import os
 import signal
 import threading
+import time
 
 import numpy as np
 import pytest
 
-from neurosim.base.generations import SIGNALS, deferred_interrupt, run_generations
+from neurosim.base.generations import run_generations
+from neurosim.base.interrupts import SIGNALS, deferred_interrupt
 
 
 class Counting:
@@ -120,3 +122,14 @@ def test_it_runs_in_any_thread():
     thread.join()
     assert found == [False, False]
     assert stage.worked == 4
+
+
+def test_a_first_generation_that_takes_long_says_why(monkeypatch, capsys):
+    monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
+    run_generations(Counting(1, lambda: time.sleep(0.5)), 3, "evolving")
+    said = capsys.readouterr().err
+    assert said.count("loops are compiled") == 1
+    assert said.startswith("evolving: the first generation is under way")
+    monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 600.0)
+    run_generations(Counting(), 3, "evolving")
+    assert "compiled" not in capsys.readouterr().err

@@ -1,3 +1,36 @@
+"""What tests of the command line share."""
+
+import math
+import sys
+
+import pytest
 from cli_pipeline import pipeline
 
-__all__ = ["pipeline"]
+from neurosim.cli.main import main
+
+__all__ = ["pipeline", "refused"]
+
+
+@pytest.fixture
+def refused(tmp_path, monkeypatch, capsys):
+    """Run a command that must fail in the folder of the test; return its one sentence."""
+    monkeypatch.chdir(tmp_path)
+    # What takes long says so on stderr, too; here the one sentence is looked at.
+    monkeypatch.setattr("neurosim.base.progress.LINE_EVERY", math.inf)
+
+    def run(*words) -> str:
+        before = sorted(str(path) for path in tmp_path.rglob("*"))
+        monkeypatch.setattr(sys, "argv", ["neurosim", *map(str, words)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as stop:
+            main()
+        out, said = capsys.readouterr()
+        assert stop.value.code == 1
+        assert out == ""
+        assert said.startswith("neurosim: ")
+        assert said.count("\n") == 1, said
+        assert "Traceback" not in said
+        assert sorted(str(path) for path in tmp_path.rglob("*")) == before
+        return said
+
+    return run

@@ -3,15 +3,24 @@
 import itertools
 import json
 import math
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+from patience import PATIENCE
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.recording.record import BatteryLow, Guard, RecordSettings, _wanted, record
+from neurosim.recording.session import _waiting
 from neurosim.robots import Robot
 from neurosim.robots.khepera.driver import Khepera
+from tracking.camera.camera_model import CameraModel
+from tracking.camera.cameras import VideoSink
 from tracking.datasets.recordings import Recording
 
 SETTINGS = RecordSettings(3)
@@ -195,7 +204,7 @@ def test_a_robot_that_does_not_find_back_asks_for_help(tmp_path):
 
 def test_a_lost_link_leaves_a_recording_that_resumes(tmp_path):
     source = RandomCommands(seed=3)
-    with pytest.raises(LinkLost):
+    with pytest.raises(LinkLost, match=r"stopped answering; .* go on with --resume"):
         run(tmp_path / "r", FakeRobot(dies_after=7), 15, source)
     broken = Recording(tmp_path / "r")
     assert broken.meta["complete"] is False
@@ -321,3 +330,94 @@ def test_a_recording_says_what_chose_its_commands():
     source = FixedCommands([Command(10, -20, 1.5)], {"kind": "guided", "round": 2})
     assert source.command(0) == Command(10, -20, 1.5)
     assert source.describe() == {"kind": "guided", "round": 2, "commands": [[10, -20, 1.5]]}
+
+
+# Killed between two steps, and two at once
+
+KILLED = """
+import os, signal, sys
+sys.path.insert(0, {tests!r})
+from test_record import FakeRobot, run
+from neurosim.base import files
+replace, left = os.replace, {steps}
+
+def counted(*paths):
+    global left
+    left -= 1
+    if left == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    replace(*paths)
+
+files.os.replace = counted
+run({folder!r}, FakeRobot(), 3, calibration={calibration!r}, say=print)
+"""
+
+
+def calibration_of(tmp_path):
+    path = tmp_path / "calibration.json"
+    CameraModel((640, 480), np.diag([600.0, 600.0, 1.0]), np.zeros(5)).write(path)
+    return path
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
+def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path):
+    calibration, resumed, steps = calibration_of(tmp_path), 0, 0
+    while True:
+        steps += 1
+        folder = tmp_path / f"r{steps}"
+        script = KILLED.format(
+            tests=str(Path(__file__).parent),
+            steps=steps,
+            folder=str(folder),
+            calibration=str(calibration),
+        )
+        done = subprocess.run([sys.executable, "-c", script], timeout=PATIENCE)
+        if done.returncode == 0:
+            break
+        assert done.returncode == -signal.SIGKILL
+        begun = folder.exists()
+        resumed += begun
+        recording = run(folder, FakeRobot(), 3, calibration=calibration, resume=begun)
+        assert recording.meta["complete"] is True
+        assert (folder / "calibration.json").read_bytes() == calibration.read_bytes()
+        assert not [path for path in tmp_path.rglob(".*") if f"r{steps}" in str(path)]
+    assert steps >= 4  # the folder, its session, what is complete
+    assert resumed == steps - 3  # before the folder is renamed into place there is nothing
+
+
+def test_two_do_not_record_into_one_folder(tmp_path):
+    class Second(FakeRobot):
+        def drive(self, left, right):
+            super().drive(left, right)
+            if len(self.sent) == 2:
+                with pytest.raises(UserError, match="is being recorded into by process"):
+                    run(tmp_path / "r", FakeRobot(), 5, resume=True)
+                raise LinkLost("gone")
+
+    with pytest.raises(LinkLost):
+        run(tmp_path / "r", Second(), 5)
+    assert run(tmp_path / "r", FakeRobot(), 5, resume=True).meta["complete"] is True
+    assert not (tmp_path / "r" / ".lock").exists()
+
+
+@pytest.mark.parametrize(("ends", "again"), [("killed", range(4, 10)), ("end", range(9, 10))])
+def test_commands_whose_film_a_kill_lost_are_sent_again(tmp_path, ends, again):
+    """A quarter of the video was still to be written when its program was killed."""
+    folder = tmp_path / "r"
+    recording = Recording.create(folder, {})
+    recording.begin_session(video="video-001.avi")
+    rng = np.random.default_rng(0)
+    with recording.frame_log() as frames, recording.command_log() as log:
+        sink = VideoSink(folder / "video-001.avi", frames, 1, (160, 120), 30.0)
+        for frame in range(300):
+            sink.write(frame / 30, rng.integers(0, 255, (120, 160, 3), np.uint8))
+        sink.close()
+        for number in range(10):
+            log.append(1, number, "command", float(number), 10, 10, 1.0)
+        if ends == "end":
+            log.append(1, None, "end", 10.0, None, None, None)
+    settings = RecordSettings(10)
+    assert [todo.index for todo in _waiting(recording, settings)] == [9]
+    video = folder / "video-001.avi"
+    video.write_bytes(video.read_bytes()[: video.stat().st_size * 3 // 4])
+    assert [todo.index for todo in _waiting(recording, settings)] == list(again)

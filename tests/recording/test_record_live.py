@@ -230,6 +230,24 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
     assert "neurosim track" in said[0]
 
 
+def test_one_that_was_killed_before_its_poses_gets_them_when_it_is_resumed(tmp_path, monkeypatch):
+    def killed(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("neurosim.recording.record._write_poses", killed)
+        make(tmp_path / "r", STEADY, 2)
+    broken = Recording(tmp_path / "r")
+    assert broken.meta["complete"] is True
+    assert not broken.is_tracked
+    recording, said, _ = make(tmp_path / "r", STEADY, 2, resume=True)
+    assert recording.is_tracked
+    assert recording.sessions == 1
+    assert said == []
+    with pytest.raises(UserError, match="nothing to resume"):
+        make(tmp_path / "r", STEADY, 2, resume=True)
+
+
 def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
     def dying(rig):
         look = rig.camera.look

@@ -224,16 +224,21 @@ def test_a_robot_that_nobody_saw(tmp_path):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("task", {"name": 3}, r"'task\.name'.*name of a task"),
+        ("task", {"name": 3}, r"'task\.name': expected str, found 3"),
         ("task", {"name": "go-to", "settings": {"goals": []}}, r"'task\.settings'"),
         ("task", {"name": "go-to", "settings": {"colour": 1}}, r"'task\.settings'.*colour"),
-        ("commands", [[1, 2]], "'commands'.*rows of 3 numbers"),
-        ("predicted", {"poses": [[1, 2]]}, r"'predicted\.poses'.*rows of 3"),
+        ("commands", [[1, 2]], r"'commands\[0\]': expected a list of 3 numbers"),
+        (
+            "predicted",
+            {"poses": [[1, 2]]},
+            r"'predicted\.poses\[0\]': expected a list of 3 numbers",
+        ),
         ("predicted", {"fitness": "high"}, r"'predicted\.fitness'.*a number, found 'high'"),
-        ("actual", {"path": [[1, 2, 3]]}, r"'actual\.path'.*rows of 4"),
-        ("actual", {"poses": "none"}, r"'actual\.poses'.*rows of 3"),
-        ("errors", [{"position": 1.0}], r"'predicted\.poses'.*expected 21 poses"),
-        ("deadlines", {"steps": 5}, "'deadlines'.*steps, missed and worst_late_s"),
+        ("actual", {"path": [[1, 2, 3]]}, r"'actual\.path\[0\]': expected a list of 4 numbers"),
+        ("actual", {"poses": "none"}, r"'actual\.poses': expected a list, found 'none'"),
+        ("errors", [{"position": 1.0}], r"'errors\[0\]\.heading': expected 'heading' to be there"),
+        ("errors", [None], r"'predicted\.poses'.*expected 21 poses"),
+        ("deadlines", {"steps": 5}, r"'deadlines\.missed': expected 'missed' to be there"),
     ],
 )
 def test_a_damaged_field_of_a_trial_is_named(tmp_path, field, value, message):
@@ -249,7 +254,7 @@ def test_a_damaged_field_of_a_trial_is_named(tmp_path, field, value, message):
         (("predicted", "fitness"), True, r"'predicted\.fitness'.*a number"),
         (("predicted", "draws"), "many", r"'predicted\.draws'.*a number"),
         (("evolution", "history"), {"mean": [1.0]}, r"'evolution\.history'"),
-        (("evolution", "history"), {"best": [1.0, "x"]}, r"'evolution\.history'"),
+        (("evolution", "history"), {"best": [1.0, "x"]}, r"'evolution\.history\.best\[1\]'"),
         (("evolution", "history"), {"best": [1.0], "transfer": 2}, r"'evolution\.history'"),
         (("evolution", "arena"), {"outline": [[0, 0]]}, r"'evolution\.arena'.*an arena"),
         (("task", "settings"), {"metres": 1}, r"'task\.settings'.*metres"),

@@ -5,17 +5,18 @@ import select
 import socket
 import sys
 import threading
+from contextlib import suppress
 
 import nxt.backend.usb
 import pytest
 import usb.core
 from brick_body import Body, LabClock
-from patience import PATIENCE
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
-from neurosim.robots.base import Battery, Counters, Lamp, Robot, Sensors
+from neurosim.robots.base import Battery, Counters, Lamp, Robot, SelfStopping, Sensors
 from neurosim.robots.nxt import link as nxt_link
 from neurosim.robots.nxt.driver import NXT
 
@@ -507,3 +508,102 @@ def test_no_serial_lines_on_windows(monkeypatch):
     text = refused(filename="/dev/rfcomm0")
     assert "no device files" in text
     assert "USB" in text
+
+
+# Faults of the line while the robot drives: what the brick hears must be a stop
+
+
+def flipped(reply):
+    return bytes([reply[0], reply[1] ^ 0x10, *reply[2:]])
+
+
+FAULTS = {
+    "a flipped bit": lambda count, reply: flipped(reply) if count == 0 else reply,
+    "a lost reply": lambda count, reply: None if count == 0 else reply,
+    "a muted way back": lambda count, reply: None,
+    "half a reply": lambda count, reply: reply[:5] if count == 0 else reply,
+    "an answer to nothing": lambda count, reply: b"\x02\x55\x00" if count == 0 else reply,
+}
+
+
+def faulty(rig, fault):
+    """Let the brick hear everything, and spoil what it answers from now on."""
+    plain, count = rig.radio.deliver, 0
+
+    def deliver(telegram):
+        nonlocal count
+        reply = plain(telegram)
+        if reply is None:
+            return None
+        count += 1
+        return fault(count - 1, reply)
+
+    rig.radio.deliver = deliver
+    # What asks for nothing is carried out soon, with no question behind it.
+    rig.radio.patience = 0.01
+
+
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
+@pytest.mark.parametrize("then", ["drive", "read", "leave"])
+def test_after_one_bad_reply_the_motors_stop(rig, fault, then):
+    with suppress(RobotError), rig.robot(lamp=None) as robot:
+        robot.drive(50, -50)
+        robot._brick._sock._deadline = SHORT
+        faulty(rig, fault)
+        if then == "drive":
+            robot.drive(60, 60)
+        elif then == "read":
+            robot.read_sensors()
+    wait_until(lambda: not any(output.power for output in rig.body.outputs), "a stop")
+
+
+def test_a_stop_that_is_interrupted_is_sent_all_the_same(rig):
+    with rig.robot(lamp=None) as robot:
+        robot.drive(50, 50)
+        rig.radio.patience = 0.01
+
+        def interrupted(*_):
+            raise KeyboardInterrupt
+
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(robot, "_set_motor", interrupted)
+            with pytest.raises(KeyboardInterrupt):
+                robot.stop()
+        wait_until(lambda: not any(output.power for output in rig.body.outputs), "a stop")
+
+
+def test_a_command_that_lasts_ends_by_itself(rig):
+    with rig.robot() as robot:
+        assert isinstance(robot, SelfStopping)
+        robot.drive_for(40, -100, 2.0)
+        # 12 degrees a second for each percent, for 2 s and one more.
+        limits = [output.tacho_limit for output in rig.body.outputs]
+        assert limits == [0, 12 * 40 * 3, 12 * 100 * 3]
+        assert [output.power for output in rig.body.outputs] == [0, 40, -100]
+        robot.drive_for(0, 10, 0.1)
+        assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 132]
+        robot.drive(10, 10)
+        assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 0]
+    assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 0]
+
+
+def test_a_limit_counts_from_where_the_motor_is(one):
+    """The firmware adds a limit to where the last one would have ended.
+
+    Not so where the motor ran without a limit in between (LEGO's d_output.c).
+    """
+    heard = []
+    plain = one.body.set_output
+    one.body.set_output = lambda port, power, *rest: (
+        heard.append((port, power, rest[-1])) or plain(port, power, *rest)
+    )
+    with one.robot() as robot:
+        heard.clear()
+        robot.drive_for(50, -50, 1.0)
+        assert heard == [(1, 50, 0), (2, -50, 0), (1, 50, 1200), (2, -50, 1200)]
+
+
+def test_motors_that_an_earlier_program_left_running_are_stopped(rig):
+    rig.body.set_output(1, 70, 7, 1, 0, 0x20, 0)
+    with rig.robot():
+        assert [output.power for output in rig.body.outputs] == [0, 0, 0]

@@ -163,6 +163,8 @@ def test_interrupted_sampling_goes_on(tmp_path, whole):
         sampled(out, resume=True, which=2)
     with pytest.raises(UserError, match="not empty"):
         sampled(out)
+    with files.locked(out, "used"), pytest.raises(UserError, match="is being sampled into by"):
+        sampled(out, resume=True)
     result, asked, _, _ = sampled(out, resume=True)
     assert asked == ["cylinder", "open"]
     assert (out / "sensors.csv").read_bytes().startswith(before)

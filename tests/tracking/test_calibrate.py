@@ -185,7 +185,7 @@ def test_photographs_that_will_not_do(tmp_path):
         calibrate(tmp_path, pattern=(9, 6))
     with pytest.raises(UserError, match="in 2 of 2 pictures; at least 3"):
         calibrate([tmp_path / "0.png", tmp_path / "1.png"], pattern=(7, 5))
-    with pytest.raises(UserError, match="no such photograph"):
+    with pytest.raises(UserError, match="no such file; expected a photograph"):
         calibrate([tmp_path / "absent.png"], pattern=(7, 5))
     (tmp_path / "9.png").write_bytes(b"not a picture")
     with pytest.raises(UserError, match="not a photograph"):

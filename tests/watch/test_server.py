@@ -3,13 +3,16 @@
 import http.client
 import json
 import socket
+from contextlib import suppress
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
-from patience import PATIENCE
+from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
 from neurosim.watch import PageServer, Viewer
+from neurosim.watch import server as server_module
 from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
 from tracking.live import Seen
 from tracking.markers.colours import parse_colour
@@ -234,3 +237,21 @@ def test_a_reader_waits_for_the_next_picture_and_gets_each_once(viewer):
     assert viewer.picture(state["number"], 0.01)[0] == b""
     viewer.end("over")
     assert viewer.picture(state["number"], 30.0)[1]["ended"] == "over"
+
+
+def test_connections_that_ask_for_nothing_are_few_and_closed(server, monkeypatch):
+    """Over a thousand held ones killed it, and took a recording's descriptors."""
+    address = server.address
+    monkeypatch.setattr(server_module, "ASK_WITHIN", 0.5)
+    held = [socket.create_connection(address) for _ in range(100)]
+    for each in held[::2]:
+        each.sendall(b"GET / HT")  # half of what is asked
+    wait_until(lambda: len(server._server.asking) <= server_module.CONNECTIONS, "few connections")
+    for each in held:
+        each.settimeout(PATIENCE)
+        with suppress(ConnectionError):
+            assert each.recv(1) == b""
+        each.close()
+    wait_until(lambda: not server._server.asking, "none")
+    with urlopen(server.url, timeout=PATIENCE) as reply:
+        assert reply.status == 200

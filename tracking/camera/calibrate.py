@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.files import check_file, check_name
 from neurosim.base.progress import Progress
 from tracking.camera.board import (
     MARKER_HEIGHT,
@@ -213,9 +214,8 @@ def _find_all(
 
 def _photographs(files: Iterable[Path]) -> Iterator[tuple[str, NDArray]]:
     for file in files:
-        if not file.exists():
-            raise UserError(f"{file}: no such photograph")
-        image = cv2.imread(str(file), cv2.IMREAD_GRAYSCALE)
+        check_file(file, "a photograph")
+        image = cv2.imread(check_name(file), cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise UserError(f"{file}: is not a photograph that can be read")
         yield str(file), image

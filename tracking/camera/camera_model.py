@@ -155,7 +155,15 @@ class CameraModel:
             path,
             FORMAT,
             VERSION,
-            {"image_size": list, "camera_matrix": list, "distortion": list},
+            {
+                "image_size": list,
+                "camera_matrix": list,
+                "distortion": list,
+                "rms_px?": float,
+                "photographs?": int,
+                "board_rms_m?": float,
+                "uncertainty?": dict,
+            },
         )
         size = _numbers(path, document, "image_size", (2,))
         if (size < 1).any():

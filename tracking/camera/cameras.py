@@ -13,8 +13,11 @@ import cv2
 import numpy as np
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import LineLog
+from neurosim.base.files import LineLog, check_name
 from tracking.camera.video import Video
+
+#: A camera that delivers no frame for so many seconds, or for so many frames' time, has stalled.
+STALLED, STALLED_FRAMES = 0.5, 5
 
 OnFrame = Callable[[float, np.ndarray], None]
 
@@ -24,7 +27,8 @@ class Camera(Protocol):
 
     A delivered frame belongs to the receiver: the camera does not write to it again. A camera may
     say ``waits = True``: it makes the next frame only when this one was taken, so that none need
-    be passed over; and ``failed = True`` once it stopped by itself.
+    be passed over; ``failed = True`` once it stopped by itself; and ``stalled = True`` while no
+    frame has come for longer than :data:`STALLED`.
     """
 
     size: tuple[int, int]
@@ -47,7 +51,8 @@ class OpenCVCamera:
     """A webcam, or anything else that OpenCV opens, read in a thread of its own.
 
     A frame's time is when it arrived, on the clock that is handed in; the pipeline's constant
-    latency is taken out later by the flash.
+    latency is taken out later by the flash. That thread alone uses OpenCV's object once it runs,
+    which does not survive being closed while it waits for a frame.
     """
 
     def __init__(
@@ -59,7 +64,7 @@ class OpenCVCamera:
     ):
         self._source = source
         self._now = now
-        self._capture = cv2.VideoCapture(source)
+        self._capture = cv2.VideoCapture(check_name(source) if isinstance(source, str) else source)
         if not self._capture.isOpened():
             raise UserError(
                 f"camera {source!r} cannot be opened: is it plugged in and not in use elsewhere? "
@@ -78,33 +83,49 @@ class OpenCVCamera:
         self.fps = float(self._capture.get(cv2.CAP_PROP_FPS)) or 30.0
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
+        self._arrived = 0.0
         self.failed = False
+
+    @property
+    def stalled(self) -> bool:
+        """Whether no frame has come for too long since it was started."""
+        patience = max(STALLED, STALLED_FRAMES / self.fps)
+        return self._running.is_set() and _time.monotonic() - self._arrived > patience
 
     def start(self, on_frame: OnFrame) -> None:
         """Deliver every frame from a thread; ``failed`` is set when the camera stops."""
+        capture = self._capture
 
         def read() -> None:
-            while self._running.is_set():
-                good, frame = self._capture.read()
-                if not good:
-                    self.failed = True
-                    return
-                try:
-                    on_frame(self._now(), frame)
-                except UserError:  # who takes the frames has kept it, to tell at the end
-                    self.failed = True
-                    return
+            try:
+                while self._running.is_set():
+                    good, frame = capture.read()
+                    if not self._running.is_set():
+                        return
+                    if not good:
+                        self.failed = True
+                        return
+                    self._arrived = _time.monotonic()
+                    try:
+                        on_frame(self._now(), frame)
+                    except UserError:  # who takes the frames has kept it, to tell at the end
+                        self.failed = True
+                        return
+            finally:
+                capture.release()
 
+        self._arrived = _time.monotonic()
         self._running.set()
         self._thread = threading.Thread(target=read, name="camera", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Deliver no more frames and let the camera go."""
+        """Deliver no more frames and let the camera go; one that has stalled, when it goes on."""
         self._running.clear()
-        if self._thread is not None:
+        if self._thread is None:
+            self._capture.release()
+        else:
             self._thread.join(timeout=2.0)
-        self._capture.release()
 
     def describe(self) -> dict[str, Any]:
         """Return source, size and frame rate."""
@@ -200,7 +221,7 @@ class VideoSink:
         if self._path.exists():
             raise UserError(f"{self._path} exists already; a recording is never overwritten")
         fourcc = cv2.VideoWriter.fourcc(*"MJPG")
-        self._writer = cv2.VideoWriter(str(self._path), fourcc, fps, size)
+        self._writer = cv2.VideoWriter(check_name(self._path), fourcc, fps, size)
         if not self._writer.isOpened():
             raise UserError(f"{self._path}: OpenCV cannot write this video here")
         self._log = log

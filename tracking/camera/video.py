@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError
+from neurosim.base.files import check_name
 
 #: Frames decoded ahead: enough to bridge a full search, little enough to hold in memory.
 AHEAD = 16
@@ -55,7 +56,7 @@ class Video:
         level = cv2.utils.logging.getLogLevel()
         cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         try:
-            self._capture = cv2.VideoCapture(str(self.path))
+            self._capture = cv2.VideoCapture(check_name(self.path))
         finally:
             cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():

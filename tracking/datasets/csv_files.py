@@ -549,14 +549,10 @@ class _Table:
 
 
 def _text(path: Path) -> str:
-    try:
-        text = path.read_text(encoding="utf-8-sig")  # with or without a byte order mark
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a folder; expected a CSV file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; save it as CSV in UTF-8") from None
+    # With or without a byte order mark.
+    text = files.read_text(
+        path, "a CSV file", encoding="utf-8-sig", not_text="save it as CSV in UTF-8"
+    )
     if "\0" in text:
         raise FileError(path, "is not text; save it as CSV in UTF-8")
     return text

@@ -110,14 +110,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> NDArray:
 
 
 def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:
-    try:
-        text = path.read_text(encoding="utf-8")
-    except FileNotFoundError:
-        raise FileError(path, "no such file") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a folder; expected a file of numbers") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected numbers between blanks") from None
+    text = files.read_text(path, "a file of numbers between blanks")
     for line, content in enumerate(text.splitlines(), start=1):
         fields = content.split("#", 1)[0].split()
         if fields:

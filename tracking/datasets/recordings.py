@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -26,9 +27,9 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
-    check_new_folder,
+    inside,
     integer,
-    make_folder,
+    new_folder,
     number,
     optional_number,
     read_csv,
@@ -37,10 +38,35 @@ from neurosim.base.files import (
     write_csv,
     write_json,
 )
+from neurosim.base.schema import Maybe, Rows, Shape
+from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
+#: A command lasts no longer, s.
+LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
 TRACKING_FORMAT = "neurosim-tracking"
+
+_RECORDING: dict[str, Shape] = {
+    "robot": {"kind?": str, "virtual?": bool},
+    "camera?": dict,
+    "sessions": [dict],
+    "videos": [Maybe(str)],
+    "markers": dict,
+    "board": {"length": float, "width": float},
+    "settings?": {"source?": {"controller?": dict}},
+    "complete?": bool,
+}
+_MARKER_SEEN = {"colour?": str, "sure?": float, "doubt?": str}
+_TRACKING: dict[str, Shape] = {
+    "sessions": [
+        {
+            "session?": int,
+            "clock?": {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float},
+            "markers?": {"front?": _MARKER_SEEN, "rear?": _MARKER_SEEN},
+        }
+    ]
+}
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -184,24 +210,28 @@ class Recording:
             self.path / "recording.json",
             FORMAT,
             VERSION,
-            {"robot": dict, "sessions": list, "videos": list, "markers": dict, "board": dict},
+            _RECORDING,
         )
         _check_markers(self.path / "recording.json", self.meta["markers"])
+        for name in self.meta["videos"]:
+            if name is not None:
+                inside(self.path, name, file=self.path / "recording.json", field="videos")
 
     @classmethod
-    def create(cls, path: str | Path, meta: Mapping[str, Any]) -> Recording:
-        """Make the folder of a new recording.
+    def create(
+        cls, path: str | Path, meta: Mapping[str, Any], calibration: str | Path | None = None
+    ) -> Recording:
+        """Make the folder of a new recording, whole or not at all.
 
         Args:
             path: a folder that does not exist yet, or is empty.
             meta: what recording.json is to say; ``markers`` and ``board`` have defaults.
+            calibration: calibration.json of the camera, which is copied into it.
 
         Raises:
             UserError: if there is something at ``path``.
         """
         path = Path(path)
-        check_new_folder(path)
-        make_folder(path)
         content = {
             "created": _wall_clock(),
             "complete": False,
@@ -215,7 +245,10 @@ class Recording:
             "videos": [],
             **meta,
         }
-        write_json(path / "recording.json", FORMAT, VERSION, content)
+        with new_folder(path) as folder:
+            write_json(folder / "recording.json", FORMAT, VERSION, content)
+            if calibration is not None:
+                shutil.copyfile(calibration, folder / "calibration.json")
         return cls(path)
 
     def save_meta(self) -> None:
@@ -290,9 +323,12 @@ class Recording:
         for entry in lines:
             if entry.is_motor and (math.isnan(entry.left) or math.isnan(entry.right)):
                 raise FileError(path, "a motor command needs both speeds", line=entry.line)
-            if entry.kind == "command" and (entry.command is None or not entry.duration > 0):
+            lasts = 0 < entry.duration <= LONGEST
+            if entry.kind == "command" and (entry.command is None or not lasts):
                 raise FileError(
-                    path, "a command needs a number and a duration above 0", line=entry.line
+                    path,
+                    f"a command needs a number and a duration above 0 and up to {LONGEST:g} s",
+                    line=entry.line,
                 )
             if before is not None:
                 _check_order(path, before, entry)
@@ -345,6 +381,27 @@ class Recording:
             raise FileError(path, "the camera's clock goes backwards", line=line, field="time")
         return times
 
+    def lost_film(self, session: int) -> float:
+        """Return for how many seconds the last frames of a session are nowhere to be seen.
+
+        They are in frames.csv and not in the video, which a killed program leaves so; nor were
+        they tracked when they were taken.
+        """
+        path, times = self.video(session), self.frame_times(session)
+        if path is None or times is None:
+            return 0.0
+        sightings = self.path / "sightings.csv"
+        if sightings.exists():
+            table = read_csv(sightings, {"session": integer}, drop_torn_line=True)
+            if session in table["session"]:
+                return 0.0
+        try:
+            with Video(path) as video:
+                there = sum(1 for _ in video)
+        except FileError:
+            there = 0
+        return float(times[-1] - times[min(max(there, 1), len(times)) - 1])
+
     @property
     def is_tracked(self) -> bool:
         """Whether poses.csv is there."""
@@ -359,8 +416,8 @@ class Recording:
         path = self.path / "tracking.json"
         if not path.exists():
             return []
-        sessions = read_json(path, TRACKING_FORMAT, VERSION, {"sessions": list})["sessions"]
-        return [session for session in sessions if "clock" in session]
+        sessions = read_json(path, TRACKING_FORMAT, VERSION, _TRACKING)["sessions"]
+        return [session for session in sessions if session.get("clock") is not None]
 
     def poses(self) -> Poses:
         """Read poses.csv.
@@ -450,7 +507,8 @@ def _check_order(path: Path, before: CommandLine, entry: CommandLine) -> None:
 def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
     for name in ("front", "rear"):
         marker = markers.get(name)
-        if not isinstance(marker, dict) or not {"colour", "x", "y"} <= marker.keys():
+        whole = isinstance(marker, dict) and {"colour", "x", "y"} <= marker.keys()
+        if not whole or not isinstance(marker["colour"], str):
             raise FileError(path, "expected colour, x and y", field=f"markers.{name}")
     lamp = markers.get("lamp")
     if lamp is not None and not (isinstance(lamp, dict) and {"x", "y"} <= lamp.keys()):

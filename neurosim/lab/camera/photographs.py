@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import new_folder, write_csv
+from neurosim.base.files import check_name, new_folder, write_csv
 from neurosim.lab.camera import scene
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.camera.optics import Optics, undistorted_rays
@@ -95,7 +95,7 @@ def render_photographs(
 
 def _write(path: Path, picture: np.ndarray) -> None:
     rounded = (picture + 0.5).clip(0, 255).astype(np.uint8)
-    if not cv2.imwrite(str(path), rounded, [cv2.IMWRITE_JPEG_QUALITY, 95]):
+    if not cv2.imwrite(check_name(path), rounded, [cv2.IMWRITE_JPEG_QUALITY, 95]):
         raise UserError(f"{path}: this OpenCV could not write a JPEG picture")
 
 

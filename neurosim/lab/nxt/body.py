@@ -152,6 +152,11 @@ class NxtBody:
             tacho_limit: degrees to turn before the output goes idle; 0 for ever.
         """
         output = self._outputs[port]
+        # As in LEGO's firmware, what only adds a limit does not start the motor anew.
+        same = (output.power, output.mode, output.regulation, output.run_state) == (
+            max(-100, min(100, power)), mode, regulation, run_state
+        )  # fmt: skip
+        adds_limit = same and tacho_limit > 0 and output.tacho_limit == 0
         output.power = max(-100, min(100, power))
         output.mode, output.regulation, output.turn_ratio = mode, regulation, turn_ratio
         output.run_state, output.tacho_limit = run_state, tacho_limit
@@ -177,7 +182,8 @@ class NxtBody:
         if moves and tacho_limit > 0:
             turn = math.copysign(math.radians(tacho_limit), output.power)
             self._inputs[U.LIMIT + wheel] = self.state[S.ANGLE + wheel] + turn
-        physics.begin_command(self.state, wheel, self._coefficients)
+        if not adds_limit:
+            physics.begin_command(self.state, wheel, self._coefficients)
 
     def output(self, port: int) -> Output:
         """Return an output's settings and counters now, to look at."""

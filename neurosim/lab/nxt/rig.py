@@ -84,6 +84,7 @@ class VirtualRig:
         self.address = _address(self._server)
         # What takes long here is this computer (compiling the physics, once), not the brick.
         self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **self.address)
+        self.robot.alone = False
         self.camera: RoofCamera | None = self.lab.camera
 
     @property

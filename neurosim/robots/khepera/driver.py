@@ -27,10 +27,11 @@ class Khepera:
     where the dialect has one, ``Lamp``. Bytes that make no answer are passed over,
     commands without a good answer are sent again. A robot that reboots is noticed by what it
     says then: it is set to the speeds that it had, its counters to what was last read, and
-    :attr:`reboots` counts it.
+    :attr:`reboots` counts it. One that no longer answers is told to stop, several times, before
+    the line is closed. It has nothing that would stop it by itself.
 
     Args:
-        port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or any URL that pyserial opens.
+        port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or a URL such as socket://host:port.
         dialect: Protocol: khepera (I and II), khepera3 or epuck.
         baud: Speed of the serial line; by default the dialect's own (a Khepera's is set by
             jumpers).
@@ -84,8 +85,12 @@ class Khepera:
             self.lamp = self._switch_lamp
         self.reboots = 0
         self._timeout = timeout
+        # A line end first: half a command must not stand before the stop.
         self._line = SerialLine(
-            port, baud=baud or self.dialect.baud, stop_bits=self.dialect.stop_bits
+            port,
+            baud=baud or self.dialect.baud,
+            stop_bits=self.dialect.stop_bits,
+            farewell=b"\r" + self._set("D", (0, 0)).encode() + b"\r",
         )
         self._speeds = (0, 0)
         self._counts: tuple[int, int] | None = None
@@ -111,11 +116,16 @@ class Khepera:
             raise
 
     def close(self) -> None:
-        """Stop the motors if the line still stands, and close it. Never raises."""
-        if self._line.is_open:
-            with suppress(Exception):
-                self.set_speeds(0, 0)
-        self._line.close()
+        """Stop the motors if the line still stands, and close it; raises nothing but Ctrl-C."""
+        try:
+            if self._line.is_open:
+                with suppress(Exception):
+                    self.set_speeds(0, 0)
+        except BaseException:
+            self._line.say_farewell()
+            raise
+        finally:
+            self._line.close()
 
     def drive(self, left: float, right: float) -> None:
         """Set both motors, in percent of full speed, -100 to 100; they hold it until the next.

@@ -18,6 +18,8 @@ from neurosim.base.errors import LinkLost, RobotError
 _SLICE = 0.1
 #: Reads after which what has come already is taken to have come.
 _AT_MOST = 64
+#: How often the farewell is sent, and so many seconds apart.
+FAREWELLS, FAREWELL_EVERY = 4, 0.03
 #: No answer is longer (an e-puck's help comes in lines); what is, is garbage.
 LONGEST = 512
 
@@ -45,16 +47,19 @@ class SerialLine:
     """A serial port that is read line by line.
 
     Args:
-        port: a device (``/dev/ttyUSB0``, ``COM3``) or any URL of pyserial (``socket://host:port``,
-            ``rfc2217://host:port``, ``spy://device``).
+        port: a device (``/dev/ttyUSB0``, ``COM3``) or a URL of pyserial (``socket://host:port``,
+            ``rfc2217://host:port``), but not ``spy://``, which overwrites the file that it names.
         baud: bits per second.
         stop_bits: 1 or 2.
+        farewell: what is sent when the line is given up, several times, since what is lost on the
+            way once need not be lost each time; no answer is waited for.
     """
 
-    def __init__(self, port: str, *, baud: int, stop_bits: int = 1):
+    def __init__(self, port: str, *, baud: int, stop_bits: int = 1, farewell: bytes = b""):
         self.port = port
         self.baud = baud
         self._stop_bits = stop_bits
+        self._farewell = farewell
         self._serial: serial.SerialBase | None = None
         self._gone: str | None = None
         self._buffer = b""
@@ -70,6 +75,11 @@ class SerialLine:
         Raises:
             RobotError: if it cannot be opened, with the reason.
         """
+        if self.port.strip().lower().startswith("spy:"):
+            raise RobotError(
+                f"cannot open the serial port {self.port}: spy:// is not taken here, for it "
+                "overwrites the file that it names; give the port alone"
+            )
         try:
             self._serial = serial.serial_for_url(
                 self.port,
@@ -168,8 +178,22 @@ class SerialLine:
     def _lost(self, error: Exception) -> LinkLost:
         return self.lose(f"the line {self.port} is gone: {_reason(error)}")
 
+    def say_farewell(self) -> None:
+        """Send the farewell, several times, if the line is open; never raises."""
+        port = self._serial
+        if port is not None and self._farewell:
+            with suppress(Exception):
+                port.write_timeout = FAREWELL_EVERY
+                for _ in range(FAREWELLS):
+                    port.write(self._farewell)
+                    time.sleep(FAREWELL_EVERY)
+
     def lose(self, why: str) -> LinkLost:
-        """Close the line for good and return the error, which whoever uses it again meets too."""
+        """Close the line for good and return the error, which whoever uses it again meets too.
+
+        First it is told the farewell: that nothing comes back does not mean that nothing arrives.
+        """
+        self.say_farewell()
         self.close()
         self._gone = why
         return LinkLost(why)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Any, TypeVar
@@ -32,6 +33,15 @@ POLL_EVERY = 0.02
 #: keep it from that.
 KEEP_AWAKE_EVERY = 45.0
 
+#: A brick that does not answer as it should is told to stop so often, so many seconds apart: what
+#: is lost on the line once need not be lost each time.
+STOPS, STOP_EVERY = 4, 0.03
+#: A command's limit: degrees that a motor turns in a second at 1 %, more than it ever does, and
+#: seconds that the next command may be late.
+DEGREES, LATE = 12.0, 1.0
+#: Stands for all motor ports.
+ALL_PORTS = 0xFF
+
 #: Bluetooth addresses of virtual bricks begin so: locally administered, no maker sells them.
 VIRTUAL_ADDRESS = "02:16:53"
 
@@ -41,6 +51,7 @@ _LINKS = {
     "server_host": "nxt-server",
     "server_port": "nxt-server",
 }
+_HELD = Mode.ON | Mode.BRAKE | Mode.REGULATED
 _LAMP_ON, _LAMP_OFF = SensorType.COLOR_RED, SensorType.COLOR_NONE
 
 
@@ -49,7 +60,11 @@ class NXT:
 
     The brick is reached by one of: Bluetooth (``host``), a device file (``filename``),
     nxt-server (``server_host``, ``server_port``), or USB if none of them is given. Follows
-    :class:`neurosim.robots.base.Robot`, ``Battery``, ``Sensors`` and, with a lamp, ``Lamp``.
+    :class:`neurosim.robots.base.Robot`, ``SelfStopping``, ``Battery``, ``Sensors`` and, with a
+    lamp, ``Lamp``.
+
+    When the brick's replies fail, motors are told to stop, several times, without waiting for
+    an answer. Commands of :meth:`drive_for` end by themselves.
 
     Args:
         host: Bluetooth address, such as ``00:16:53:01:02:03``.
@@ -65,6 +80,11 @@ class NXT:
         invert: The motors are mounted the other way round: forward turns them backward.
         clock: the robot's clock; the virtual lab hands in its own.
         deadline: Wall-clock seconds after which a silent brick counts as lost.
+
+    Attributes:
+        alone: whether the brick may have to do without this program, and may have been left
+            running by an earlier one: it is stopped when it is connected, and commands have
+            limits. The virtual lab's, which lives and dies with the program, sets it to False.
 
     Raises:
         UserError: if a port does not exist or is given twice.
@@ -108,6 +128,7 @@ class NXT:
         self._brick: nxt.brick.Brick | None = None
         self._about: dict[str, Any] = {}
         self._kept_awake = 0.0
+        self.alone = True
 
     def connect(self) -> None:
         """Open the line, ask the brick who it is, and switch its sensors on.
@@ -135,6 +156,8 @@ class NXT:
                 "firmware": "{}.{}".format(*firmware),
                 "protocol": "{}.{}".format(*protocol),
             }
+            if self.alone:
+                self.stop()
             for port in self._lights.values():
                 if port is not None:
                     self._set_sensor(port, SensorType.LIGHT_ACTIVE)
@@ -143,18 +166,18 @@ class NXT:
             raise
 
     def close(self) -> None:
-        """Stop the motors, put the lamps out and close the line. Never raises."""
+        """Stop the motors, put the lamps out and close the line; raises nothing but Ctrl-C."""
         brick, guard = self._brick, self._guard
         if brick is None:
             return
-        for step in (self.stop, self._lamp_out, self._lights_out):
-            if guard.lost is not None:
-                break
-            with suppress(Exception):
-                step()
-        self._brick = None
-        guard.close()
-        brick._sock = None
+        try:
+            for step in (self.stop, self._lamp_out, self._lights_out):
+                with suppress(Exception):
+                    step()
+        finally:
+            self._brick = None
+            guard.close()
+            brick._sock = None
 
     def drive(self, left: float, right: float) -> None:
         """Set both motors, in percent of full speed, and return when the brick has taken it.
@@ -166,14 +189,61 @@ class NXT:
             UserError: for a speed that is not within -100 to 100.
             LinkLost: if the brick does not acknowledge it.
         """
+        self._drive(left, right, None)
+
+    def drive_for(self, left: float, right: float, seconds: float) -> None:
+        """Set both motors as :meth:`drive` does, for a command that is to last so long (s).
+
+        Without another command each motor stops once it has turned as far as it could at these
+        speeds in that time and a second more: at the latest after 1.2 times as long, later only
+        where it is slower than it should be.
+
+        Raises:
+            UserError: for a speed that is not within -100 to 100.
+            LinkLost: if the brick does not acknowledge it.
+        """
+        self._drive(left, right, seconds if self.alone else None)
+
+    def _drive(self, left: float, right: float, seconds: float | None) -> None:
         speeds = [self._sign * _percent(left, "left"), self._sign * _percent(right, "right")]
-        for port, power in zip((self._left, self._right), speeds, strict=True):
+        ports = (self._left, self._right)
+        for port, power in zip(ports, speeds, strict=True):
             self._set_motor(port, power)
+        if seconds is not None:
+            # The firmware counts a limit from where the last one would have ended, unless the
+            # motor ran without one in between (dOutputTachoLimitControl of LEGO's d_output.c).
+            for port, power in zip(ports, speeds, strict=True):
+                if power:
+                    self._set_motor(port, power, math.ceil(DEGREES * abs(power) * (seconds + LATE)))
         self._acknowledge(self._right, speeds[1])
 
     def stop(self) -> None:
-        """Stop both motors; the regulation holds them where they are."""
-        self.drive(0, 0)
+        """Stop both motors; the regulation holds them where they are.
+
+        Raises:
+            RobotError: if the brick does not acknowledge it; it was then told several times.
+        """
+        try:
+            self.drive(0, 0)
+        except BaseException:
+            self._halt()
+            raise
+
+    def _halt(self) -> None:
+        """Tell all motors to stop, several times, whatever became of the line; never raises."""
+        if self._guard is None:
+            return
+        telegram = Telegram(Opcode.DIRECT_SET_OUT_STATE, reply_req=False)
+        telegram.add_u8(ALL_PORTS)
+        telegram.add_s8(0)
+        telegram.add_u8(_HELD.value)
+        telegram.add_u8(RegulationMode.SPEED.value)
+        telegram.add_s8(0)
+        telegram.add_u8(RunState.RUNNING.value)
+        telegram.add_u32(0)
+        for _ in range(STOPS):
+            self._guard.post(telegram.to_bytes())
+            time.sleep(STOP_EVERY)
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
@@ -253,16 +323,16 @@ class NXT:
     def _refused(self, why: str) -> RobotError:
         return RobotError(f"the brick {self._guard.place} did not take a command: {why}")
 
-    def _set_motor(self, port: MotorPort, power: int) -> None:
+    def _set_motor(self, port: MotorPort, power: int, limit: int = 0) -> None:
         self._ask(
             self._connected().set_output_state,
             port,
             power,
-            Mode.ON | Mode.BRAKE | Mode.REGULATED,
+            _HELD,
             RegulationMode.SPEED,
             0,
             RunState.RUNNING,
-            0,
+            limit,
         )
 
     def _acknowledge(self, port: MotorPort, power: int) -> None:

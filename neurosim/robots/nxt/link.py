@@ -28,6 +28,8 @@ T = TypeVar("T")
 LONGEST_REPLY = 128
 #: Seconds that the opening of a device file may take; over Bluetooth it pages the brick.
 OPEN_WITHIN = 30.0
+#: Seconds that the sending of a telegram may take over a line that was given up.
+POST_WITHIN = 0.25
 #: Why a line is given up whose bytes make no sense.
 GARBAGE = "what it sends is not LEGO's protocol"
 _REPLY, _NO_REPLY = 0x02, 0x80
@@ -80,12 +82,7 @@ class Guard:
             self.recv()
         self._check()
         try:
-            if self._device is not None:
-                self._write(struct.pack("<H", len(data)) + data)
-            else:
-                if self._stream is not None:
-                    self._stream.settimeout(self._deadline)
-                self._sock.send(data)
+            self._put(data)
         except OSError as error:
             raise self.lose(_reason(error, self._deadline)) from None
         self._owed += asks
@@ -108,6 +105,19 @@ class Guard:
         self._owed = max(self._owed - 1, 0)
         return reply
 
+    def post(self, data: bytes) -> None:
+        """Send a telegram that asks for no reply, whatever became of the line; never raises.
+
+        What is sent this way is a stop: replies that are missing or make no sense do not mean that
+        the brick does not hear.
+        """
+        deadline, self._deadline = self._deadline, min(self._deadline, POST_WITHIN)
+        try:
+            with suppress(Exception):
+                self._put(data)
+        finally:
+            self._deadline = deadline
+
     def close(self) -> None:
         """Close the line; never raises."""
         for part in (self._sock, self._device, self._stream):
@@ -119,6 +129,14 @@ class Guard:
         """Mark the line as failed and return the error to raise."""
         self.lost = why
         return LinkLost(f"the brick {self.place} stopped answering: {why}")
+
+    def _put(self, data: bytes) -> None:
+        if self._device is not None:
+            self._write(struct.pack("<H", len(data)) + data)
+        else:
+            if self._stream is not None:
+                self._stream.settimeout(self._deadline)
+            self._sock.send(data)
 
     def _check(self) -> None:
         if self.lost is not None:
@@ -239,6 +257,7 @@ def _open_device(filename: str) -> nxt.brick.Brick:
             errno.EACCES: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EPERM: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EBUSY: "it is busy; another program may hold the line",
+            errno.EAGAIN: "it is busy; another program holds the line",
             errno.EISDIR: "it is a folder, not a device file",
             errno.EHOSTDOWN: "the brick does not answer; is it on and in range?",
         }.get(error.errno, os.strerror(error.errno) if error.errno else str(error))
@@ -251,12 +270,15 @@ def _connect(sock: Any) -> nxt.brick.Brick:
 
     A session's leader (a notebook's kernel, a service) would be hung up on when the line closes.
     """
+    import fcntl
     import tty
 
     def opener(path: str, flags: int) -> int:
         return os.open(path, flags | os.O_NOCTTY)
 
     sock._device = open(sock._filename, "r+b", buffering=0, opener=opener)  # noqa: SIM115
+    # For this program alone, as pyserial does it: two of them would drive one robot.
+    fcntl.flock(sock._device, fcntl.LOCK_EX | fcntl.LOCK_NB)
     tty.setraw(sock._device)
     return nxt.brick.Brick(sock)
 

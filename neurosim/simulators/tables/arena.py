@@ -19,6 +19,8 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 
 FORMAT, VERSION = "neurosim-arena", 1
+#: Walls, or obstacles, at most.
+MOST = 1000
 #: Ends of walls may be so far apart and still meet, m.
 _TOUCHING = 1e-3
 #: Metres and radians beyond this are a mistake.
@@ -77,6 +79,8 @@ class Arena:
             values = content.get(name, [])
             if not isinstance(values, list):
                 raise FileError(path, f"expected a list, found {values!r:.60}", field=name)
+            if len(values) > MOST:
+                raise FileError(path, f"expected at most {MOST}, found {len(values):,}", field=name)
             rows[name] = tuple(
                 _numbers(path, f"{name}[{index}]", value, length)
                 for index, value in enumerate(values)

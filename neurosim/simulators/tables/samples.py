@@ -89,14 +89,7 @@ class Samples:
 
 
 def _lines(path: Path) -> list[str]:
-    try:
-        text = path.read_bytes().decode("ascii")
-    except FileNotFoundError:
-        raise FileError(path, "no such file; expected samples") from None
-    except IsADirectoryError:
-        raise FileError(path, "is a folder; expected a .sample file") from None
-    except UnicodeDecodeError:
-        raise FileError(path, "is not text; expected samples") from None
+    text = files.read_text(path, "a .sample file", encoding="ascii")
     return text.replace("\r\n", "\n").removesuffix("\n").split("\n")
 
 

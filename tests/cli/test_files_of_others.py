@@ -1,0 +1,183 @@
+"""Artefacts that came from somebody else, and were made to do harm."""
+
+import json
+import os
+import socket
+
+import pytest
+
+from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.files import check_no_links, write_json
+from neurosim.recording.commands import RandomCommands
+from neurosim.recording.record import _wanted
+from neurosim.recording.settings import RecordSettings
+from neurosim.robots.khepera.driver import Khepera
+from tracking.datasets.recordings import Recording
+
+links = pytest.mark.skipif(os.name == "nt", reason="links need a right on Windows")
+
+
+@pytest.fixture
+def precious(tmp_path):
+    path = tmp_path / "precious.txt"
+    path.write_text("mine\n")
+    return path
+
+
+@pytest.fixture
+def listener():
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        server.setblocking(False)
+        yield server
+
+
+def recording(folder, options):
+    """Make a recording of a Khepera that asks for more, as one sent by somebody else."""
+    about = _wanted(Khepera("x"), None, RandomCommands(), RecordSettings(3))
+    return Recording.create(folder, {**about, "options": {"commands": 3, **options}})
+
+
+def made(verb, folder, options):
+    """Make what a verb resumes, begun with these options; return the verb's words."""
+    if verb == "record":
+        recording(folder / "r", options)
+        return ["record", "r", "--resume"]
+    if verb == "record --guided":
+        (folder / "r").mkdir()
+        recording(folder / "r" / "round-01", options)
+        return ["record", "r", "--resume"]
+    if verb == "sample":
+        content = {"settings": {}, "seed": 0, "robot": {}, "options": options}
+        write_json(folder / "s" / "sampling.json", "neurosim-sampling", 2, content)
+        return ["sample", "s", "--resume"]
+    Checkpoint(folder / "c", "evolution").begin({}, {"real_generations": 1, **options})
+    return ["evolve", "sim", "-o", "c", "--resume"]
+
+
+@pytest.mark.parametrize("verb", ["record", "record --guided", "sample", "evolve"])
+def test_a_file_does_not_choose_what_is_driven(refused, precious, listener, tmp_path, verb):
+    port = listener.getsockname()[1]
+    for url in (f"spy://loop://?file={precious}", f"socket://127.0.0.1:{port}"):
+        folder = tmp_path / url.partition(":")[0]
+        folder.mkdir()
+        words = made(verb, folder, {"robot": "khepera", "port": url, "camera": "none"})
+        os.chdir(folder)
+        said = refused(*words)
+        assert "begun with --robot khepera: give that and its options again" in said
+        # The robot is named again, and its port is not.
+        assert "--robot khepera needs --port" in refused(*words, "--robot", "khepera")
+    assert precious.read_text() == "mine\n"
+    with pytest.raises(BlockingIOError):
+        listener.accept()
+
+
+def test_a_file_does_not_choose_the_camera(refused, tmp_path, listener):
+    url = f"http://127.0.0.1:{listener.getsockname()[1]}/x.avi"
+    made("record", tmp_path, {"robot": "virtual", "camera": url})
+    made("sample", tmp_path, {"robot": "virtual-khepera", "camera": url, "calibration": "c.json"})
+    # Neither is opened: the virtual lab's own is taken, and of sampling none is left.
+    assert "was recorded with another robot.kind" in refused("record", "r", "--resume")
+    refused("sample", "s", "--resume")
+    with pytest.raises(BlockingIOError):
+        listener.accept()
+
+
+def test_a_robot_of_the_lab_is_the_one_it_was_begun_with(refused, tmp_path):
+    made("record", tmp_path, {"robot": "virtual-khepera", "lab_seed": 3})
+    # The recording is not of a virtual Khepera, whose markers are others than an NXT's.
+    assert "markers.front.x (0.07, now 0.014)" in refused("record", "r", "--resume")
+
+
+@pytest.mark.parametrize("port", ["spy://loop://", " SPY:///dev/ttyUSB0", "spy://x?file=y"])
+def test_a_spy_is_refused(refused, precious, port):
+    if "file" in port:
+        port = f"spy://loop://?file={precious}"
+    words = ["record", "new", "--robot", "khepera", "--camera", "none", "--port", port]
+    assert "it overwrites the file that it names" in refused(*words)
+    assert precious.read_text() == "mine\n"
+
+
+@pytest.mark.parametrize(
+    "name", ["../../precious.txt", "/etc/passwd", "..", "", "a/b.avi", "C:x.avi", "a\\b", 7, []]
+)
+def test_a_video_stands_in_its_recording(tmp_path, name):
+    made = recording(tmp_path / "r", {})
+    made.meta["videos"] = [name]
+    made.save_meta()
+    with pytest.raises(FileError, match=r"recording\.json, field 'videos': expected the name of"):
+        Recording(tmp_path / "r")
+
+
+@links
+@pytest.mark.parametrize("verb", ["record", "record --guided", "sample"])
+def test_what_is_gone_on_with_holds_no_links(refused, precious, tmp_path, verb):
+    words = made(verb, tmp_path, {"robot": "virtual"})
+    folder = tmp_path / words[1]
+    if verb == "sample":
+        about = json.loads((folder / "sampling.json").read_text())
+        settings = {"angles": 180, "distances": 20, "first": 0.005, "step": 0.002, "repeats": 1}
+        about |= {"settings": {**settings, "grid": 0, "held_out": 12, "duration": 1.0}}
+        (folder / "sampling.json").write_text(json.dumps({**about, "options": {}}))
+    name = "sensors.csv" if verb == "sample" else "commands.csv"
+    inner = folder / "round-01" if verb == "record --guided" else folder
+    (inner / name).symlink_to(precious)
+    if verb == "record --guided":
+        words += ["--guided", "--commands", "60", "--round", "20", "--calibration", "c.json"]
+    said = refused(*words)
+    assert f"{name} is a link to {precious}" in said
+    assert precious.read_text() == "mine\n"
+
+
+@links
+def test_a_folder_of_files_is_no_folder_of_links(tmp_path):
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "b").write_text("")
+    check_no_links(tmp_path)
+    (tmp_path / "a" / "c").symlink_to("nowhere")
+    with pytest.raises(UserError, match="c is a link to nowhere"):
+        check_no_links(tmp_path)
+
+
+@pytest.mark.skipif(os.name == "nt", reason="names are Unicode there")
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["track", "\udcff.avi", "-o", "t"],
+        ["record", "r", "--camera", "\udcff.avi", "--robot", "khepera", "--port", "loop://"],
+        ["calibrate", "\udcff.jpg", "--square", "40"],
+        ["record", "\udcff", "--commands", "1"],
+    ],
+)
+def test_a_name_that_is_not_utf_8(refused, tmp_path, words):
+    for name in (b"\xff.avi", b"\xff.jpg"):
+        (tmp_path / os.fsdecode(name)).write_bytes(b"x")
+    said = refused(*words)
+    assert "the name is not UTF-8" in said or "no Khepera" in said or "sends back" in said
+
+
+@links
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["dataset", "loop", "-o", "d"],
+        ["train", "loop", "-o", "s"],
+        ["report", "loop", "-o", "r.html"],
+        ["track", "loop"],
+        ["evolve", "loop", "-o", "c"],
+        ["dataset", "--from", "csv", "loop", "-o", "d"],
+        ["build-tables", "loop", "-o", "t"],
+    ],
+)
+def test_a_link_that_leads_to_itself(refused, tmp_path, words):
+    (tmp_path / "loop").symlink_to("loop")
+    refused(*words)
+
+
+def test_an_arena_of_too_many_obstacles(refused, tmp_path):
+    square = [[-9, -9, 9, -9], [9, -9, 9, 9], [9, 9, -9, 9], [-9, 9, -9, -9]]
+    obstacles = [[0.0, 0.0, 0.001]] * 20_000
+    content = {"outline": square, "obstacles": obstacles}
+    write_json(tmp_path / "arena.json", "neurosim-arena", 1, content)
+    said = refused("lab", "khepera", "--arena", "arena.json", "--seconds", "1")
+    assert "field 'obstacles': expected at most 1000, found 20,000" in said
