@@ -1,0 +1,85 @@
+"""Parameters of a simulator that can be adjusted until it does what reality did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.simulators.base import Simulator
+
+
+@dataclass(frozen=True)
+class Adjustable:
+    """A named parameter with bounds.
+
+    Attributes:
+        name: of it.
+        value: before anything was adjusted, in ``unit``.
+        low, high: bounds.
+        unit: SI, or nothing.
+        log: whether its scale is logarithmic.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str = ""
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        bounds = self.low, self.value, self.high
+        if not all(map(math.isfinite, bounds)) or not self.low <= self.value <= self.high:
+            raise UserError(
+                f"the parameter {self.name}: expected {self.low:g} <= {self.value:g} <= "
+                f"{self.high:g}"
+            )
+        if self.low == self.high or (self.log and self.low <= 0.0):
+            raise UserError(f"the parameter {self.name}: {self.low:g} to {self.high:g} is no range")
+
+    def at(self, share: float) -> float:
+        """Return the value at a share 0..1 of the range; what is outside is cut to it."""
+        share = min(max(share, 0.0), 1.0)
+        if self.log:
+            return self.low * (self.high / self.low) ** share
+        return self.low + (self.high - self.low) * share
+
+    def share(self, value: float) -> float:
+        """Return at which share of the range a value is.
+
+        Raises:
+            UserError: if it is out of bounds.
+        """
+        if not self.low <= value <= self.high:
+            unit = f" {self.unit}" if self.unit else ""
+            raise UserError(
+                f"the parameter {self.name} is {value:g}, outside of {self.low:g} to "
+                f"{self.high:g}{unit}"
+            )
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+
+@runtime_checkable
+class AdjustableSimulator(Protocol):
+    """A simulator with parameters; what it is otherwise is :class:`Simulator`'s to say."""
+
+    @property
+    def parameters(self) -> Sequence[Adjustable]:
+        """Return its parameters, with their values as they are."""
+        ...
+
+    def adjusted(self, values: NDArray[np.float64]) -> Simulator:
+        """Return the simulator with other values [K], in the parameters' units.
+
+        Raises:
+            UserError: if one is out of bounds.
+        """
+        ...
