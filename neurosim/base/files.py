@@ -420,3 +420,65 @@ def read_tensors(
         if not np.isfinite(tensors[name]).all():
             raise FileError(path, "holds a number that is not finite", field=name)
     return tensors
+
+
+class JsonLines:
+    """A file of JSON objects, one a line, each on the disk before :meth:`append` returns.
+
+    The first line has ``format``, ``version`` and what all lines share. A kill within a line
+    leaves a torn last line, which opening the file again removes.
+
+    Attributes:
+        rows: the objects that stood there when it was opened.
+    """
+
+    def __init__(self, path: str | Path, format: str, version: int, about: Mapping[str, Any]):
+        """Open the file, or begin it.
+
+        Raises:
+            FileError: if it is another file, or a line of it is damaged.
+        """
+        self.path = Path(path)
+        make_folder(self.path.parent)
+        head = json.loads(
+            json.dumps({"format": format, "version": version, **about}, default=_plain)
+        )
+        text = self.path.read_bytes() if self.path.exists() else b""
+        whole = text[: text.rfind(b"\n") + 1]
+        self.rows: list[dict[str, Any]] = []
+        for line, part in enumerate(whole.splitlines(), 1):
+            try:
+                row = json.loads(part)
+            except ValueError:
+                row = None
+            if not isinstance(row, dict):
+                raise FileError(self.path, "expected a JSON object", line=line)
+            if line > 1:
+                self.rows.append(row)
+            elif row != head:
+                wrong = next(name for name in {**head, **row} if head.get(name) != row.get(name))
+                raise FileError(
+                    self.path,
+                    f"expected {head.get(wrong)!r}, found {row.get(wrong)!r}",
+                    line=line,
+                    field=wrong,
+                )
+        self._file = open(self.path, "ab")  # noqa: SIM115
+        if whole != text:
+            self._file.truncate(len(whole))
+        if not whole:
+            self.append(head)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Write one line, and wait until it is on the disk.
+
+        Raises:
+            ValueError: if a number in it is NaN or infinite.
+        """
+        self._file.write(json.dumps(row, allow_nan=False, default=_plain).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()

@@ -203,6 +203,8 @@ class Gait(Controller):
     inputs = tuple(TIME_INPUTS)
     outputs = JOINTS
     genes = len(NAMES)
+    unit = "rad"
+    gene_range = (0.0, 1.0)
 
     def first(self, count: int, generator: torch.Generator) -> Tensor:
         """Return a first population [count, 20]: anywhere within the bounds."""

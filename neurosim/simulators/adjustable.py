@@ -34,14 +34,10 @@ class Adjustable:
     log: bool = False
 
     def __post_init__(self) -> None:
-        bounds = self.low, self.value, self.high
-        if not all(map(math.isfinite, bounds)) or not self.low <= self.value <= self.high:
-            raise UserError(
-                f"the parameter {self.name}: expected {self.low:g} <= {self.value:g} <= "
-                f"{self.high:g}"
-            )
-        if self.low == self.high or (self.log and self.low <= 0.0):
+        finite = math.isfinite(self.low) and math.isfinite(self.high)
+        if not finite or self.low >= self.high or (self.log and self.low <= 0.0):
             raise UserError(f"the parameter {self.name}: {self.low:g} to {self.high:g} is no range")
+        self._check(self.value)
 
     def at(self, share: float) -> float:
         """Return the value at a share 0..1 of the range; what is outside is cut to it."""
@@ -56,15 +52,18 @@ class Adjustable:
         Raises:
             UserError: if it is out of bounds.
         """
+        self._check(value)
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def _check(self, value: float) -> None:
         if not self.low <= value <= self.high:
             unit = f" {self.unit}" if self.unit else ""
             raise UserError(
                 f"the parameter {self.name} is {value:g}, outside of {self.low:g} to "
                 f"{self.high:g}{unit}"
             )
-        if self.log:
-            return math.log(value / self.low) / math.log(self.high / self.low)
-        return (value - self.low) / (self.high - self.low)
 
 
 @runtime_checkable

@@ -112,7 +112,7 @@ class Physics:
         states, going = self.standing(starts), np.arange(rows)
         for first in range(0, frames, _CHUNK):
             part = slice(first, min(first + _CHUNK, frames))
-            chosen = [models[row] for row in going] if isinstance(models, Sequence) else models
+            chosen = [models[int(row)] for row in going] if isinstance(models, Sequence) else models
             found = self.frames(chosen, states[going], commands[going, part])
             seen = poses_of(found, poses[going, first])
             states[going] = found[:, -1]
