@@ -40,6 +40,7 @@ class Found:
         trials: used in reality.
         order: (genes, fitness) of every evaluation in reality, in their order.
         cycles: what happened, for JSON.
+        confirmed: mean fitness of each finalist after all its trials.
     """
 
     genes: NDArray[np.float64]
@@ -50,6 +51,7 @@ class Found:
     trials: int
     order: list[tuple[NDArray[np.float64], float]]
     cycles: list[dict[str, Any]] = field(default_factory=list)
+    confirmed: list[float] = field(default_factory=list)
 
     def best_after(self, evaluations: int) -> tuple[NDArray[np.float64], float]:
         """Return genes and fitness of the best of the first so many evaluations."""
@@ -99,6 +101,7 @@ class Alternation:
             )
             others = np.clip(simulated.as_is + settings.prior * drawn, 0.0, 1.0)
             self._sets = np.concatenate([self._sets, others])
+        self._confirmed: list[float] = []
         self.cycles: list[dict[str, Any]] = []
 
     def run(self) -> Found:
@@ -112,6 +115,8 @@ class Alternation:
         start = float(self._try(self._start[None], "start")[0])
         for cycle in range(settings.cycles + 1):
             last = cycle == settings.cycles
+            if self._room() <= self._spared():
+                break
             self.cycles.append({"parameters": self._named(self._sets[0])})
             candidates = self._search(cycle, best)
             genes, real = self._candidates(cycle, candidates, self._spared())
@@ -126,7 +131,7 @@ class Alternation:
         genes, fitness = self._believed()
         return Found(
             genes, fitness, start, self._sets, self._trials.evaluations, self._trials.used,
-            self._order, self.cycles,
+            self._order, self.cycles, self._confirmed,
         )  # fmt: skip
 
     # Trials in reality
@@ -167,7 +172,7 @@ class Alternation:
             return self._best()
         real_genes = self._simulated.real_genes(finalists)
         fitness = self._trials.evaluate(real_genes, "confirm", settings.confirm)
-        self.cycles[-1]["confirmed"] = fitness.tolist()
+        self._confirmed = fitness.tolist()
         place = int(fitness.argmax())
         return finalists[place], float(fitness[place])
 

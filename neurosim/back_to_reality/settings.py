@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.policy_gradient import PolicySettings
@@ -24,7 +24,7 @@ class BackToRealitySettings:
         generations: Generations of L1.
         later_generations: Generations of every L1 after the first; 0: as many as of the first.
         genetic: the genetic algorithm of L1; its population is that of cma, too.
-        spread: cma: how far from its start L1 begins to look, as a share of the ranges.
+        spread: With cma L1 begins to look so far from its start, as a share of the ranges.
         sets: So many parameter sets are kept, and controllers evolved over all of them; 1: the
             paper's one.
         prior: The first of several sets are drawn at random, so far from the simulator as it is:
@@ -49,7 +49,7 @@ class BackToRealitySettings:
     """
 
     cycles: int = 1
-    search: str = "ga"
+    search: Literal["ga", "cma"] = "ga"
     generations: int = 600
     later_generations: int = 0
     genetic: BitSettings = field(default=_PAPER_GENETIC)
@@ -58,11 +58,11 @@ class BackToRealitySettings:
     prior: float = 0.15
     caution: float = 0.0
     candidates: int = 15
-    adapt: str = "ga"
+    adapt: Literal["ga", "cma", "none"] = "ga"
     adapt_generations: int = 45
     adapt_genetic: BitSettings = field(default=_PAPER_ADAPT)
     compared: int = 10
-    compare: str = "similar"
+    compare: Literal["similar", "recent"] = "similar"
     policy_steps: int = 3
     policy: PolicySettings = field(default=_PAPER_POLICY)
     confirm: int = 1
@@ -99,18 +99,18 @@ class BackToRealitySettings:
 
 #: Our choices beside the paper's, by which it is compared with itself.
 BETTER: dict[str, Any] = {
-    "cycles": 8,
+    "cycles": 5,
     "search": "cma",
     "generations": 30,
     "later_generations": 20,
     "spread": 0.1,
     "sets": 3,
     "caution": 1.0,
-    "candidates": 13,
+    "candidates": 19,
     "adapt": "cma",
-    "adapt_generations": 12,
-    "adapt_genetic": BitSettings(population=14),
-    "compared": 26,
+    "adapt_generations": 8,
+    "adapt_genetic": BitSettings(population=12),
+    "compared": 20,
     "compare": "recent",
     "policy_steps": 0,
     "confirm": 2,

@@ -249,6 +249,18 @@ class Gait(Controller):
                     f"{y:.1f} cm outwards and {-z:.1f} cm down from its hip"
                 )
 
+    def hand_tuned(self) -> NDArray[np.float64]:
+        """Return the genes [20] of the gait that was tuned by hand."""
+        return genes_of(HAND_TUNED)
+
+    def from_named(self, values: Mapping[str, float]) -> NDArray[np.float64]:
+        """Return the genes [20] of parameters by name, in their units; undoes :meth:`named`.
+
+        Raises:
+            UserError: if one is missing, unknown or out of bounds.
+        """
+        return genes_of(values)
+
     def named(self, genes: NDArray[np.float64]) -> dict[str, Any]:
         """Return the parameters of a gait [20] by name, in their units."""
         return dict(zip(NAMES, values_of(genes).tolist(), strict=True))
