@@ -256,7 +256,7 @@ def _controller(
             "run": 0,
             "interrupted": False,
             "robot": content["reality"],
-            "robot_fitness": {"mean": found.fitness},
+            "fitness_in_reality": found.fitness,
             "history": found.cycles[-1]["L1"] if found.cycles else {"best": [], "mean": []},
         },
     )

@@ -23,7 +23,7 @@ from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
-KINDS = ("trial", "recording", "dataset", "simulator", "controller")
+KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-reality")
 
 _FIELDS: dict[str, dict[str, type | tuple]] = {
     "trial": {
@@ -37,9 +37,27 @@ _FIELDS: dict[str, dict[str, type | tuple]] = {
     },
     "recording": {"robot": dict, "sessions": list},
     "dataset": {"rows": int, "sources": list, "left_out": dict},
+    "back-to-reality": {
+        "controller": dict,
+        "reality": dict,
+        "settings": dict,
+        "parameters": list,
+        "start": dict,
+        "best": dict,
+        "trials": int,
+        "real": list,
+        "cycles": list,
+    },
 }
 #: The newest version of each that this page reads.
-_VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
+_VERSIONS = {
+    "trial": 1,
+    "recording": 1,
+    "dataset": 1,
+    "simulator": 2,
+    "controller": 1,
+    "back-to-reality": 1,
+}
 #: What is read of each beside its JSON, and checked by that to the last number.
 _READERS: dict[str, Callable[[Path], Any]] = {
     "dataset": Dataset.read,
@@ -171,12 +189,14 @@ class Artefacts:
     datasets: list[Artefact] = field(default_factory=list)
     simulators: list[Artefact] = field(default_factory=list)
     controllers: list[Artefact] = field(default_factory=list)
+    alternations: list[Artefact] = field(default_factory=list)
 
     @property
     def everything(self) -> list[Artefact]:
         """Every folder, in the order of the pipeline, from recording to trial."""
         return [
-            *self.recordings, *self.datasets, *self.simulators, *self.controllers, *self.trials
+            *self.recordings, *self.datasets, *self.simulators, *self.controllers,
+            *self.alternations, *self.trials,
         ]  # fmt: skip
 
     @property
@@ -252,6 +272,10 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         content = _READERS[kind](path) if kind in _READERS else None
         artefact = Artefact(kind, path, meta, content)
+        if kind == "back-to-reality":
+            _check_alternation(artefact)
+            found.alternations.append(artefact)
+            continue
         if kind == "controller":
             _check_controller(artefact)
         getattr(found, f"{kind}s").append(artefact)
@@ -277,6 +301,74 @@ def _check_controller(artefact: Artefact) -> None:
     for name in ("fitness", "spread", "expected_fitness", "draws"):
         artefact.number(f"predicted.{name}", predicted.get(name))
     _ = artefact.task
+
+
+def _check_alternation(artefact: Artefact) -> None:
+    """Check what a report shows of an alternation of controller and simulator."""
+    meta = artefact.meta
+    for part in ("start", "best"):
+        if not _has_numbers(meta[part], "fitness"):
+            raise FileError(artefact.json, "expected a number", field=f"{part}.fitness")
+    artefact.number("best.times_start", meta["best"].get("times_start"))
+    if not all(map(_is_number, meta["real"])):
+        raise FileError(artefact.json, "expected numbers", field="real")
+    for place, parameter in enumerate(meta["parameters"]):
+        named = isinstance(parameter, Mapping) and isinstance(parameter.get("name"), str)
+        if not named or not _has_numbers(parameter, "low", "high", "before"):
+            raise FileError(
+                artefact.json,
+                "expected a name and the numbers low, high and before",
+                field=f"parameters[{place}]",
+            )
+    names = [parameter["name"] for parameter in meta["parameters"]]
+    for place, cycle in enumerate(meta["cycles"]):
+        wrong = _wrong_in_cycle(cycle, names)
+        if wrong:
+            raise FileError(artefact.json, wrong[1], field=f"cycles[{place}]{wrong[0]}")
+
+
+def _wrong_in_cycle(cycle: Any, parameters: Sequence[str]) -> tuple[str, str] | None:
+    """Return which field of a cycle is wrong, and what was expected; None if it is whole."""
+    if not isinstance(cycle, Mapping):
+        return "", "expected an object"
+    adapted = cycle.get("L3", {})
+    if not isinstance(adapted, Mapping):
+        return ".L3", "expected an object"
+    runs = {".L1": cycle.get("L1"), ".L2": cycle.get("L2")}
+    if adapted:
+        runs[".L3.history"] = adapted.get("history", {})
+    for name, run in runs.items():
+        if run is not None and not _is_history(run):
+            return name, "expected best and mean, numbers of every generation"
+    sets = adapted.get("parameters", [])
+    if adapted and not (
+        isinstance(sets, list) and sets and all(_has_numbers(one, *parameters) for one in sets)
+    ):
+        return ".L3.parameters", "expected numbers by the parameters' names"
+    for name in ("compared", "held_out", "left_out", "neighbours"):
+        found = adapted.get(name)
+        if found is None:
+            continue
+        if not _has_numbers(found, "individuals") or not all(
+            _has_numbers(found.get(when), "norm", "median")
+            and (found[when].get("rank") is None or _is_number(found[when]["rank"]))
+            and "rank" in found[when]
+            for when in ("before", "after")
+        ):
+            return f".L3.{name}", "expected individuals, before and after"
+    return None
+
+
+def _is_history(run: Any) -> bool:
+    if not isinstance(run, Mapping):
+        return False
+    best, mean = run.get("best"), run.get("mean")
+    return (
+        isinstance(best, list)
+        and isinstance(mean, list)
+        and len(best) == len(mean)
+        and all(map(_is_number, [*best, *mean]))
+    )
 
 
 def _trial(path: Path, meta: dict[str, Any]) -> Trial:
@@ -342,6 +434,6 @@ def files_of(artefact: Artefact) -> dict[str, str]:
     names = sorted(
         path.name
         for path in artefact.path.iterdir()
-        if path.suffix in (".json", ".csv", ".safetensors") and path.is_file()
+        if path.suffix in (".json", ".jsonl", ".csv", ".safetensors") and path.is_file()
     )
     return {name: sha256(artefact.path / name) for name in names}
