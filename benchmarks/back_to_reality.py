@@ -24,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from neurosim.back_to_reality import Alternation, Simulated, Trials, settings_named
 from neurosim.back_to_reality.climb import BoundedCMA
+from neurosim.back_to_reality.evaluations import Evaluations
 from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings
 from neurosim.base.files import JsonLines
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
@@ -38,7 +38,6 @@ from neurosim.tasks.walking import Walking
 READ_AT = (60, 90, 120)
 AGAIN = 10
 HAND = genes_of(HAND_TUNED)
-Order = list[tuple[NDArray[np.float64], float]]
 
 
 class Job:
@@ -49,7 +48,7 @@ class Job:
         self.simulated = Simulated(LeggedSimulator(), Walking(size["seconds"]), Gait())
         self.trials = Trials(VirtualWalker(Gait(), place, seed), folder / "trials.jsonl")
 
-    def alternate(self, settings: str, **changes: Any) -> tuple[Order, dict[str, Any]]:
+    def alternate(self, settings: str, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
         """Run the alternation."""
         how = settings_named(settings, **{"budget": self.budget, **changes})
         run = Alternation(
@@ -63,24 +62,26 @@ class Job:
             }
             for cycle in run.cycles
         ]
-        return run.order, {"cycles": about, "believed": run.genes.tolist()}
+        return run.record, {"cycles": about, "confirm": how.confirm}
 
-    def learn(self, learner: Any, order: Order, count: int) -> Order:
+    def learn(self, learner: Any, order: Evaluations, count: int) -> Evaluations:
         """Let an optimiser learn in reality, until the budget is used."""
         while len(order) < self.budget:
             asked = learner.ask()[: self.budget - len(order)]
             fitness = self.trials.evaluate(asked, "learn")
-            order += list(zip(asked, fitness.tolist(), strict=True))
+            order.add(asked, fitness)
             if len(asked) == count:
                 learner.tell(fitness)
         return order
 
-    def hand(self) -> Order:
+    def hand(self) -> Evaluations:
         """Try the gait that was tuned by hand."""
-        return [(HAND, float(self.trials.evaluate(HAND[None], "start")[0]))]
+        tried = Evaluations()
+        tried.add(HAND[None], self.trials.evaluate(HAND[None], "start"))
+        return tried
 
 
-def paper(job: Job, **changes: Any) -> tuple[Order, dict[str, Any]]:
+def paper(job: Job, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
     size = job.size
     settings = {
         "cycles": 9,
@@ -91,16 +92,16 @@ def paper(job: Job, **changes: Any) -> tuple[Order, dict[str, Any]]:
     return job.alternate("paper", **{**settings, **changes})
 
 
-def policy_gradient(job: Job) -> tuple[Order, dict[str, Any]]:
+def policy_gradient(job: Job) -> tuple[Evaluations, dict[str, Any]]:
     learner = PolicyGradient(HAND, PolicySettings(), [job.seed, 7])
     return job.learn(learner, job.hand(), 13), {}
 
 
-def cma(job: Job) -> tuple[Order, dict[str, Any]]:
+def cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
     return job.learn(BoundedCMA(HAND, 0.1, 12, [job.seed, 8]), job.hand(), 12), {}
 
 
-def once(job: Job, **changes: Any) -> tuple[Order, dict[str, Any]]:
+def once(job: Job, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
     """Evolve in the simulator, and try what came of it for the whole budget."""
     settings = {"adapt": "none", "policy_steps": 0, "candidates": job.budget}
     return paper(job, **{**settings, **changes})
@@ -110,13 +111,13 @@ def once(job: Job, **changes: Any) -> tuple[Order, dict[str, Any]]:
 RANDOM = {"search": "cma", "generations": 40, "sets": 6, "caution": 1.0}
 
 
-def randomised_then_cma(job: Job) -> tuple[Order, dict[str, Any]]:
+def randomised_then_cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
     order, about = once(job, **RANDOM, budget=20)
-    best = max(order, key=lambda one: one[1])[0]
+    best = order.believed().genes
     return job.learn(BoundedCMA(best, 0.05, 12, [job.seed, 9]), order, 12), about
 
 
-METHODS: dict[str, Callable[[Job], tuple[Order, dict[str, Any]]]] = {
+METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {
     "back to reality, better choices": lambda job: job.alternate("better"),
     "the same without L3": lambda job: job.alternate("better", adapt="none"),
     "CMA-ES from the hand-tuned gait": cma,
@@ -138,9 +139,7 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
         numbers = np.arange(AGAIN) * 13
         read, known = {}, {}
         for count in [at for at in READ_AT if at <= job.budget] or [job.budget]:
-            genes = max(order[:count], key=lambda one: one[1])[0]
-            if count == job.budget and "believed" in about:
-                genes = np.array(about["believed"])
+            genes = order.believed(about.get("confirm", 1), count).genes
             if genes.tobytes() not in known:
                 found = again.trials(np.tile(genes, (AGAIN, 1)), numbers)
                 known[genes.tobytes()] = [float(found.mean()), float(found.std(ddof=1))]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from neurosim.back_to_reality.adapt import agreement, begin_adapting, kept_sets, similar
 from neurosim.back_to_reality.climb import Climb, make_search
+from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
 from neurosim.back_to_reality.policy_gradient import PolicyGradient
 from neurosim.back_to_reality.reality import Trials
 from neurosim.back_to_reality.settings import BackToRealitySettings
@@ -38,9 +39,8 @@ class Found:
         sets: [S, K] the adapted parameter sets, shares of their ranges, the best first.
         evaluations: used in reality.
         trials: used in reality.
-        order: (genes, fitness) of every evaluation in reality, in their order.
+        record: every evaluation in reality, in their order.
         cycles: what happened, for JSON.
-        confirmed: mean fitness of each finalist after all its trials.
     """
 
     genes: NDArray[np.float64]
@@ -49,13 +49,8 @@ class Found:
     sets: NDArray[np.float64]
     evaluations: float
     trials: int
-    order: list[tuple[NDArray[np.float64], float]]
+    record: Evaluations
     cycles: list[dict[str, Any]] = field(default_factory=list)
-    confirmed: list[float] = field(default_factory=list)
-
-    def best_after(self, evaluations: int) -> tuple[NDArray[np.float64], float]:
-        """Return genes and fitness of the best of the first so many evaluations."""
-        return max(self.order[: max(evaluations, 1)], key=lambda one: one[1])
 
 
 class Alternation:
@@ -93,7 +88,7 @@ class Alternation:
         self._settings, self._seed = settings, seed
         self._state = dict(state or {})
         self._save, self._progress = save, progress
-        self._order: list[tuple[NDArray[np.float64], float]] = []
+        self._record = Evaluations()
         self._sets = simulated.as_is[None]
         if settings.sets > 1:
             drawn = np.random.default_rng([seed, 0x5E75]).standard_normal(
@@ -101,7 +96,6 @@ class Alternation:
             )
             others = np.clip(simulated.as_is + settings.prior * drawn, 0.0, 1.0)
             self._sets = np.concatenate([self._sets, others])
-        self._confirmed: list[float] = []
         self.cycles: list[dict[str, Any]] = []
 
     def run(self) -> Found:
@@ -120,18 +114,20 @@ class Alternation:
             self.cycles.append({"parameters": self._named(self._sets[0])})
             candidates = self._search(cycle, best)
             genes, real = self._candidates(cycle, candidates, self._spared())
+            self._confirm()
             if last or not len(genes):
                 break
             if settings.adapt != "none":
                 self._adapt(cycle, genes, real)
-            best = self._best()[0]
+            best = self._believed().genes
             if settings.policy_steps:
                 self._policies(cycle, best)
-                best = self._best()[0]
-        genes, fitness = self._believed()
+                self._confirm()
+                best = self._believed().genes
+        found = self._believed()
         return Found(
-            genes, fitness, start, self._sets, self._trials.evaluations, self._trials.used,
-            self._order, self.cycles, self._confirmed,
+            found.genes, found.fitness, start, self._sets, self._trials.evaluations,
+            self._trials.used, self._record, self.cycles,
         )  # fmt: skip
 
     # Trials in reality
@@ -143,38 +139,30 @@ class Alternation:
         return self._settings.budget - round(self._trials.evaluations)
 
     def _spared(self) -> int:
-        """Return how many evaluations the finalists need in the end."""
-        return self._settings.finalists * (self._settings.confirm - 1)
+        """Return how many evaluations are kept for confirming a leader."""
+        return self._settings.finalists if self._settings.confirm > 1 else 0
 
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals in an evaluation in reality."""
-        real_genes = self._simulated.real_genes(genes)
-        fitness = self._trials.evaluate(real_genes, why)
-        self._order += list(zip(genes, fitness.tolist(), strict=True))
+        fitness = self._trials.evaluate(self._simulated.real_genes(genes), why)
+        self._record.add(genes, fitness)
         return fitness
 
-    def _best(self) -> tuple[NDArray[np.float64], float]:
-        return max(self._order, key=lambda one: one[1])
+    def _confirm(self) -> None:
+        """Try the leader again, and who leads then, until one has stood its trials.
 
-    def _believed(self) -> tuple[NDArray[np.float64], float]:
-        """Return the best individual: of the finalists, after more trials."""
-        settings = self._settings
-        if settings.confirm == 1:
-            return self._best()
-        ranked = sorted(self._order, key=lambda one: -one[1])
-        finalists = np.unique(np.stack([genes for genes, _ in ranked[:1]]), axis=0)
-        for genes, _ in ranked[1:]:
-            if len(finalists) < settings.finalists and not (genes == finalists).all(1).any():
-                finalists = np.concatenate([finalists, genes[None]])
-        again = settings.confirm - 1
-        finalists = finalists[: max(min(len(finalists), self._room() // max(again, 1)), 1)]
-        if self._room() < again:
-            return self._best()
-        real_genes = self._simulated.real_genes(finalists)
-        fitness = self._trials.evaluate(real_genes, "confirm", settings.confirm)
-        self._confirmed = fitness.tolist()
-        place = int(fitness.argmax())
-        return finalists[place], float(fitness[place])
+        The best of many single evaluations has been lucky more often than not.
+        """
+        for _ in range(self._settings.finalists):
+            leader = self._record.leader()
+            if leader.count >= self._settings.confirm or self._room() < 1:
+                break
+            genes = self._simulated.real_genes(leader.genes[None])
+            fitness = self._trials.evaluate(genes, "confirm", leader.count + 1)
+            self._record.all.append(Evaluation(leader.genes, float(fitness[0]), leader.count + 1))
+
+    def _believed(self) -> Evaluation:
+        return self._record.believed(self._settings.confirm)
 
     # L1
 
@@ -221,7 +209,7 @@ class Alternation:
         all exploit what is peculiar to the simulator.
         """
         count = min(self._settings.candidates, self._room() - spared)
-        known = {genes.tobytes() for genes, _ in self._order}
+        known = {one.genes.tobytes() for one in self._record.all}
         chosen: list[NDArray[np.float64]] = []
         places = np.linspace(climb.done - 1, 0, max(count, 1)).round().astype(int)
         # Where they repeat each other: the others of the last generations.
@@ -256,8 +244,10 @@ class Alternation:
             fitness = self._simulated.fitness(genes, self._sets[0])
             chosen = similar(fitness, real, settings.compared)
         else:
-            recent = [*self._order[-settings.compared + 1 :], self._best()]
-            genes, real = np.stack([one for one, _ in recent]), np.array([v for _, v in recent])
+            known = self._record.latest()
+            recent = [*known[-settings.compared + 1 :], self._believed()]
+            genes = np.stack([one.genes for one in recent])
+            real = np.array([one.fitness for one in recent])
             chosen = np.arange(len(recent))
         others = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, fitness, name = genes[chosen], real[chosen], f"{cycle}.L3"

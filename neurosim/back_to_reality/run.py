@@ -196,8 +196,11 @@ def _content(
         "evaluations": found.evaluations,
         "trials": found.trials,
         "simulated_trials": simulated.tried,
-        "confirmed": found.confirmed,
-        "real": [value for _, value in found.order],
+        "real": [one.fitness for one in found.record.all],
+        "believed": [
+            found.record.believed(settings["confirm"], first + 1).fitness
+            for first in range(len(found.record))
+        ],
         "cycles": [
             {key: value for key, value in cycle.items() if key not in ("adapted", "before")}
             for cycle in found.cycles

@@ -41,9 +41,9 @@ class BackToRealitySettings:
             the best one.
         policy_steps: Steps of the policy gradient in reality (L2); 0: there is none.
         policy: the policy gradient.
-        confirm: The finalists are tried in so many evaluations before one is believed; 1: none is
-            tried again.
-        finalists: So many are confirmed.
+        confirm: A leader is tried in so many evaluations before it is believed, and learned from;
+            1: it is believed at once.
+        finalists: With confirm, so many evaluations at most after each round of trials.
         trials: Trials in reality that are one evaluation.
         budget: No more evaluations in reality than this; 0: there is no limit.
     """
@@ -106,14 +106,15 @@ BETTER: dict[str, Any] = {
     "spread": 0.1,
     "sets": 3,
     "caution": 1.0,
-    "candidates": 19,
+    "candidates": 16,
     "adapt": "cma",
     "adapt_generations": 8,
     "adapt_genetic": BitSettings(population=12),
     "compared": 20,
     "compare": "recent",
     "policy_steps": 0,
-    "confirm": 2,
+    "confirm": 3,
+    "finalists": 4,
 }
 
 

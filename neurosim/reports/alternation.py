@@ -103,10 +103,10 @@ def _evaluations(one: Artefact, prefix: str) -> Picture:
     """Draw every evaluation in reality, in their order."""
     real = np.array(one.meta["real"], float)
     number = 1 + np.arange(len(real))
-    label = f"{one.name}: every evaluation in reality, and the best so far"
+    label = f"{one.name}: every evaluation in reality, and the best that is believed"
     with drawing(9.0, 2.6) as (figure, axes):
         axes.plot(number, real, "o", ms=3, mew=0, color=INK["actual"])
-        axes.plot(number, np.maximum.accumulate(real), color=INK["predicted"])
+        axes.plot(number, np.array(one.meta["believed"], float), color=INK["predicted"])
         axes.axhline(one.meta["start"]["fitness"], color=INK["muted"], lw=0.8)
         axes.set(xlabel="evaluation in reality", ylabel="fitness")
         axes.set_ylim(bottom=0)

@@ -46,6 +46,7 @@ _FIELDS: dict[str, dict[str, type | tuple]] = {
         "best": dict,
         "trials": int,
         "real": list,
+        "believed": list,
         "cycles": list,
     },
 }
@@ -310,8 +311,9 @@ def _check_alternation(artefact: Artefact) -> None:
         if not _has_numbers(meta[part], "fitness"):
             raise FileError(artefact.json, "expected a number", field=f"{part}.fitness")
     artefact.number("best.times_start", meta["best"].get("times_start"))
-    if not all(map(_is_number, meta["real"])):
-        raise FileError(artefact.json, "expected numbers", field="real")
+    for part in ("real", "believed"):
+        if not all(map(_is_number, meta[part])) or len(meta[part]) != len(meta["real"]):
+            raise FileError(artefact.json, "expected a number for each evaluation", field=part)
     for place, parameter in enumerate(meta["parameters"]):
         named = isinstance(parameter, Mapping) and isinstance(parameter.get("name"), str)
         if not named or not _has_numbers(parameter, "low", "high", "before"):
