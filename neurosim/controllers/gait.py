@@ -227,9 +227,12 @@ class Gait(Controller):
         return found
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the commands [B, 12] rad at the observed time; nothing is remembered."""
-        time = observation[:1, 0].numpy()
-        return torch.from_numpy(self.over(genes.numpy(), time)[:, 0]), memory
+        """Return the commands [B, 12] rad at the observed times; nothing is remembered."""
+        times, row = np.unique(observation[:, 0].numpy(), return_inverse=True)
+        found = np.empty((len(genes), len(JOINTS)))
+        for place, time in enumerate(times):  # one, where all began together
+            found[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
+        return torch.from_numpy(found), memory
 
     def check(self, genes: NDArray[np.float64]) -> None:
         """Refuse a gait [20] whose feet leave what the legs reach.

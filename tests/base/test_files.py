@@ -198,3 +198,32 @@ def test_tensors_that_were_cut_short_are_refused(tmp_path):
     files.write_tensors(path, {"w": np.array([1.0, math.nan])})
     with pytest.raises(FileError, match="not finite"):
         files.read_tensors(path, {"w": (2,)})
+
+
+def test_lines_of_json_drop_a_torn_line_and_go_on(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    log = files.JsonLines(path, "lines", 1, {"about": {"size": (1, 2)}})
+    log.append({"value": 0.1})
+    log.append({"value": np.float64(1 / 3)})
+    log.close()
+    with path.open("ab") as file:
+        file.write(b'{"value": 0.')
+    again = files.JsonLines(path, "lines", 1, {"about": {"size": (1, 2)}})
+    assert again.rows == [{"value": 0.1}, {"value": 1 / 3}]
+    again.append({"value": 2})
+    assert [json.loads(line).get("value") for line in path.read_text().splitlines()] == [
+        None, 0.1, 1 / 3, 2,
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="JSON"):
+        again.append({"value": math.nan})
+    assert len(path.read_text().splitlines()) == 4
+
+
+def test_lines_of_json_of_something_else_are_refused(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    files.JsonLines(path, "lines", 1, {"about": 1}).close()
+    with pytest.raises(FileError, match="line 1, field 'about': expected 2, found 1"):
+        files.JsonLines(path, "lines", 1, {"about": 2})
+    path.write_text(path.read_text() + "[1]\n")
+    with pytest.raises(FileError, match="line 2: expected a JSON object"):
+        files.JsonLines(path, "lines", 1, {"about": 1})
