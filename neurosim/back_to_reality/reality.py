@@ -7,7 +7,6 @@ is (``describe``), what a person is to do before a trial (``instruction``), and 
 
 from __future__ import annotations
 
-import json
 import math
 import queue
 import threading
@@ -20,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError, RobotError, UserError
-from neurosim.base.files import JsonLines
+from neurosim.base.files import JsonLines, read_json_lines
 from neurosim.base.registry import Registry
 
 FORMAT, VERSION = "neurosim-real-trials", 1
@@ -260,17 +259,7 @@ def read_trials(path: str | Path) -> list[dict[str, Any]]:
     Raises:
         FileError: if it is missing or damaged.
     """
-    path = Path(path)
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise FileError(path, f"cannot be read: {error}") from None
-    found = []
-    for line, text in enumerate(lines[1:], 2):
-        try:
-            row = json.loads(text)
-        except ValueError:
-            raise FileError(path, "is not whole JSON", line=line) from None
-        _checked(row, path, line)
-        found.append(row)
+    found = read_json_lines(path)[0][1:]
+    for line, row in enumerate(found, 2):
+        _checked(row, Path(path), line)
     return found

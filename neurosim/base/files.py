@@ -422,6 +422,33 @@ def read_tensors(
     return tensors
 
 
+def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
+    """Read the objects of a file of JSON lines, without a torn last one.
+
+    Returns:
+        The objects, the head first, and how many bytes of the file they are.
+
+    Raises:
+        FileError: if the file is missing, or a line is no JSON object.
+    """
+    path = Path(path)
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {error.strerror}") from None
+    whole = text[: text.rfind(b"\n") + 1]
+    found = []
+    for line, part in enumerate(whole.splitlines(), 1):
+        try:
+            row = json.loads(part)
+        except ValueError:
+            row = None
+        if not isinstance(row, dict):
+            raise FileError(path, "expected a JSON object", line=line)
+        found.append(row)
+    return found, len(whole)
+
+
 class JsonLines:
     """A file of JSON objects, one a line, each on the disk before :meth:`append` returns.
 
@@ -443,30 +470,20 @@ class JsonLines:
         head = json.loads(
             json.dumps({"format": format, "version": version, **about}, default=_plain)
         )
-        text = self.path.read_bytes() if self.path.exists() else b""
-        whole = text[: text.rfind(b"\n") + 1]
-        self.rows: list[dict[str, Any]] = []
-        for line, part in enumerate(whole.splitlines(), 1):
-            try:
-                row = json.loads(part)
-            except ValueError:
-                row = None
-            if not isinstance(row, dict):
-                raise FileError(self.path, "expected a JSON object", line=line)
-            if line > 1:
-                self.rows.append(row)
-            elif row != head:
-                wrong = next(name for name in {**head, **row} if head.get(name) != row.get(name))
+        found, length = read_json_lines(self.path) if self.path.exists() else ([], 0)
+        for row in found[:1]:
+            wrong = [name for name in {**head, **row} if head.get(name) != row.get(name)]
+            if wrong:
                 raise FileError(
                     self.path,
-                    f"expected {head.get(wrong)!r}, found {row.get(wrong)!r}",
-                    line=line,
-                    field=wrong,
+                    f"expected {head.get(wrong[0])!r}, found {row.get(wrong[0])!r}",
+                    line=1,
+                    field=wrong[0],
                 )
+        self.rows = found[1:]
         self._file = open(self.path, "ab")  # noqa: SIM115
-        if whole != text:
-            self._file.truncate(len(whole))
-        if not whole:
+        self._file.truncate(length)
+        if not found:
             self.append(head)
 
     def append(self, row: Mapping[str, Any]) -> None:
