@@ -138,13 +138,11 @@ class Trials:
         """
         wanted = evaluations * self._each
         missing = []
-        for row in genes:
-            key, known = row.tobytes(), self._known.get(row.tobytes(), [])
-            missing += [row] * (wanted - len(known))
+        for key, row in {row.tobytes(): row for row in genes}.items():
+            missing += [row] * (wanted - len(self._known.get(key, [])))
             self.used += max(wanted - self._taken.get(key, 0), 0)
             self._taken[key] = max(wanted, self._taken.get(key, 0))
-        # In one batch an individual may stand twice; it is tried once.
-        self._make(_no_more_than(missing, wanted), why)
+        self._make(missing, why)
         return np.array([np.mean(self._known[row.tobytes()][:wanted]) for row in genes])
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
@@ -230,17 +228,6 @@ def _no_number(found: Any, number: int) -> UserError:
         f"reality returned {shown} in trial {number + 1}, not a fitness; what was tried before is "
         "kept: put it right and go on with --resume"
     )
-
-
-def _no_more_than(rows: list[NDArray[np.float64]], wanted: int) -> list[NDArray[np.float64]]:
-    """Return rows of which none stands there more than so often."""
-    counts: dict[bytes, int] = {}
-    kept = []
-    for row in rows:
-        counts[row.tobytes()] = counts.get(row.tobytes(), 0) + 1
-        if counts[row.tobytes()] <= wanted:
-            kept.append(row)
-    return kept
 
 
 def _checked(row: Mapping[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], float]:

@@ -114,6 +114,15 @@ def test_several_at_once_get_numbers_of_their_own(tmp_path):
     assert reality.seen == [6, 3]  # an interruption loses six trials at most
 
 
+def test_an_individual_that_is_asked_for_twice_at_once_is_tried_once(tmp_path):
+    reality = Counting()
+    trials = Trials(reality, tmp_path / "trials.jsonl")
+    trials.evaluate(ONE[None], "first")
+    found = trials.evaluate(np.stack([ONE, ONE, TWO, TWO]), "second", 2)
+    assert found == pytest.approx([2.5, 2.5, 8.5, 8.5])
+    assert len(reality.seen) == trials.used == 12
+
+
 def test_a_file_of_another_reality_or_a_damaged_one_is_refused(tmp_path):
     path = tmp_path / "trials.jsonl"
     Trials(Counting(), path).evaluate(ONE[None], "first")

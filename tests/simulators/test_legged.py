@@ -133,6 +133,20 @@ def test_a_fall_has_no_pose_and_no_speed(simulator):
     assert poses.shape == fallen.shape
 
 
+def test_a_model_that_blows_up_falls_and_does_not_disturb_the_others(tmp_path, monkeypatch):
+    """MuJoCo stops such a trial, and would begin it anew where it stood at first."""
+    monkeypatch.chdir(tmp_path)  # it leaves a log
+    wild, tame = compile_model(Build(p=1e9, d=0.0, torque=1e9)), compile_model(Build())
+    commands = np.tile(standing() + 0.3, (2, 200, 1))
+    physics = Physics(tame, 2)
+    poses = physics.walk([wild, tame], np.zeros((2, 3)), commands)
+    assert np.isfinite(poses[:, 0]).all()
+    assert np.isnan(poses[0, 2:]).all()
+    assert np.isfinite(poses[1]).all()
+    assert np.isnan(physics.frames(tame, np.full((1, physics.size), np.nan), commands[:1])).all()
+    assert not list(tmp_path.iterdir())
+
+
 def test_numbers_that_blow_up_are_a_fall():
     states = np.full((1, 3, 20), 0.1)
     states[..., 4], states[..., 5:8] = 1.0, 0.0

@@ -91,8 +91,11 @@ def mujoco() -> Any:
 
 
 def compile_model(build: Build) -> Any:
-    """Return the compiled model, an ``MjModel``."""
-    return mujoco().MjModel.from_xml_string(mjcf(build))
+    """Return the compiled model, an ``MjModel``; one that blows up is not begun anew."""
+    package = mujoco()
+    model = package.MjModel.from_xml_string(mjcf(build))
+    model.opt.disableflags |= int(package.mjtDisableBit.mjDSBL_AUTORESET)
+    return model
 
 
 def mjcf(build: Build) -> str:

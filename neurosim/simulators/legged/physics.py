@@ -38,6 +38,8 @@ class Physics:
         from mujoco import rollout
 
         self._mujoco = mujoco()
+        # Numbers that blow up are a fall here, not worth a MUJOCO_LOG.TXT in the working folder.
+        self._mujoco.set_mju_user_warning(lambda message: None)
         self._model = model
         self._threads = threads or len(os.sched_getaffinity(0))
         self._data = [self._mujoco.MjData(model) for _ in range(self._threads)]
@@ -75,7 +77,7 @@ class Physics:
     def frames(
         self, models: Any, states: NDArray[np.float64], commands: NDArray[np.float64]
     ) -> NDArray[np.float64]:
-        """Return the states [B, T, size] after each of T frames.
+        """Return the states [B, T, size] after each of T frames; NaN once numbers blow up.
 
         Args:
             models: one for all or one for each.
@@ -85,10 +87,16 @@ class Physics:
         first = models[0] if isinstance(models, Sequence) else models
         steps = round(FRAME / first.opt.timestep)
         control = np.repeat(np.ascontiguousarray(commands, np.float64), steps, axis=1)
+        whole = np.asarray(np.isfinite(states).all(axis=1))
+        begun = np.where(whole[:, None], states, self._standing)
         found, _ = self._pool.rollout(
-            list(models) if isinstance(models, Sequence) else models, self._data, states, control
+            list(models) if isinstance(models, Sequence) else models, self._data, begun, control
         )
-        return found[:, steps - 1 :: steps]
+        found = found[:, steps - 1 :: steps]
+        # Where numbers blow up MuJoCo stops, and its clock with it.
+        due = begun[:, :1] + FRAME * np.arange(1, found.shape[1] + 1)
+        found[(np.abs(found[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
+        return found
 
     def walk(
         self,
