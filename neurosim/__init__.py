@@ -63,6 +63,7 @@ _REGISTRIES = {
     "task": ("neurosim.tasks.registry", "TASKS"),
     "optimiser": ("neurosim.loop.optimisers", "OPTIMISERS"),
     "trainer": ("neurosim.training.trainers.registry", "TRAINERS"),
+    "reality": ("neurosim.back_to_reality.reality", "REALITIES"),
 }
 
 __all__ = [
@@ -92,7 +93,7 @@ def register(what: str, name: str, item: Any = None) -> Any:
     """Give something of yours a name; it then works wherever such a name is taken.
 
     Args:
-        what: robot, simulator, controller, task, optimiser or trainer.
+        what: robot, simulator, controller, task, optimiser, trainer or reality.
         name: what ``make_task``, ``--task`` and the like then take.
         item: what the name stands for, such as a :class:`Task`'s class; without it, a decorator.
 

@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.back_to_reality.reality import Reality
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller
@@ -47,6 +48,7 @@ from neurosim.training.base import Trainer, TrainingData
 __all__ = [
     "check_controller",
     "check_optimiser",
+    "check_reality",
     "check_robot",
     "check_simulator",
     "check_task",
@@ -514,6 +516,35 @@ def check_optimiser(make: Callable[..., Any]) -> None:
             all(np.array_equal(genes, generation(twin)) for genes in expected),
             "what load(state()) goes on with is not what it was",
         )
+
+
+def check_reality(reality: Any, genes: Any) -> None:
+    """Check a reality: what it says of itself, and two trials of an individual.
+
+    Args:
+        reality: any, see :class:`neurosim.back_to_reality.Reality`.
+        genes: [G] of an individual that it can try.
+
+    Raises:
+        AssertionError: saying what is not as it must be.
+    """
+    row = np.asarray(genes, np.float64)
+    assert isinstance(reality, Reality), "a reality has trial(genes, number)"
+    if hasattr(reality, "describe"):
+        about = reality.describe()
+        assert isinstance(about, dict), "describe() returns a dict"
+        json.dumps(about)
+    instruction = getattr(reality, "instruction", None)
+    assert instruction is None or isinstance(instruction, str), "instruction is a sentence"
+    found: list[Any] = [reality.trial(row, number) for number in range(2)]
+    if hasattr(reality, "trials"):
+        several = reality.trials(np.stack([row, row]), np.arange(2))
+        assert np.shape(several) == (2,), "trials() returns a fitness for each individual"
+        assert np.allclose(several, found), "trials() returns what trial() does for its number"
+        found += list(several)
+    for value in found:
+        number = math.nan if value is None else float(value)
+        assert math.isfinite(number), f"a fitness is {value!r}"
 
 
 def check_trainer(trainer: type[Trainer], *, generations: int = 2) -> None:

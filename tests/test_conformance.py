@@ -11,6 +11,7 @@ from simulators_of_tests import Walker, motion_network, tables
 
 import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
+from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.lab import VirtualKheperaRig, VirtualRig
 from neurosim.loop.optimisers import OPTIMISERS
 from neurosim.robots.khepera.driver import Khepera
@@ -19,6 +20,7 @@ from neurosim.tasks.registry import TASKS
 from neurosim.testing import (
     check_controller,
     check_optimiser,
+    check_reality,
     check_robot,
     check_simulator,
     check_task,
@@ -54,6 +56,7 @@ def test_our_simulators(make):
         Plan(slots=4),
         FixedPlan(((20.0, 30.0, 1.0), None, (0.0, 10.0, 0.5))),
         Network(("sensor_0", "x"), (3,)),
+        Gait(),
         Recurrent(("sensor_0",), 2),
         Recurrent(("sensor_0",), 2, "ctrnn"),
         Function(lambda seen, genes: (seen["x"] * genes[:, 0], genes[:, 1]), ("x",), 2),
@@ -62,6 +65,13 @@ def test_our_simulators(make):
 )
 def test_our_controllers(controller):
     check_controller(controller)
+
+
+def test_our_walking_robot():
+    pytest.importorskip("mujoco")
+    from neurosim.simulators.legged.simulator import LeggedSimulator
+
+    check_simulator(LeggedSimulator())
 
 
 @pytest.mark.parametrize("name", TASKS.names())
@@ -79,6 +89,35 @@ def test_our_optimisers(name):
 @pytest.mark.parametrize("name", TRAINERS.names())
 def test_our_trainers(name):
     check_trainer(TRAINERS.get(name))
+
+
+def test_our_realities():
+    pytest.importorskip("mujoco")
+    from neurosim.lab.walker import VirtualWalker
+
+    check_reality(VirtualWalker(Gait()), genes_of(HAND_TUNED))
+
+
+class Wordless:
+    def trial(self, genes, number):
+        return None
+
+
+class Uneven(Wordless):
+    def trial(self, genes, number):
+        return float(number)
+
+    def trials(self, genes, numbers):
+        return np.zeros(len(genes))
+
+
+@pytest.mark.parametrize(
+    ("reality", "says"),
+    [(Wordless(), "a fitness is None"), (Uneven(), "what trial"), (object(), "has trial")],
+)
+def test_realities_that_are_none(reality, says):
+    with pytest.raises(AssertionError, match=says):
+        check_reality(reality, [0.5])
 
 
 class Unnamed(Khepera):

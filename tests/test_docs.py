@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from khepera_data import made_up
 
+from neurosim.back_to_reality import REALITIES
 from neurosim.cli.main import cli
 from neurosim.controllers import CONTROLLERS, make_controller
 from neurosim.loop.evolve import evolve_in
@@ -99,7 +100,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _nothing_stays_registered():
-    registries = (TASKS, CONTROLLERS, OPTIMISERS)
+    registries = (TASKS, CONTROLLERS, OPTIMISERS, REALITIES)
     before = [dict(registry._registered) for registry in registries]
     yield
     for registry, names in zip(registries, before, strict=True):

@@ -61,6 +61,11 @@ class Checkpoint:
         """Whether there is something to resume."""
         return self._settings.exists()
 
+    @property
+    def saved(self) -> bool:
+        """Whether a state was saved."""
+        return self._state.exists()
+
     def options(self) -> dict[str, Any]:
         """Return the options that it was begun with; none where there is no checkpoint.
 

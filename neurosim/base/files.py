@@ -728,3 +728,82 @@ def read_tensors(
         if not np.isfinite(tensors[name]).all():
             raise FileError(path, "holds a number that is not finite", field=name)
     return tensors
+
+
+def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
+    """Read the objects of a file of JSON lines, without a torn last one.
+
+    Returns:
+        The objects, the head first, and how many bytes of the file they are.
+
+    Raises:
+        FileError: if the file is missing, or a line is no JSON object.
+    """
+    path = Path(path)
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise FileError(path, f"cannot be read: {error.strerror}") from None
+    whole = text[: text.rfind(b"\n") + 1]
+    found = []
+    for line, part in enumerate(whole.splitlines(), 1):
+        try:
+            row = json.loads(part)
+        except ValueError:
+            row = None
+        if not isinstance(row, dict):
+            raise FileError(path, "expected a JSON object", line=line)
+        found.append(row)
+    return found, len(whole)
+
+
+class JsonLines:
+    """A file of JSON objects, one a line, each on the disk before :meth:`append` returns.
+
+    The first line has ``format``, ``version`` and what all lines share. A kill within a line
+    leaves a torn last line, which opening the file again removes.
+
+    Attributes:
+        rows: the objects that stood there when it was opened.
+    """
+
+    def __init__(self, path: str | Path, format: str, version: int, about: Mapping[str, Any]):
+        """Open the file, or begin it.
+
+        Raises:
+            FileError: if it is another file, or a line of it is damaged.
+        """
+        self.path = Path(path)
+        make_folder(self.path.parent)
+        head = json.loads(
+            json.dumps({"format": format, "version": version, **about}, default=_plain)
+        )
+        found, length = read_json_lines(self.path) if self.path.exists() else ([], 0)
+        for row in found[:1]:
+            wrong = [name for name in {**head, **row} if head.get(name) != row.get(name)]
+            if wrong:
+                raise FileError(
+                    self.path,
+                    f"expected {head.get(wrong[0])!r}, found {row.get(wrong[0])!r}",
+                    line=1,
+                    field=wrong[0],
+                )
+        self.rows = found[1:]
+        self._file = open(self.path, "ab")  # noqa: SIM115
+        self._file.truncate(length)
+        if not found:
+            self.append(head)
+
+    def append(self, row: Mapping[str, Any]) -> None:
+        """Write one line, and wait until it is on the disk.
+
+        Raises:
+            ValueError: if a number in it is NaN or infinite.
+        """
+        self._file.write(json.dumps(row, allow_nan=False, default=_plain).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()

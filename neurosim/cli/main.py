@@ -14,6 +14,7 @@ import neurosim
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.interrupts import answer_signals, exit_code, interruption_in
 from neurosim.cli._types import PATH
+from neurosim.cli.back_to_reality import back_to_reality
 from neurosim.cli.build_tables import build_tables
 from neurosim.cli.calibrate import calibrate
 from neurosim.cli.dataset import dataset
@@ -113,6 +114,7 @@ for verb in (
     view,
     plan_check,
     run,
+    back_to_reality,
     report,
     lab,
     demo,

@@ -33,6 +33,8 @@ class Controller:
         genes: how many an individual has.
         memory: how many numbers it carries from step to step.
         blind: whether all its commands are known beforehand, see :meth:`commands`.
+        unit: of the commands.
+        gene_range: where searches that need bounds look for each gene.
     """
 
     kind: ClassVar[str] = "controller"
@@ -41,6 +43,8 @@ class Controller:
     genes: int = 0
     memory: int = 0
     blind: bool = False
+    unit: str = "%"
+    gene_range: tuple[float, float] = (-3.0, 3.0)
 
     def first(self, count: int, generator: torch.Generator) -> Tensor:
         """Return a first population, [count, genes], float64: standard normal genes."""

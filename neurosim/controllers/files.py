@@ -99,7 +99,7 @@ class SavedController:
         else:
             about = {
                 "inputs": [{"name": name, "unit": "1"} for name in family.inputs],
-                "outputs": [{"name": name, "unit": "%"} for name in family.outputs],
+                "outputs": [{"name": name, "unit": family.unit} for name in family.outputs],
                 "settings": family.settings(),
             }
         content = {

@@ -32,6 +32,7 @@ class Plan(Controller):
 
     kind: ClassVar[str] = "plan"
     blind = True
+    gene_range = (0.0, 1.0)
     outputs = COMMAND_NAMES
 
     slots: int = 10

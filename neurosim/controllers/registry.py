@@ -20,6 +20,7 @@ CONTROLLERS = Registry(
         "plan": "neurosim.controllers.plan:Plan",
         "network": "neurosim.controllers.network:Network",
         "recurrent": "neurosim.controllers.network:Recurrent",
+        "gait": "neurosim.controllers.gait:Gait",
     },
 )
 

@@ -18,6 +18,43 @@ from neurosim.controllers.base import Controller
 from neurosim.loop.settings import EvolveSettings
 
 
+def new_search(
+    start: NDArray[np.float64],
+    spread: float,
+    seed: Any,
+    *,
+    bounds: tuple[float, float] | None = None,
+    population: int | None = None,
+) -> Any:
+    """Return a search of pycma, which minimises.
+
+    Args:
+        start: [G] where it begins.
+        spread: standard deviation of its first population.
+        seed: of ``numpy.random.default_rng``.
+        bounds: lowest and highest of every gene, or None.
+        population: its size; None: pycma's own, by the number of genes.
+
+    Raises:
+        UserError: if pycma is not installed.
+    """
+    try:
+        import cma
+    except ImportError:
+        raise UserError(
+            "the optimiser cma needs the package pycma: pip install 'neurosim[cma]'"
+        ) from None
+    # Numbers of its own: pycma would draw from, and seed, those of the whole program.
+    numbers = np.random.default_rng(seed)
+    options: dict[str, Any] = {"seed": math.nan, "verbose": -9}
+    options["randn"] = lambda *shape: numbers.standard_normal(shape)
+    if bounds is not None:
+        options["bounds"] = list(bounds)
+    if population is not None:
+        options["popsize"] = population
+    return cma.CMAEvolutionStrategy(start, spread, options)
+
+
 class CMA:
     """CMA-ES, one search for each run; it cannot be resumed."""
 
@@ -33,24 +70,13 @@ class CMA:
         Raises:
             UserError: if pycma is not installed.
         """
-        try:
-            import cma
-        except ImportError:
-            raise UserError(
-                "the optimiser cma needs the package pycma: pip install 'neurosim[cma]'"
-            ) from None
         generator = torch.Generator().manual_seed(seed)
         self._searches = []
         for run in range(settings.runs):
             genes = controller.first(64, generator).numpy() if first is None else first[run]
-            # Numbers of its own: pycma would draw from, and seed, those of the whole program.
-            numbers = np.random.default_rng([seed, run])
-            options: dict[str, Any] = {"seed": math.nan, "verbose": -9}
-            options["randn"] = lambda *shape, numbers=numbers: numbers.standard_normal(shape)
-            if controller.blind:
-                options["bounds"] = [0.0, 1.0]
             start, spread = genes.mean(axis=0), float(max(genes.std(), 0.05))
-            self._searches.append(cma.CMAEvolutionStrategy(start, spread, options))
+            bounds = (0.0, 1.0) if controller.blind else None
+            self._searches.append(new_search(start, spread, [seed, run], bounds=bounds))
         self._asked: list[list[NDArray]] = []
 
     def ask(self) -> NDArray[np.float64]:

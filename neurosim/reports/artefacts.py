@@ -24,7 +24,7 @@ from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
-KINDS = ("trial", "recording", "dataset", "simulator", "controller")
+KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-reality")
 
 #: Poses are no farther away, m, and turn no more, rad: a picture of them is drawn.
 _FARTHEST = 1e5
@@ -45,6 +45,9 @@ _PREDICTED = {
     "completes?": bool,
     "unsupported?": float,
 }
+_RUN = {"best": Rows(None), "mean": Rows(None)}
+_DIFFERENCES = {"norm": float, "median": float, "rank": Maybe(float)}
+_COMPARED = {"individuals": int, "before": _DIFFERENCES, "after": _DIFFERENCES}
 _FIELDS: dict[str, dict[str, Shape]] = {
     "trial": {
         "virtual": bool,
@@ -127,9 +130,41 @@ _FIELDS: dict[str, dict[str, Shape]] = {
             "robot?": _ROBOT,
         },
     },
+    "back-to-reality": {
+        "controller": {"named?": {str: float}},
+        "reality": dict,
+        "settings": {"trials?": int},
+        "parameters": [{"name": str, "unit": str, "low": float, "high": float, "before": float}],
+        "start": {"fitness": float},
+        "best": {"fitness": float, "times_start?": float},
+        "trials": int,
+        "real": Rows(None),
+        "believed": Rows(None),
+        "cycles": [
+            {
+                "L1?": _RUN,
+                "L2?": _RUN,
+                "L3?": {
+                    "history": _RUN,
+                    "parameters": [{str: float}],
+                    "compared?": _COMPARED,
+                    "held_out?": _COMPARED,
+                    "left_out?": _COMPARED,
+                    "neighbours?": _COMPARED,
+                },
+            }
+        ],
+    },
 }
 #: The newest version of each that this page reads.
-_VERSIONS = {"trial": 1, "recording": 1, "dataset": 1, "simulator": 2, "controller": 1}
+_VERSIONS = {
+    "trial": 1,
+    "recording": 1,
+    "dataset": 1,
+    "simulator": 2,
+    "controller": 1,
+    "back-to-reality": 1,
+}
 #: What is read of each beside its JSON, and checked by that to the last number.
 _READERS: dict[str, Callable[[Path], Any]] = {
     "dataset": Dataset.read,
@@ -261,12 +296,14 @@ class Artefacts:
     datasets: list[Artefact] = field(default_factory=list)
     simulators: list[Artefact] = field(default_factory=list)
     controllers: list[Artefact] = field(default_factory=list)
+    alternations: list[Artefact] = field(default_factory=list)
 
     @property
     def everything(self) -> list[Artefact]:
         """Every folder, in the order of the pipeline, from recording to trial."""
         return [
-            *self.recordings, *self.datasets, *self.simulators, *self.controllers, *self.trials
+            *self.recordings, *self.datasets, *self.simulators, *self.controllers,
+            *self.alternations, *self.trials,
         ]  # fmt: skip
 
     @property
@@ -342,6 +379,10 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         content = _READERS[kind](path) if kind in _READERS else None
         artefact = Artefact(kind, path, meta, content)
+        if kind == "back-to-reality":
+            _check_alternation(artefact)
+            found.alternations.append(artefact)
+            continue
         if kind == "controller":
             _ = artefact.task
         if kind == "simulator":
@@ -374,6 +415,26 @@ def _check_history(artefact: Artefact) -> None:
             raise FileError(
                 artefact.json, "expected one for each output", field=f"history[{place}].mse"
             )
+
+
+def _check_alternation(artefact: Artefact) -> None:
+    """Check that the parts of an alternation of controller and simulator fit each other."""
+    meta = artefact.meta
+    if len(meta["believed"]) != len(meta["real"]):
+        raise FileError(artefact.json, "expected a number for each evaluation", field="believed")
+    names = {parameter["name"] for parameter in meta["parameters"]}
+    for place, cycle in enumerate(meta["cycles"]):
+        adapted = cycle.get("L3")
+        runs = {"L1": cycle.get("L1"), "L2": cycle.get("L2")}
+        if adapted is not None:
+            runs["L3.history"] = adapted["history"]
+            if not adapted["parameters"] or any(names - set(one) for one in adapted["parameters"]):
+                field = f"cycles[{place}].L3.parameters"
+                raise FileError(artefact.json, "expected numbers by parameters' names", field=field)
+        for name, run in runs.items():
+            if run is not None and len(run["best"]) != len(run["mean"]):
+                field = f"cycles[{place}].{name}"
+                raise FileError(artefact.json, "expected as many best as mean", field=field)
 
 
 def _trial(path: Path, meta: dict[str, Any]) -> Trial:
@@ -416,6 +477,6 @@ def files_of(artefact: Artefact) -> dict[str, str]:
     names = sorted(
         path.name
         for path in artefact.path.iterdir()
-        if path.suffix in (".json", ".csv", ".safetensors") and path.is_file()
+        if path.suffix in (".json", ".jsonl", ".csv", ".safetensors") and path.is_file()
     )
     return {name: sha256(artefact.path / name) for name in names}

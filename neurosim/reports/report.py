@@ -12,7 +12,16 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import write_text
-from neurosim.reports import accuracy, certainty, controllers, data, provenance, reality, tables
+from neurosim.reports import (
+    accuracy,
+    alternation,
+    certainty,
+    controllers,
+    data,
+    provenance,
+    reality,
+    tables,
+)
 from neurosim.reports.artefacts import Artefacts, gather
 from neurosim.reports.page import Page
 from neurosim.reports.predictions import HeldOut
@@ -50,6 +59,7 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
     sections = [
         reality.courses(artefacts) if artefacts.trials or artefacts.by_commands else None,
         reality.growth(artefacts) if artefacts.by_commands else None,
+        alternation.section(artefacts),
         controllers.section(artefacts),
         tables.samples(artefacts),
         accuracy.section(artefacts, tests) if artefacts.by_commands else None,
@@ -122,11 +132,12 @@ def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
             f"The simulator {name} predicts a held-out command to within {error['dx']:.2f} cm "
             f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average."
         )
+    parts.append(alternation.verdict(artefacts.alternations))
     if not tried:
         parts.append(controllers.verdict(artefacts.controllers))
         if artefacts.by_commands:
             parts.append("No trial was given: whether the robot completes the task is not known.")
-        elif not artefacts.controllers:
+        elif not (artefacts.controllers or artefacts.alternations):
             parts.append("No controller was given.")
     text = " ".join(part for part in parts if part)
     return f"{text} (Virtual lab.)" if artefacts.virtual else text

@@ -18,6 +18,7 @@ SIMULATORS = Registry(
     {
         "motion-network": "neurosim.simulators.motion.files:read_motion",
         "tables": "neurosim.simulators.tables.simulator:TableSimulator.read",
+        "legged": "neurosim.simulators.legged.simulator:LeggedSimulator.read",
     },
 )
 

@@ -17,6 +17,7 @@ TASKS = Registry(
         "nine-rectangles": "neurosim.tasks.nine_rectangles:NineRectangles",
         "obstacle-avoidance": "neurosim.tasks.obstacle_avoidance:ObstacleAvoidance",
         "go-to": "neurosim.tasks.go_to:GoTo",
+        "walking": "neurosim.tasks.walking:Walking",
     },
 )
 

@@ -427,3 +427,32 @@ def test_compiled_functions_have_a_place_without_a_home(tmp_path, monkeypatch):
     folder = os.environ["NUMBA_CACHE_DIR"]
     assert os.stat(folder).st_mode & 0o777 == 0o700
     os.rmdir(folder)
+
+
+def test_lines_of_json_drop_a_torn_line_and_go_on(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    log = files.JsonLines(path, "lines", 1, {"about": {"size": (1, 2)}})
+    log.append({"value": 0.1})
+    log.append({"value": np.float64(1 / 3)})
+    log.close()
+    with path.open("ab") as file:
+        file.write(b'{"value": 0.')
+    again = files.JsonLines(path, "lines", 1, {"about": {"size": (1, 2)}})
+    assert again.rows == [{"value": 0.1}, {"value": 1 / 3}]
+    again.append({"value": 2})
+    assert [json.loads(line).get("value") for line in path.read_text().splitlines()] == [
+        None, 0.1, 1 / 3, 2,
+    ]  # fmt: skip
+    with pytest.raises(ValueError, match="JSON"):
+        again.append({"value": math.nan})
+    assert len(path.read_text().splitlines()) == 4
+
+
+def test_lines_of_json_of_something_else_are_refused(tmp_path):
+    path = tmp_path / "lines.jsonl"
+    files.JsonLines(path, "lines", 1, {"about": 1}).close()
+    with pytest.raises(FileError, match="line 1, field 'about': expected 2, found 1"):
+        files.JsonLines(path, "lines", 1, {"about": 2})
+    path.write_text(path.read_text() + "[1]\n")
+    with pytest.raises(FileError, match="line 2: expected a JSON object"):
+        files.JsonLines(path, "lines", 1, {"about": 1})

@@ -1,0 +1,311 @@
+"""Back to reality: controller and simulator are adapted to each other, in turn.
+
+Zagal, Ruiz-del-Solar and Vallejos 2004, section 4: L1 learns the controller in the simulator, L2
+in reality, L3 adapts the simulator until it gives the fitness that reality gave; and round again.
+Nothing here knows what the controller moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.back_to_reality.adapt import agreement, begin_adapting, kept_sets, similar
+from neurosim.back_to_reality.climb import Climb, make_search
+from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
+from neurosim.back_to_reality.policy_gradient import PolicyGradient
+from neurosim.back_to_reality.reality import Trials
+from neurosim.back_to_reality.settings import BackToRealitySettings
+from neurosim.back_to_reality.simulated import Simulated
+from neurosim.base.generations import run_generations
+
+
+class Interrupted(KeyboardInterrupt):
+    """Ctrl-C between two generations: all is written down."""
+
+
+@dataclass
+class Found:
+    """What came of a run.
+
+    Attributes:
+        genes: [G] the best individual, as shares of the controller's range of genes.
+        fitness: its mean fitness in reality.
+        start: mean fitness in reality of what was started from.
+        sets: [S, K] the adapted parameter sets, shares of their ranges, the best first.
+        evaluations: used in reality.
+        trials: used in reality.
+        record: every evaluation in reality, in their order.
+        cycles: what happened, for JSON.
+    """
+
+    genes: NDArray[np.float64]
+    fitness: float
+    start: float
+    sets: NDArray[np.float64]
+    evaluations: float
+    trials: int
+    record: Evaluations
+    cycles: list[dict[str, Any]] = field(default_factory=list)
+
+
+class Alternation:
+    """A run under way.
+
+    Attributes:
+        cycles: what happened so far, for JSON.
+    """
+
+    def __init__(
+        self,
+        simulated: Simulated,
+        trials: Trials,
+        start: NDArray[np.float64],
+        settings: BackToRealitySettings,
+        *,
+        seed: int = 0,
+        state: Mapping[str, NDArray] | None = None,
+        save: Callable[[Mapping[str, Any]], None] | None = None,
+        progress: bool = True,
+    ):
+        """Prepare.
+
+        Args:
+            simulated: the simulator, task and controller.
+            trials: in reality.
+            start: [G] the controller to start from, such as one that was tuned by hand; shares.
+            settings: how.
+            seed: random seed.
+            state: what ``save`` was given before an interruption.
+            save: keeps the state.
+            progress: whether to show progress on stderr.
+        """
+        self._simulated, self._trials, self._start = simulated, trials, start
+        self._settings, self._seed = settings, seed
+        self._state = dict(state or {})
+        self._save, self._progress = save, progress
+        self._record = Evaluations()
+        self._sets = simulated.as_is[None]
+        if settings.sets > 1:
+            drawn = np.random.default_rng([seed, 0x5E75]).standard_normal(
+                (settings.sets - 1, len(simulated.as_is))
+            )
+            others = np.clip(simulated.as_is + settings.prior * drawn, 0.0, 1.0)
+            self._sets = np.concatenate([self._sets, others])
+        self.cycles: list[dict[str, Any]] = []
+
+    def run(self) -> Found:
+        """Run all cycles and return what came of them.
+
+        Raises:
+            Interrupted: at Ctrl-C; the state was saved.
+            UserError, RobotError: of reality; what was tried before is written down.
+        """
+        settings, best = self._settings, self._start
+        start = float(self._try(self._start[None], "start")[0])
+        for cycle in range(settings.cycles + 1):
+            last = cycle == settings.cycles
+            if self._room() <= self._spared():
+                break
+            self.cycles.append({"parameters": self._named(self._sets[0])})
+            candidates = self._search(cycle, best)
+            genes, real = self._candidates(cycle, candidates, self._spared())
+            self._confirm()
+            if last or not len(genes):
+                break
+            if settings.adapt != "none":
+                self._adapt(cycle, genes, real)
+            best = self._believed().genes
+            if settings.policy_steps:
+                self._policies(cycle, best)
+                self._confirm()
+                best = self._believed().genes
+        found = self._believed()
+        return Found(
+            found.genes, found.fitness, start, self._sets, self._trials.evaluations,
+            self._trials.used, self._record, self.cycles,
+        )  # fmt: skip
+
+    # Trials in reality
+
+    def _room(self) -> int:
+        """Return how many evaluations are left."""
+        if not self._settings.budget:
+            return 1_000_000
+        return self._settings.budget - round(self._trials.evaluations)
+
+    def _spared(self) -> int:
+        """Return how many evaluations are kept for confirming a leader."""
+        return self._settings.finalists if self._settings.confirm > 1 else 0
+
+    def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
+        """Return the fitness [P] of individuals in an evaluation in reality."""
+        fitness = self._trials.evaluate(self._simulated.real_genes(genes), why)
+        self._record.add(genes, fitness)
+        return fitness
+
+    def _confirm(self) -> None:
+        """Try the leader again, and who leads then, until one has stood its trials.
+
+        The best of many single evaluations has been lucky more often than not.
+        """
+        for _ in range(self._settings.finalists):
+            leader = self._record.leader()
+            if leader.count >= self._settings.confirm or self._room() < 1:
+                break
+            genes = self._simulated.real_genes(leader.genes[None])
+            fitness = self._trials.evaluate(genes, "confirm", leader.count + 1)
+            self._record.all.append(Evaluation(leader.genes, float(fitness[0]), leader.count + 1))
+
+    def _believed(self) -> Evaluation:
+        return self._record.believed(self._settings.confirm)
+
+    # L1
+
+    def _search(self, cycle: int, start: NDArray[np.float64]) -> Climb:
+        """Evolve controllers in the simulator, from mutations of one."""
+        settings, sets = self._settings, self._sets
+
+        def evaluate(genes: NDArray[np.float64]) -> NDArray[np.float64]:
+            each = self._simulated.over(genes, sets)
+            return each.mean(axis=0) - settings.caution * each.std(axis=0)
+
+        search = make_search(
+            settings.search, start, settings.genetic, settings.spread, [self._seed, cycle, 1]
+        )
+        total = settings.generations
+        if cycle and settings.later_generations:
+            total = settings.later_generations
+        name = f"{cycle}.L1"
+        climb = Climb(search, evaluate, before=self._state.get(name))
+        self._climb(climb, name, total, f"cycle {cycle + 1}: controllers in the simulator (L1)")
+        self.cycles[cycle]["L1"] = climb.history()
+        return climb
+
+    def _climb(self, climb: Climb, name: str, total: int, label: str) -> None:
+        def save(state: Mapping[str, Any]) -> None:
+            if "fitness" in state:
+                self._state[name] = state["fitness"]
+            if self._save is not None:
+                self._save(self._state)
+
+        before = climb.done
+        interrupted = run_generations(climb, total, label, save=save, progress=self._progress)
+        if climb.done > before:
+            save(climb.state())
+        if interrupted:
+            raise Interrupted
+
+    def _candidates(
+        self, cycle: int, climb: Climb, spared: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Try the best of generations spread over the search; return genes and fitness.
+
+        The paper's individuals are some of the best of the evolved populations; the last ones of
+        all exploit what is peculiar to the simulator.
+        """
+        count = min(self._settings.candidates, self._room() - spared)
+        known = {one.genes.tobytes() for one in self._record.all}
+        chosen: list[NDArray[np.float64]] = []
+        places = np.linspace(climb.done - 1, 0, max(count, 1)).round().astype(int)
+        # Where they repeat each other: the others of the last generations.
+        others = [
+            asked[np.argsort(-told)] for asked, told in zip(climb.asked, climb.fitness, strict=True)
+        ]
+        for genes in [*climb.best[places], *np.concatenate(others[::-1])]:
+            if len(chosen) < count and genes.tobytes() not in known:
+                known.add(genes.tobytes())
+                chosen.append(genes)
+        if not chosen:
+            return np.empty((0, self._simulated.genes)), np.empty(0)
+        genes = np.stack(chosen)
+        real = self._try(genes, f"cycle {cycle + 1}, L1")
+        simulated = self._simulated.fitness(genes, self._sets[0])
+        works = np.abs(simulated - real) <= 0.25 * np.maximum(real, simulated)
+        self.cycles[cycle]["transfer"] = {
+            "simulated": simulated.tolist(),
+            "real": real.tolist(),
+            "works": float(np.mean(works & (real > 0.0))),
+        }
+        if cycle and self._settings.adapt != "none":
+            self.cycles[cycle - 1]["L3"]["held_out"] = self._agreement(cycle - 1, genes, real)
+        return genes, real
+
+    # L3
+
+    def _adapt(self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]) -> None:
+        """Search the parameters with which the simulator gives the fitness that reality gave."""
+        settings = self._settings
+        if settings.compare == "similar":
+            fitness = self._simulated.fitness(genes, self._sets[0])
+            chosen = similar(fitness, real, settings.compared)
+        else:
+            known = self._record.latest()
+            recent = [*known[-settings.compared + 1 :], self._believed()]
+            genes = np.stack([one.genes for one in recent])
+            real = np.array([one.fitness for one in recent])
+            chosen = np.arange(len(recent))
+        others = np.setdiff1d(np.arange(len(genes)), chosen)
+        ten, fitness, name = genes[chosen], real[chosen], f"{cycle}.L3"
+        climb = begin_adapting(
+            self._simulated, ten, fitness, self._sets[0], settings.adapt,
+            settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
+        )  # fmt: skip
+        label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
+        self._climb(climb, name, settings.adapt_generations, label)
+        before, self._sets = self._sets[0], kept_sets(climb, settings.sets)
+        self.cycles[cycle]["adapted"] = self._sets.tolist()
+        self.cycles[cycle]["before"] = before.tolist()
+        self.cycles[cycle]["L3"] = {
+            "history": {name: [-v for v in values] for name, values in climb.history().items()},
+            "parameters": [self._named(one) for one in self._sets],
+            "compared": {
+                **self._agreement(cycle, ten, fitness),
+                "real": fitness.tolist(),
+                "simulated_before": self._simulated.fitness(ten, before).tolist(),
+                "simulated_after": self._simulated.fitness(ten, self._sets[0]).tolist(),
+            },
+        }
+        if len(others):
+            self.cycles[cycle]["L3"]["left_out"] = self._agreement(
+                cycle, genes[others], real[others]
+            )
+
+    def _agreement(
+        self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]
+    ) -> dict[str, Any]:
+        what = self.cycles[cycle]
+        before, after = np.array(what["before"]), np.array(what["adapted"])[0]
+        return agreement(self._simulated.fitness, genes, real, before, after)
+
+    def _named(self, shares: NDArray[np.float64]) -> dict[str, float]:
+        values = self._simulated.values(shares).tolist()
+        return {one.name: v for one, v in zip(self._simulated.parameters, values, strict=True)}
+
+    # L2
+
+    def _policies(self, cycle: int, start: NDArray[np.float64]) -> None:
+        """Learn in reality, from the best so far; every policy that is tried can be the best."""
+        settings = self._settings
+        learner = PolicyGradient(start, settings.policy, [self._seed, cycle, 2])
+        best, mean, tried, scores = [], [], [], []
+        for step in range(settings.policy_steps):
+            if self._room() - self._spared() < settings.policy.policies:
+                break
+            asked = learner.ask()
+            score = self._try(asked, f"cycle {cycle + 1}, L2, step {step + 1}")
+            learner.tell(score)
+            best.append(float(score.max()))
+            mean.append(float(score.mean()))
+            tried.append(asked)
+            scores.append(score)
+        self.cycles[cycle]["L2"] = {"best": best, "mean": mean}
+        if not tried:
+            return
+        genes, real = np.concatenate(tried), np.concatenate(scores)
+        if settings.adapt != "none":
+            self.cycles[cycle]["L3"]["neighbours"] = self._agreement(cycle, genes, real)

@@ -1,0 +1,51 @@
+"""A reality in which a person runs the robot and types what came out."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class ByHand:
+    """A person sets the robot's parameters, starts it, and types the fitness; no robot is known.
+
+    As in Zagal et al. 2004, section 5.2: the robot is put into the middle of a circle, started,
+    and stopped where it crosses it.
+
+    Attributes:
+        instruction: what the person is asked to do before every trial.
+        patient: a person may take any time.
+    """
+
+    instruction = "Put the robot back to the start and press Enter when it is ready"
+    patient = True
+
+    def __init__(self, controller: Any, type_in: Callable[[str], str] | None = None):
+        """Take the controller whose parameters are shown.
+
+        Args:
+            controller: of the genes.
+            type_in: shows a message and returns the answer; by default ``input``.
+        """
+        self._controller, self._type_in = controller, type_in or input
+
+    def describe(self) -> dict[str, Any]:
+        """Return what it is."""
+        return {"kind": "by-hand", "virtual": False}
+
+    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+        """Show the individual [G], and return the fitness that is typed."""
+        named = getattr(self._controller, "named", None)
+        shown = named(genes) if named else {f"gene {n}": v for n, v in enumerate(genes.tolist())}
+        while True:
+            typed = self._type_in(
+                f"Trial {number + 1}: {json.dumps(shown)}\nFitness (0 if it fell): "
+            )
+            try:
+                return float(typed)
+            except ValueError:
+                continue

@@ -1,0 +1,62 @@
+"""What is known of controllers from reality, in the order in which it became known."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What was known of an individual after an evaluation.
+
+    Attributes:
+        genes: [G] of it.
+        fitness: mean over all its evaluations so far.
+        count: how many these were.
+    """
+
+    genes: NDArray[np.float64]
+    fitness: float
+    count: int = 1
+
+
+class Evaluations:
+    """All evaluations in reality, in their order.
+
+    Attributes:
+        all: one for each evaluation.
+    """
+
+    def __init__(self) -> None:
+        self.all: list[Evaluation] = []
+
+    def __len__(self) -> int:
+        return len(self.all)
+
+    def add(self, genes: NDArray[np.float64], fitness: NDArray[np.float64]) -> None:
+        """Add first evaluations of individuals [P, G], their fitness [P]."""
+        pairs = zip(genes, fitness.tolist(), strict=True)
+        self.all += [Evaluation(one, value) for one, value in pairs]
+
+    def latest(self, first: int | None = None) -> list[Evaluation]:
+        """Return what is known of each individual after the first so many evaluations."""
+        known = {one.genes.tobytes(): one for one in self.all[:first]}
+        return list(known.values())
+
+    def leader(self) -> Evaluation:
+        """Return the individual with the highest mean, however often it was tried."""
+        return max(self.latest(), key=lambda one: one.fitness)
+
+    def believed(self, confirm: int = 1, first: int | None = None) -> Evaluation:
+        """Return the best individual that was tried often enough; if none was, the leader.
+
+        Args:
+            confirm: so many evaluations are enough.
+            first: of the first so many evaluations.
+        """
+        known = self.latest(None if first is None else max(first, 1))
+        enough = [one for one in known if one.count >= confirm]
+        return max(enough or known, key=lambda one: one.fitness)

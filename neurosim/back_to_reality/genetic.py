@@ -1,0 +1,129 @@
+"""The genetic algorithm of L1 and L3: Zagal et al. 2004, section 5.1.3.
+
+"A conventional genetic algorithm employing fitness-proportional selection with linear scaling,
+no-elitism scheme, two-point crossover and mutation with a certain probability per bit." The
+probability is 0.005 (section 5.3). The paper does not give the bits of a parameter, the
+probability of crossover and the constant of the scaling; those here are Goldberg's usual ones
+(Genetic Algorithms in Search, Optimization and Machine Learning, 1989).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+
+
+@dataclass(frozen=True)
+class BitSettings:
+    """Settings of the genetic algorithm of bit strings.
+
+    Attributes:
+        population: Individuals of a generation.
+        bits: Bits of a parameter.
+        mutation: Probability of each bit to be flipped.
+        crossover: Probability that a pair of parents is crossed.
+        scaling: The best has so many times the mean's chance to be selected.
+        first_mutation: Probability of each bit of the first generation to be flipped, which are
+            otherwise copies of where the search starts from; one is left as it is.
+    """
+
+    population: int = 15
+    bits: int = 8
+    mutation: float = 0.005
+    crossover: float = 0.6
+    scaling: float = 2.0
+    first_mutation: float = 0.05
+
+    def __post_init__(self) -> None:
+        if self.population < 2 or not 1 <= self.bits <= 30:
+            raise UserError("a population has two individuals at least, a parameter 1 to 30 bits")
+        for name in ("mutation", "crossover", "first_mutation"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise UserError(f"{name} is a probability, 0 to 1, not {getattr(self, name):g}")
+        if not self.scaling > 1.0:
+            raise UserError(f"scaling must be above 1, not {self.scaling:g}")
+
+
+def encode(shares: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
+    """Return bit strings [..., G bits] of shares [..., G] in 0..1, the highest bit first."""
+    levels = 2**bits - 1
+    whole = np.rint(np.clip(shares, 0.0, 1.0) * levels).astype(np.int64)
+    found = (whole[..., None] >> np.arange(bits)[::-1]) & 1
+    return found.astype(np.bool_).reshape(*shares.shape[:-1], -1)
+
+
+def decode(strings: NDArray[np.bool_], bits: int) -> NDArray[np.float64]:
+    """Return the shares [..., G] of bit strings [..., G bits]; undoes :func:`encode`."""
+    parts = strings.reshape(*strings.shape[:-1], -1, bits)
+    return (parts @ (1 << np.arange(bits)[::-1])) / (2**bits - 1)
+
+
+def linear_scaling(fitness: NDArray[np.float64], multiple: float) -> NDArray[np.float64]:
+    """Return the fitness [P] scaled linearly (Goldberg 1989, chapter 4).
+
+    The mean stays, the best gets ``multiple`` times the mean; if the worst were negative then, it
+    gets 0 and the best less.
+    """
+    mean, best, worst = fitness.mean(), fitness.max(), fitness.min()
+    if best - worst <= 1e-12 * max(abs(best), abs(worst), 1e-300):
+        return np.ones_like(fitness)
+    slope = (multiple - 1.0) * mean / (best - mean)
+    if mean + slope * (worst - mean) < 0.0:
+        slope = mean / (mean - worst)
+    return np.maximum(mean + slope * (fitness - mean), 0.0)
+
+
+class BitGenetic:
+    """A genetic algorithm of bit strings, ask and tell; it maximises.
+
+    Attributes:
+        done: generations so far.
+        best: [G] the best individual told of so far, and its fitness ``best_fitness``. It is only
+            remembered: nothing keeps it in the population.
+    """
+
+    def __init__(self, start: NDArray[np.float64], settings: BitSettings, seed: Any):
+        """Begin with mutations of where the search starts from.
+
+        Args:
+            start: [G] shares in 0..1, or [N, G] several, of which each has as many mutations as
+                the others.
+            settings: how.
+            seed: of ``numpy.random.default_rng``.
+        """
+        self._settings, self._rng = settings, np.random.default_rng(seed)
+        from_ = encode(np.atleast_2d(start), settings.bits)
+        self._strings = from_[np.arange(settings.population) % len(from_)]
+        flips = self._rng.random(self._strings.shape) < settings.first_mutation
+        flips[: len(from_)] = False
+        self._strings = self._strings ^ flips
+        self.done = 0
+        self.best, self.best_fitness = np.atleast_2d(start)[0], -np.inf
+
+    def ask(self) -> NDArray[np.float64]:
+        """Return the population [P, G], shares in 0..1."""
+        return decode(self._strings, self._settings.bits)
+
+    def tell(self, fitness: NDArray[np.float64]) -> None:
+        """Take its fitness [P], the higher the better, and make the next.
+
+        Selection is by shares of the fitness, which is shifted up where one is negative.
+        """
+        if fitness.max() > self.best_fitness:
+            self.best, self.best_fitness = self.ask()[fitness.argmax()], float(fitness.max())
+        rng, settings, count = self._rng, self._settings, len(fitness)
+        scaled = linear_scaling(fitness - min(fitness.min(), 0.0), settings.scaling)
+        parents = self._strings[rng.choice(count, count + count % 2, p=scaled / scaled.sum())]
+        length = parents.shape[1]
+        for first, second in zip(parents[::2], parents[1::2], strict=True):
+            if rng.random() < settings.crossover:
+                low, high = np.sort(rng.choice(length + 1, 2, replace=False))
+                swapped = first[low:high].copy()
+                first[low:high], second[low:high] = second[low:high], swapped
+        self._strings = parents[:count] ^ (rng.random((count, length)) < settings.mutation)
+        self.done += 1

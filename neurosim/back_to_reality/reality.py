@@ -1,0 +1,252 @@
+"""Trials in reality: each is written down before it is used, and none is made twice.
+
+A reality is anything with ``trial(genes, number)`` that returns a fitness. It may also say what it
+is (``describe``), what a person is to do before a trial (``instruction``), and try several at once
+(``trials``).
+"""
+
+from __future__ import annotations
+
+import math
+import queue
+import threading
+from collections.abc import Callable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import FileError, RobotError, UserError
+from neurosim.base.files import JsonLines, read_json_lines
+from neurosim.base.registry import Registry
+
+FORMAT, VERSION = "neurosim-real-trials", 1
+#: No more trials are made at once: what an interruption loses.
+AT_ONCE = 6
+
+
+@runtime_checkable
+class Reality(Protocol):
+    """Where controllers are tried for real.
+
+    Optional besides: ``describe() -> dict``, what it is, for JSON; ``instruction``, a sentence
+    for the person who puts the robot back before every trial; ``trials(genes [N, G], numbers
+    [N]) -> [N]``, where several can be made at once.
+    """
+
+    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+        """Return the fitness of an individual [G] in a trial; the higher the better.
+
+        Args:
+            genes: of it.
+            number: how many trials were made before.
+        """
+        ...
+
+
+#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`.
+REALITIES = Registry(
+    "reality",
+    "neurosim.realities",
+    {
+        "virtual-walker": "neurosim.lab.walker:VirtualWalker",
+        "by-hand": "neurosim.back_to_reality.by_hand:ByHand",
+    },
+)
+
+
+def make_reality(name: str, controller: Any, **options: Any) -> Reality:
+    """Return a reality.
+
+    Raises:
+        UserError: if there is none of this name, it does not take the options, or what has the
+            name is none.
+    """
+    found = REALITIES.make(name, {"controller": controller, **options})
+    if not isinstance(found, Reality):
+        raise UserError(f"the reality {name!r} has no trial()")
+    return found
+
+
+class Trials:
+    """The trials of one run, and the file in which they stand.
+
+    Attributes:
+        used: how many trials the run has used so far, those of before an interruption included.
+        made: how many of them were made since it was begun or resumed.
+    """
+
+    def __init__(
+        self,
+        reality: Reality | Callable[[NDArray[np.float64]], float],
+        path: str | Path,
+        *,
+        each: int = 3,
+        patience: float = 600.0,
+        ask: Callable[[str], None] | None = None,
+    ):
+        """Open the file of trials, or begin it.
+
+        Args:
+            reality: where; or a function of genes [G] that returns a fitness.
+            path: the file, lines of JSON.
+            each: so many trials are an evaluation, whose fitness is their mean (section 5.2: 3).
+            patience: a trial that takes longer is given up, s.
+            ask: asks a person to do something, and returns when it is done.
+
+        Raises:
+            UserError: if the reality needs a person and there is none.
+            FileError: if the file is damaged, or is of another reality.
+        """
+        self._reality: Any = _Function(reality) if not isinstance(reality, Reality) else reality
+        self._each, self._patience, self._ask = each, patience, ask
+        self._instruction = getattr(self._reality, "instruction", None)
+        if self._instruction is not None and ask is None:
+            raise UserError(
+                f"this reality needs a person ({self._instruction}): give a function that asks one"
+            )
+        about = self._reality.describe() if hasattr(self._reality, "describe") else {}
+        self._file = JsonLines(path, FORMAT, VERSION, {"reality": about})
+        self._known: dict[bytes, list[float]] = {}
+        for line, row in enumerate(self._file.rows, 2):
+            genes, fitness = _checked(row, self._file.path, line)
+            self._known.setdefault(genes.tobytes(), []).append(fitness)
+        self._count = len(self._file.rows)
+        self.used = self.made = 0
+        self._taken: dict[bytes, int] = {}
+
+    @property
+    def evaluations(self) -> float:
+        """How many evaluations the run has used so far: trials by trials of one."""
+        return self.used / self._each
+
+    def evaluate(
+        self, genes: NDArray[np.float64], why: str, evaluations: int = 1
+    ) -> NDArray[np.float64]:
+        """Return the mean fitness [P] of individuals [P, G], making the trials that lack.
+
+        Args:
+            genes: a row for each individual.
+            why: what the trials are for, to stand in the file.
+            evaluations: the mean is over the first so many of them; what was tried before counts.
+
+        Raises:
+            UserError: if the reality returned no finite number.
+            RobotError: if it did not answer in time, or was lost.
+        """
+        wanted = evaluations * self._each
+        missing = []
+        for key, row in {row.tobytes(): row for row in genes}.items():
+            missing += [row] * (wanted - len(self._known.get(key, [])))
+            self.used += max(wanted - self._taken.get(key, 0), 0)
+            self._taken[key] = max(wanted, self._taken.get(key, 0))
+        self._make(missing, why)
+        return np.array([np.mean(self._known[row.tobytes()][:wanted]) for row in genes])
+
+    def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
+        if not rows:
+            return
+        numbers = self._count + np.arange(len(rows))
+        if hasattr(self._reality, "trials") and self._instruction is None:
+            for first in range(0, len(rows), AT_ONCE):
+                part = rows[first : first + AT_ONCE]
+                which = numbers[first : first + AT_ONCE]
+                call = partial(self._reality.trials, np.stack(part), which)
+                found = self._answer(call, len(part), int(which[0]))
+                if np.shape(found) != (len(part),):
+                    raise _no_number(found, int(which[0]))
+                for row, fitness in zip(part, found, strict=True):
+                    self._write(row, fitness, why)
+            return
+        for row, number in zip(rows, numbers, strict=True):
+            if self._ask is not None and self._instruction is not None:
+                self._ask(self._instruction)
+            call = partial(self._reality.trial, row, int(number))
+            self._write(row, self._answer(call, 1, int(number)), why)
+
+    def _answer(self, call: Callable[[], Any], trials: int, number: int) -> Any:
+        """Return what a call returns, unless it takes too long."""
+        if self._instruction is not None and getattr(self._reality, "patient", False):
+            return call()
+        box: queue.Queue[tuple[Any, BaseException | None]] = queue.Queue()
+
+        def work() -> None:
+            try:
+                box.put((call(), None))
+            except BaseException as error:
+                box.put((None, error))
+
+        threading.Thread(target=work, daemon=True).start()
+        try:
+            found, error = box.get(timeout=self._patience * trials)
+        except queue.Empty:
+            raise RobotError(
+                f"reality did not answer in trial {number + 1} within {self._patience:g} s; what "
+                "was tried before is kept: put it right and go on with --resume"
+            ) from None
+        if error is not None:
+            raise error
+        return found
+
+    def _write(self, genes: NDArray[np.float64], fitness: Any, why: str) -> None:
+        try:
+            value = float(fitness)
+        except (TypeError, ValueError):
+            raise _no_number(fitness, self._count) from None
+        if not math.isfinite(value):
+            raise _no_number(fitness, self._count)
+        self._file.append(
+            {"number": self._count, "genes": genes.tolist(), "fitness": value, "why": why}
+        )
+        self._known.setdefault(genes.tobytes(), []).append(value)
+        self._count += 1
+        self.made += 1
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+class _Function:
+    """A reality made of a function of genes alone."""
+
+    def __init__(self, function: Any):
+        if not callable(function):
+            raise UserError("a reality has trial(genes, number), or is a function of genes")
+        self._function = function
+
+    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+        """Return what the function returns."""
+        return self._function(genes)
+
+
+def _no_number(found: Any, number: int) -> UserError:
+    shown = "nothing" if found is None else f"{found!s:.40}"
+    return UserError(
+        f"reality returned {shown} in trial {number + 1}, not a fitness; what was tried before is "
+        "kept: put it right and go on with --resume"
+    )
+
+
+def _checked(row: Mapping[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], float]:
+    genes, fitness = row.get("genes"), row.get("fitness")
+    if not isinstance(fitness, float | int) or isinstance(fitness, bool):
+        raise FileError(path, f"expected a number, found {fitness!r}", line=line, field="fitness")
+    try:
+        return np.array(genes, np.float64).reshape(-1), float(fitness)
+    except (TypeError, ValueError):
+        raise FileError(path, "expected numbers", line=line, field="genes") from None
+
+
+def read_trials(path: str | Path) -> list[dict[str, Any]]:
+    """Read a file of trials: number, genes, fitness and why of each.
+
+    Raises:
+        FileError: if it is missing or damaged.
+    """
+    found = read_json_lines(path)[0][1:]
+    for line, row in enumerate(found, 2):
+        _checked(row, Path(path), line)
+    return found

@@ -1,0 +1,265 @@
+"""A whole run: from a simulator, a controller and a reality to a folder that a person can open."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.back_to_reality.alternate import Alternation, Found
+from neurosim.back_to_reality.reality import Reality, Trials
+from neurosim.back_to_reality.settings import BackToRealitySettings
+from neurosim.back_to_reality.simulated import Simulated
+from neurosim.base import files
+from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.errors import FileError, UserError
+from neurosim.controllers import SavedController, read_controller
+from neurosim.controllers.base import Controller
+from neurosim.loop.evaluate import Evaluator
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Task
+
+FORMAT, VERSION = "neurosim-back-to-reality", 1
+GENES_FORMAT, GENES_VERSION = "neurosim-parameters", 1
+TRIALS = "trials.jsonl"
+#: Poses of the expected path that are written of a controller.
+_POSES = 200
+
+
+def start_genes(controller: Controller, path: str | Path | None = None) -> NDArray[np.float64]:
+    """Return the genes [G] to start from.
+
+    Args:
+        controller: the family.
+        path: a controller's folder; or a JSON file with the controller's parameters by name, or
+            with ``genes``. None: what was tuned by hand, where the controller knows of one.
+
+    Raises:
+        UserError: if there is nothing to start from, or it is of another kind.
+        FileError: if the file is missing or wrong.
+    """
+    if path is None:
+        if not hasattr(controller, "hand_tuned"):
+            raise UserError(
+                f"name the controller to start from (--start): of the kind {controller.kind} none "
+                "was tuned by hand"
+            )
+        return np.asarray(controller.hand_tuned(), np.float64)
+    if Path(path).is_dir():
+        saved = read_controller(path)
+        if saved.kind != controller.kind or saved.genes.shape != (controller.genes,):
+            raise UserError(
+                f"{path} holds a {saved.kind} of {saved.genes.size} genes; expected a "
+                f"{controller.kind} of {controller.genes}"
+            )
+        return saved.genes
+    content = files.read_json(path, GENES_FORMAT, GENES_VERSION)
+    named = content.get("parameters")
+    try:
+        if named is not None and hasattr(controller, "from_named"):
+            return np.asarray(controller.from_named(named), np.float64)
+        genes = np.array(content.get("genes"), np.float64)
+    except UserError as error:
+        raise FileError(path, str(error), field="parameters") from None
+    except (TypeError, ValueError, AttributeError):
+        genes = np.empty(0)
+    if genes.shape != (controller.genes,) or not np.isfinite(genes).all():
+        raise FileError(path, f"expected {controller.genes} finite numbers", field="genes")
+    return genes
+
+
+def back_to_reality(
+    simulator: Simulator,
+    task: Task,
+    controller: Controller,
+    reality: Reality,
+    *,
+    out: str | Path,
+    start: NDArray[np.float64] | None = None,
+    settings: BackToRealitySettings | None = None,
+    seed: int = 0,
+    resume: bool = False,
+    options: Mapping[str, Any] | None = None,
+    ask: Callable[[str], None] | None = None,
+    patience: float = 600.0,
+    progress: bool = True,
+) -> dict[str, Any]:
+    """Adapt a controller and a simulator to each other, and write what came of it.
+
+    While it runs ``OUT.checkpoint`` holds the trials made so far and the state of the search.
+
+    Args:
+        simulator: with adjustable parameters.
+        task: judges trials in the simulator.
+        controller: the family.
+        reality: tries controllers.
+        out: folder of the result: ``back-to-reality.json``, ``trials.jsonl``, ``controller`` and,
+            of a simulator that can be written, ``simulator``, ``simulator-2`` ...
+        start: [G] the genes to start from; None: those tuned by hand.
+        settings: how; by default the paper's.
+        seed: random seed.
+        resume: go on with the interrupted run of ``out``.
+        options: kept in the checkpoint, for whoever resumes.
+        ask: asks a person to do something, and returns when it is done.
+        patience: a trial in reality that takes longer is given up, s.
+        progress: whether to show progress on stderr.
+
+    Returns:
+        What ``back-to-reality.json`` holds.
+
+    Raises:
+        UserError: if they do not fit each other, something stands at ``out``, or what is to be
+            resumed is not there or was begun with other settings.
+        RobotError: if reality did not answer; go on with ``resume``.
+        KeyboardInterrupt: at Ctrl-C; go on with ``resume``.
+    """
+    settings = settings or BackToRealitySettings()
+    simulated = Simulated(simulator, task, controller)
+    shares = simulated.shares_of(start_genes(controller) if start is None else start)
+    if start is not None and hasattr(controller, "check"):
+        controller.check(np.asarray(start, np.float64))
+    about = reality.describe() if hasattr(reality, "describe") else {}
+    begun = {
+        **asdict(settings),
+        **simulator.conditions(),
+        "seed": seed,
+        "task": task.describe(),
+        "controller": {"kind": controller.kind, "settings": controller.settings()},
+        "reality": about,
+        "start": simulated.real_genes(shares).tolist(),
+    }
+    files.check_new_folder(out)
+    checkpoint = Checkpoint(out, "run")
+    state = None
+    if resume:
+        state = checkpoint.resume(begun)
+    else:
+        checkpoint.begin(begun, options)
+    trials = Trials(
+        reality, checkpoint.folder / TRIALS, each=settings.trials, patience=patience, ask=ask
+    )
+    try:
+        alternation = Alternation(
+            simulated, trials, shares, settings, seed=seed, state=state, save=checkpoint.save,
+            progress=progress,
+        )  # fmt: skip
+        try:
+            found = alternation.run()
+        except ValueError as error:
+            if "another search" in str(error):
+                raise checkpoint.damaged() from None
+            raise
+    finally:
+        trials.close()
+        if not (trials.made or resume or checkpoint.saved):
+            checkpoint.remove()  # nothing came of it
+    content = _content(found, simulated, begun, task, controller)
+    with files.new_folder(out) as partial:
+        shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
+        saved_in = _simulators(found, simulated, partial)
+        _controller(found, simulated, task, controller, content, saved_in).write(
+            partial / "controller"
+        )
+        files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
+    checkpoint.remove()
+    return content
+
+
+def _content(
+    found: Found,
+    simulated: Simulated,
+    begun: Mapping[str, Any],
+    task: Task,
+    controller: Controller,
+) -> dict[str, Any]:
+    genes = simulated.real_genes(found.genes)
+    named = controller.named(genes) if hasattr(controller, "named") else None
+    parameters = [
+        {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "before": one.value}
+        for one in simulated.parameters
+    ]
+    settings = {name: begun[name] for name in asdict(BackToRealitySettings())}
+    return {
+        "task": begun["task"],
+        "controller": {**begun["controller"], "genes": genes, "named": named},
+        "reality": begun["reality"],
+        "settings": settings,
+        "seed": begun["seed"],
+        "parameters": parameters,
+        "start": {"genes": begun["start"], "fitness": found.start},
+        "best": {"fitness": found.fitness, "times_start": _times(found)},
+        "evaluations": found.evaluations,
+        "trials": found.trials,
+        "simulated_trials": simulated.tried,
+        "real": [one.fitness for one in found.record.all],
+        "believed": [
+            found.record.believed(settings["confirm"], first + 1).fitness
+            for first in range(len(found.record))
+        ],
+        "cycles": [
+            {key: value for key, value in cycle.items() if key not in ("adapted", "before")}
+            for cycle in found.cycles
+        ],
+    }
+
+
+def _times(found: Found) -> float | None:
+    return found.fitness / found.start if found.start > 0.0 else None
+
+
+def _simulators(found: Found, simulated: Simulated, folder: Path) -> list[str]:
+    """Write the adapted simulators, where they can be written; return their names."""
+    names = []
+    for place, one in enumerate(found.sets):
+        simulator = simulated.adjusted(one)
+        if not hasattr(simulator, "write"):
+            return []
+        names.append("simulator" if not place else f"simulator-{place + 1}")
+        simulator.write(folder / names[-1])
+    return names
+
+
+def _controller(
+    found: Found,
+    simulated: Simulated,
+    task: Task,
+    controller: Controller,
+    content: Mapping[str, Any],
+    simulators: list[str],
+) -> SavedController:
+    """Return the best controller as it is saved, with what the adapted simulator expects of it."""
+    genes = simulated.real_genes(found.genes)
+    evaluator = Evaluator(simulated.adjusted(found.sets[0]), task, controller)
+    judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
+    assert trajectory.poses is not None
+    poses = trajectory.poses[0, 0]
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    poses = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
+    return SavedController(
+        controller=controller,
+        genes=genes,
+        task=content["task"],
+        start=tuple(poses[0].tolist()),
+        predicted={
+            "poses": poses.tolist(),
+            "rest": poses[-1].tolist(),
+            "fitness": float(judged.fitness[0].mean()),
+            "completes": bool(judged.success[0].all()),
+            "unsupported": 0.0,
+        },
+        simulator={"path": simulators[0]} if simulators else {},
+        evolution={
+            "settings": content["settings"],
+            "seed": content["seed"],
+            "run": 0,
+            "interrupted": False,
+            "robot": content["reality"],
+            "fitness_in_reality": found.fitness,
+            "history": found.cycles[-1]["L1"] if found.cycles else {"best": [], "mean": []},
+        },
+    )

@@ -1,0 +1,94 @@
+"""Controllers in a simulator whose parameters are adjusted; all else here asks this only."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.controllers.base import Controller
+from neurosim.loop.evaluate import Evaluator
+from neurosim.simulators.adjustable import Adjustable, AdjustableSimulator
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Task
+
+
+class Simulated:
+    """A simulator with parameters, a task and a controller: shares in, fitness out.
+
+    Genes and parameters are handed to it as shares 0..1 of their ranges.
+
+    Attributes:
+        parameters: of the simulator.
+        genes: how many an individual has.
+        as_is: [K] shares of the parameters before anything was adjusted.
+        tried: how many trials were simulated.
+    """
+
+    def __init__(self, simulator: Simulator, task: Task, controller: Controller):
+        """Join the three.
+
+        Raises:
+            UserError: if they do not fit each other, or the simulator has no parameters.
+        """
+        if not isinstance(simulator, AdjustableSimulator):
+            raise UserError(
+                f"a simulator of the kind {simulator.kind} has no parameters that could be "
+                "adjusted to reality: it needs parameters and adjusted()"
+            )
+        self._simulator, self._task, self._controller = simulator, task, controller
+        self.parameters: tuple[Adjustable, ...] = tuple(simulator.parameters)
+        self.genes = controller.genes
+        self.as_is = np.array([one.share(one.value) for one in self.parameters])
+        self.tried = 0
+        self._evaluator(self.as_is)  # refuses what does not fit
+
+    def real_genes(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the genes [..., G] of shares [..., G] of the controller's range of genes."""
+        low, high = self._controller.gene_range
+        return low + (high - low) * np.asarray(shares, np.float64)
+
+    def shares_of(self, genes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the shares [..., G] of genes [..., G].
+
+        Raises:
+            UserError: if one is not finite or out of the controller's range.
+        """
+        low, high = self._controller.gene_range
+        genes = np.asarray(genes, np.float64)
+        if genes.shape[-1:] != (self.genes,):
+            raise UserError(f"expected {self.genes} genes, got {genes.shape[-1:]}")
+        if not ((genes >= low) & (genes <= high)).all():
+            raise UserError(f"a gene lies outside of {low:g} to {high:g}, where the search is")
+        return (genes - low) / (high - low)
+
+    def values(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return parameters [K] in their units of shares [K]."""
+        return np.array([one.at(s) for one, s in zip(self.parameters, shares, strict=True)])
+
+    def adjusted(self, shares: NDArray[np.float64]) -> Any:
+        """Return the simulator with other parameters [K]."""
+        assert isinstance(self._simulator, AdjustableSimulator)
+        return self._simulator.adjusted(self.values(shares))
+
+    def _evaluator(self, shares: NDArray[np.float64]) -> Evaluator:
+        return Evaluator(self.adjusted(shares), self._task, self._controller)
+
+    def fitness(
+        self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the fitness [P] of individuals [P, G] with one set of parameters [K].
+
+        It is what the simulator expects, without noise. A simulation that blows up is worth 0.
+        """
+        evaluator = self._evaluator(parameters)
+        self.tried += len(genes)
+        with evaluator.threads_for(len(genes)):
+            merit, _ = evaluator.merit(self.real_genes(genes), evaluator.expectation())
+        return np.nan_to_num(merit.merit, nan=0.0, posinf=0.0, neginf=0.0)
+
+    def over(self, genes: NDArray[np.float64], sets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the fitness [S, P] of individuals [P, G] with sets of parameters [S, K]."""
+        return np.stack([self.fitness(genes, one) for one in sets])

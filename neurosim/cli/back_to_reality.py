@@ -1,0 +1,199 @@
+"""``neurosim back-to-reality``: a simulator and a reality -> a controller that works in both."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import click
+
+from neurosim.base.checkpoint import Checkpoint
+from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
+from neurosim.cli._options import (
+    Chosen,
+    SettingsCommand,
+    choice_options,
+    given_options,
+    settings_options,
+)
+from neurosim.cli._types import PATH, POSITIVE
+
+
+def _settings(chosen: Chosen) -> Any:
+    """Return the settings that are named; their values are the options' defaults."""
+    from neurosim.back_to_reality import settings_named
+
+    return settings_named(chosen["settings"])
+
+
+class _Named:
+    """What ``--settings`` takes."""
+
+    def names(self) -> list[str]:
+        """Return the names."""
+        return ["paper", "better"]
+
+    def get(self, name: str) -> Any:
+        """Return the settings of this name; raise UserError if there are none."""
+        from neurosim.back_to_reality import settings_named
+
+        return settings_named(name)
+
+
+NAMED = _Named()
+
+
+@click.command(
+    "back-to-reality",
+    cls=SettingsCommand,
+    begun=lambda values: Checkpoint(values["out"], "run").options(),
+)
+@click.option("-o", "--out", type=PATH, required=True, help="Folder of the result.")
+@click.option(
+    "--simulator",
+    type=PATH,
+    help="A simulator with adjustable parameters.  [default: the walking robot's]",
+)
+@choice_options(
+    "--task", "neurosim.cli._tasks:FILES_AND_TASKS", default="walking", help="The task."
+)
+@choice_options(
+    "--controller",
+    "neurosim.controllers:CONTROLLERS",
+    default="gait",
+    help="The kind of controller.",
+    names={"slots": "commands"},
+    optional=("inputs",),
+)
+@choice_options(
+    "--reality",
+    "neurosim.back_to_reality.reality:REALITIES",
+    default="virtual-walker",
+    help="Where controllers are tried for real. The first is a robot of the lab; by-hand: a person "
+    "types what came out.",
+)
+@click.option(
+    "--start",
+    type=PATH,
+    help="What to start from: a controller's folder, or a JSON file of its parameters.  "
+    "[default: what was tuned by hand]",
+)
+@choice_options(
+    "--settings",
+    "neurosim.cli.back_to_reality:NAMED",
+    default="paper",
+    help="The settings: the paper's, or our own choices.",
+    of=lambda settings: None,  # they are options below
+)
+@settings_options("how", _settings, by_choice=True)
+@settings_options(
+    "genetic",
+    lambda chosen: _settings(chosen).genetic,
+    by_choice=True,
+    prefix="search-",
+)
+@settings_options(
+    "adapt_genetic",
+    lambda chosen: _settings(chosen).adapt_genetic,
+    by_choice=True,
+    prefix="adapt-",
+)
+@settings_options("policy", lambda chosen: _settings(chosen).policy, by_choice=True)
+@click.option(
+    "--patience",
+    type=POSITIVE,
+    default=600.0,
+    show_default=True,
+    help="A trial in reality that takes longer is given up, s.",
+)
+@resume_option
+@seed_option
+@json_option
+def back_to_reality(
+    out: Path,
+    simulator: Path | None,
+    task: str,
+    task_options: dict[str, Any],
+    controller: str,
+    controller_options: dict[str, Any],
+    reality: str,
+    reality_options: dict[str, Any],
+    start: Path | None,
+    settings: str,
+    settings_options: dict[str, Any],
+    how: dict[str, Any],
+    genetic: dict[str, Any],
+    adapt_genetic: dict[str, Any],
+    policy: dict[str, Any],
+    patience: float,
+    resume: bool,
+    seed: int,
+    as_json: bool,
+) -> None:
+    """Adapt a controller and a simulator to each other by trials in reality.
+
+    Controllers are evolved in the simulator (L1), tried in reality, and the simulator's parameters
+    are changed until it gives the fitness that reality gave (L3); the best controller learns on in
+    reality (L2), and the simulator is gone back to (Zagal, Ruiz-del-Solar and Vallejos 2004).
+    Every trial is on the disk before it is used; --resume continues an interrupted run.
+    """
+    from neurosim.back_to_reality.reality import make_reality
+    from neurosim.back_to_reality.run import back_to_reality as run
+    from neurosim.back_to_reality.run import start_genes
+    from neurosim.back_to_reality.settings import settings_named
+    from neurosim.cli._tasks import read_task
+    from neurosim.controllers import make_controller
+    from neurosim.simulators import read_simulator
+    from neurosim.simulators.legged.simulator import LeggedSimulator
+    from neurosim.tasks.registry import make_task
+
+    name, of_file = read_task(task)
+    made = make_task(name, **{**of_file, **task_options})
+    found = LeggedSimulator() if simulator is None else read_simulator(simulator)
+    family = make_controller(controller, found, made, **controller_options)
+    chosen = settings_named(settings)
+    chosen = replace(
+        chosen,
+        genetic=replace(chosen.genetic, **genetic),
+        adapt_genetic=replace(chosen.adapt_genetic, **adapt_genetic),
+        policy=replace(chosen.policy, **policy),
+        **how,
+    )
+    content = run(
+        found,
+        made,
+        family,
+        make_reality(reality, family, **reality_options),
+        out=out,
+        start=start_genes(family, start),
+        settings=chosen,
+        seed=seed,
+        resume=resume,
+        options=given_options(),
+        ask=_ask,
+        patience=patience,
+    )
+    emit({"out": str(out), **content}, as_json, _text(content, out))
+
+
+def _ask(message: str) -> None:
+    click.prompt(message, default="", show_default=False, prompt_suffix=". ", err=True)
+
+
+def _text(content: dict[str, Any], out: Path) -> str:
+    start, best = content["start"]["fitness"], content["best"]
+    times = "" if best["times_start"] is None else f", {best['times_start']:.2f} times that"
+    text = (
+        f"{out}: fitness {start:.3g} in reality to start with, {best['fitness']:.3g} in the end"
+        f"{times}, after {content['trials']} trials.\n"
+    )
+    for number, cycle in enumerate(content["cycles"], 1):
+        if "L3" in cycle:
+            compared = cycle["L3"]["compared"]
+            text += (
+                f"Cycle {number}: the simulator and reality differed by "
+                f"{compared['before']['norm']:.3g} over {compared['individuals']} controllers "
+                f"(norm), by {compared['after']['norm']:.3g} after its parameters were adapted.\n"
+            )
+    return text + next_step("report", out, out / "controller", "-o", "report.html")

@@ -1,0 +1,5 @@
+"""A walking robot of the lab, and the places where it walks."""
+
+from neurosim.lab.walker.robot import PLACES, Place, VirtualWalker
+
+__all__ = ["PLACES", "Place", "VirtualWalker"]

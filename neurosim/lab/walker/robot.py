@@ -1,0 +1,269 @@
+"""Walking robots of the lab: what stands in for reality where nobody has a robot.
+
+A learner is shown one number a trial. The physics behind it differ from the simulator's in ways
+that none of its adjustable parameters can express: another time step, another friction cone,
+backlash, dry friction in the joints, servos that lag and have a greatest speed, legs of unequal
+lengths, bumps, a battery that runs down, and noise from trial to trial.
+
+The trial is the paper's (Zagal et al. 2004, section 5.2): the robot is put in the middle of a
+circle with a radius of 200 cm, is started, and is stopped where it crosses the circle; its fitness
+is the radius divided by the time. A fall, or not to arrive in time, is a fitness of 0.
+
+The constants were fixed before anything was tuned. ``main`` is what methods are developed on, the
+other two are only reported on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.robots.quadruped import JOINTS, standing
+from neurosim.simulators.legged.build import Build, compile_model
+from neurosim.simulators.legged.physics import FRAME, Physics
+
+#: Radius of the circle, m, and the longest trial, s.
+RADIUS, LONGEST = 2.0, 60.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """A robot and the place where it walks.
+
+    Attributes:
+        build: the robot's true measures.
+        lag: time constant with which servos follow their commands, s.
+        speed: fastest that a servo turns, rad/s.
+        sag: share of torque and of the servos' speed that is lost from a full battery to an
+            empty one.
+        charge: trials from a full battery to an empty one; then it is charged.
+        bumps: how many there are in a square metre.
+        height: of the highest, m.
+        scatter: standard deviations from trial to trial: of the heading at the start, rad; of the
+            friction, a share; of the time that is measured, s.
+        seed: of where the bumps are.
+    """
+
+    build: Build
+    lag: float
+    speed: float
+    sag: float
+    charge: int
+    bumps: float
+    height: float
+    scatter: tuple[float, float, float]
+    seed: int
+
+
+#: By name. The time step is half the simulator's, the cone a pyramid.
+PLACES = {
+    "main": Place(
+        Build(
+            head=0.24,
+            neck=0.09,
+            body=0.72,
+            leg=0.17,
+            friction=0.62,
+            gravity=9.81,
+            slip=0.035,
+            slip_ratio=1.6,
+            p=4.5,
+            i=2.0,
+            d=0.08,
+            torque=0.75,
+            timestep=0.002,
+            iterations=30,
+            cone="pyramidal",
+            armature=0.002,
+            damping=0.015,
+            joint_friction=0.03,
+            backlash=0.026,
+            legs=(1.0, 0.99, 1.01, 1.0),
+        ),
+        lag=0.025,
+        speed=6.0,
+        sag=0.2,
+        charge=45,
+        bumps=6.0,
+        height=0.003,
+        scatter=(0.05, 0.04, 0.05),
+        seed=1,
+    ),
+    "carpet": Place(
+        Build(
+            head=0.22,
+            neck=0.07,
+            body=0.66,
+            leg=0.18,
+            friction=0.9,
+            gravity=9.81,
+            slip=0.06,
+            slip_ratio=0.8,
+            p=5.5,
+            i=1.0,
+            d=0.12,
+            torque=0.7,
+            timestep=0.002,
+            iterations=30,
+            cone="pyramidal",
+            armature=0.0025,
+            damping=0.02,
+            joint_friction=0.045,
+            backlash=0.017,
+            legs=(1.01, 1.0, 0.99, 1.0),
+        ),
+        lag=0.03,
+        speed=5.5,
+        sag=0.15,
+        charge=60,
+        bumps=12.0,
+        height=0.002,
+        scatter=(0.06, 0.05, 0.05),
+        seed=2,
+    ),
+    "parquet": Place(
+        Build(
+            head=0.18,
+            neck=0.10,
+            body=0.78,
+            leg=0.15,
+            friction=0.48,
+            gravity=9.81,
+            slip=0.02,
+            slip_ratio=1.2,
+            p=3.8,
+            i=3.0,
+            d=0.06,
+            torque=0.85,
+            timestep=0.002,
+            iterations=30,
+            cone="pyramidal",
+            armature=0.0018,
+            damping=0.012,
+            joint_friction=0.02,
+            backlash=0.035,
+            legs=(0.995, 1.0, 1.0, 1.015),
+        ),
+        lag=0.02,
+        speed=6.5,
+        sag=0.25,
+        charge=30,
+        bumps=2.0,
+        height=0.004,
+        scatter=(0.04, 0.06, 0.05),
+        seed=3,
+    ),
+}
+
+
+class VirtualWalker:
+    """A walking robot of the lab: controllers in, one number a trial out.
+
+    It is the reality of :mod:`neurosim.back_to_reality`.
+
+    Attributes:
+        controller: whose genes it is given; its commands are angles of the joints by time.
+        place: the robot's name and where it walks.
+    """
+
+    def __init__(self, controller: Any, place: str = "main", seed: int = 0):
+        """Put a robot of the lab in its place.
+
+        Args:
+            controller: a controller whose commands depend on time alone, such as a gait.
+            place: Where it walks: main, carpet or parquet.
+            seed: of the noise from trial to trial.
+
+        Raises:
+            UserError: if there is no such place, or the controller is of another kind.
+        """
+        if place not in PLACES:
+            raise UserError(f"there is no place {place!r} in the lab; there is {', '.join(PLACES)}")
+        if not hasattr(controller, "over") or tuple(controller.outputs) != JOINTS:
+            raise UserError(
+                f"the walking robot of the lab does gaits; a controller of the kind "
+                f"{controller.kind} gives it no angles of its joints"
+            )
+        self.controller, self.place, self._seed = controller, place, seed
+        self._place = PLACES[place]
+        self._build = replace(self._place.build, bumps=_bumps(self._place))
+        self._physics = Physics(compile_model(self._build))
+
+    def describe(self) -> dict[str, Any]:
+        """Return which robot it is."""
+        return {"kind": "virtual-walker", "virtual": True, "place": self.place, "seed": self._seed}
+
+    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+        """Return the fitness of an individual [G] in one trial, m/s.
+
+        Args:
+            genes: of it.
+            number: of the trial; it says how full the battery is and what the noise is.
+        """
+        return float(self.trials(genes[None], np.array([number]))[0])
+
+    def trials(self, genes: NDArray[np.float64], numbers: NDArray[np.int64]) -> NDArray[np.float64]:
+        """Return the fitness [N] of individuals [N, G] in one trial each, as :meth:`trial` does."""
+        place = self._place
+        times = np.arange(round(LONGEST / FRAME)) * FRAME
+        starts, models = np.zeros((len(genes), 3)), []
+        commands, clocks = self.controller.over(genes, times), np.empty(len(genes))
+        for row, number in enumerate(numbers):
+            rng = np.random.default_rng([self._seed, int(number), 0x3A1C])
+            heading, slippery, late = np.array(place.scatter) * rng.standard_normal(3)
+            left = 1.0 - place.sag * (int(number) % place.charge) / place.charge
+            starts[row, 2], clocks[row] = heading, late
+            build = replace(
+                self._build,
+                friction=self._build.friction * float(np.exp(slippery)),
+                torque=self._build.torque * left,
+            )
+            models.append(compile_model(build))
+            share, most = -np.expm1(-FRAME / place.lag), place.speed * left * FRAME
+            commands[row] = servo(commands[row], standing(), share, most)
+        poses = self._physics.walk(models, starts, commands, RADIUS)
+        away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
+        crossed = np.nan_to_num(away, nan=0.0) >= RADIUS
+        first = crossed.argmax(axis=1)
+        elapsed = np.maximum(first * FRAME + clocks, FRAME)
+        return np.where(crossed.any(axis=1), RADIUS / elapsed, 0.0)
+
+
+@njit(cache=True)
+def servo(
+    commands: NDArray[np.float64], first: NDArray[np.float64], share: float, most: float
+) -> NDArray[np.float64]:
+    """Return where servos are driven to, [T, 12] rad: late, and no faster than they can.
+
+    Args:
+        commands: [T, 12] rad, one a frame.
+        first: [12] where they are before, rad.
+        share: of the way that is left, in a frame.
+        most: in a frame, rad.
+    """
+    found = np.empty_like(commands)
+    for joint in range(commands.shape[1]):
+        now = first[joint]
+        for frame in range(len(commands)):
+            now += min(max(share * (commands[frame, joint] - now), -most), most)
+            found[frame, joint] = now
+    return found
+
+
+def _bumps(place: Place) -> tuple[tuple[float, float, float, float], ...]:
+    """Return flat bumps (x, y, radius, height) around the circle's middle, m."""
+    rng = np.random.default_rng([place.seed, 0xB0B5])
+    side = 2.0 * (RADIUS + 0.3)
+    count = round(place.bumps * side * side)
+    centres = rng.uniform(-0.5 * side, 0.5 * side, (count, 2))
+    radii, heights = rng.uniform(0.03, 0.08, count), place.height * rng.uniform(0.3, 1.0, count)
+    # Where the robot is put down the floor is flat.
+    kept: Sequence[bool] = (np.linalg.norm(centres, axis=1) > 0.3).tolist()
+    rows = np.column_stack([centres, radii, heights]).tolist()
+    return tuple(tuple(row) for row, keep in zip(rows, kept, strict=True) if keep)

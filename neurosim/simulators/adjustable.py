@@ -1,0 +1,84 @@
+"""Parameters of a simulator that can be adjusted until it does what reality did."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.simulators.base import Simulator
+
+
+@dataclass(frozen=True)
+class Adjustable:
+    """A named parameter with bounds.
+
+    Attributes:
+        name: of it.
+        value: before anything was adjusted, in ``unit``.
+        low, high: bounds.
+        unit: SI, or nothing.
+        log: whether its scale is logarithmic.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    unit: str = ""
+    log: bool = False
+
+    def __post_init__(self) -> None:
+        finite = math.isfinite(self.low) and math.isfinite(self.high)
+        if not finite or self.low >= self.high or (self.log and self.low <= 0.0):
+            raise UserError(f"the parameter {self.name}: {self.low:g} to {self.high:g} is no range")
+        self._check(self.value)
+
+    def at(self, share: float) -> float:
+        """Return the value at a share 0..1 of the range; what is outside is cut to it."""
+        share = min(max(share, 0.0), 1.0)
+        if self.log:
+            return self.low * (self.high / self.low) ** share
+        return self.low + (self.high - self.low) * share
+
+    def share(self, value: float) -> float:
+        """Return at which share of the range a value is.
+
+        Raises:
+            UserError: if it is out of bounds.
+        """
+        self._check(value)
+        if self.log:
+            return math.log(value / self.low) / math.log(self.high / self.low)
+        return (value - self.low) / (self.high - self.low)
+
+    def _check(self, value: float) -> None:
+        if not self.low <= value <= self.high:
+            unit = f" {self.unit}" if self.unit else ""
+            raise UserError(
+                f"the parameter {self.name} is {value:g}, outside of {self.low:g} to "
+                f"{self.high:g}{unit}"
+            )
+
+
+@runtime_checkable
+class AdjustableSimulator(Protocol):
+    """A simulator with parameters; what it is otherwise is :class:`Simulator`'s to say."""
+
+    @property
+    def parameters(self) -> Sequence[Adjustable]:
+        """Return its parameters, with their values as they are."""
+        ...
+
+    def adjusted(self, values: NDArray[np.float64]) -> Simulator:
+        """Return the simulator with other values [K], in the parameters' units.
+
+        Raises:
+            UserError: if one is out of bounds.
+        """
+        ...

@@ -1,0 +1,1 @@
+"""A walking robot of four legs, simulated by MuJoCo."""

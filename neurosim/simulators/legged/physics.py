@@ -1,0 +1,157 @@
+"""Trials of walking robots in MuJoCo, many at once: second by second, with early ends.
+
+``mujoco.rollout`` shares the trials out over the cores. A trial that is over, because the robot
+fell or has come far enough, costs nothing from the next second on.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.robots.quadruped import FOOT, JOINTS, standing
+from neurosim.simulators.legged.build import mujoco
+
+#: The joints get new commands so often: a frame (Zagal et al. 2004, section 5.2), s.
+FRAME = 0.008
+#: Frames that are computed at once.
+_CHUNK = 125
+#: The robot has fallen where its back points further than this from straight up, cos, or its
+#: trunk is higher than any walking robot's, m.
+FALLEN, HIGHEST = 0.5, 0.35
+
+
+class Physics:
+    """Runs walking robots of one make; keeps threads and memory for it."""
+
+    def __init__(self, model: Any, threads: int | None = None):
+        """Prepare.
+
+        Args:
+            model: an ``MjModel``; others that run here have the same joints and bodies.
+            threads: by default one for each core.
+        """
+        from mujoco import rollout
+
+        self._mujoco = mujoco()
+        # Numbers that blow up are a fall here, not worth a MUJOCO_LOG.TXT in the working folder.
+        self._mujoco.set_mju_user_warning(lambda message: None)
+        self._model = model
+        self._threads = threads or len(os.sched_getaffinity(0))
+        self._data = [self._mujoco.MjData(model) for _ in range(self._threads)]
+        self._pool = rollout.Rollout(nthread=self._threads if self._threads > 1 else 0)
+        self._joints = [model.joint(name).qposadr[0] for name in JOINTS]
+        self._full = self._mujoco.mjtState.mjSTATE_FULLPHYSICS
+        self.size = self._mujoco.mj_stateSize(model, self._full)
+        self._standing = self._stand()
+
+    def _stand(self) -> NDArray[np.float64]:
+        """Return the state of a robot that stands at the origin, feet on the floor."""
+        data = self._data[0]
+        self._mujoco.mj_resetData(self._model, data)
+        data.qpos[self._joints] = standing()
+        data.qpos[2] = 1.0
+        self._mujoco.mj_forward(self._model, data)
+        model, lowest = self._model, np.inf
+        for geom in range(model.ngeom):
+            if (model.geom(geom).name or "").endswith("_lower"):
+                half = data.geom_xmat[geom].reshape(3, 3)[2, 2] * model.geom_size[geom, 1]
+                lowest = min(lowest, data.geom_xpos[geom, 2] - abs(half) - FOOT)
+        data.qpos[2] = 1.0 - lowest
+        state = np.empty(self.size)
+        self._mujoco.mj_getState(model, data, state, self._full)
+        return state
+
+    def standing(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the states [B, size] of robots that stand at poses [B, 3] (m, m, rad)."""
+        states = np.tile(self._standing, (len(poses), 1))
+        states[:, 1:3] = poses[:, :2]
+        states[:, 4], states[:, 5:7] = np.cos(0.5 * poses[:, 2]), 0.0
+        states[:, 7] = np.sin(0.5 * poses[:, 2])
+        return states
+
+    def frames(
+        self, models: Any, states: NDArray[np.float64], commands: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the states [B, T, size] after each of T frames; NaN once numbers blow up.
+
+        Args:
+            models: one for all or one for each.
+            states: [B, size].
+            commands: [B, T, 12] joint angles, rad.
+        """
+        first = models[0] if isinstance(models, Sequence) else models
+        steps = round(FRAME / first.opt.timestep)
+        control = np.repeat(np.ascontiguousarray(commands, np.float64), steps, axis=1)
+        whole = np.asarray(np.isfinite(states).all(axis=1))
+        begun = np.where(whole[:, None], states, self._standing)
+        found, _ = self._pool.rollout(
+            list(models) if isinstance(models, Sequence) else models, self._data, begun, control
+        )
+        found = found[:, steps - 1 :: steps]
+        # Where numbers blow up MuJoCo stops, and its clock with it.
+        due = begun[:, :1] + FRAME * np.arange(1, found.shape[1] + 1)
+        found[(np.abs(found[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
+        return found
+
+    def walk(
+        self,
+        models: Any,
+        starts: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        reach: float | None = None,
+    ) -> NDArray[np.float64]:
+        """Return the poses [B, T + 1, 3] of robots; NaN from a fall on.
+
+        Args:
+            models: one for all or one for each.
+            starts: [B, 3] poses at which they stand (m, m, rad).
+            commands: [B, T, 12] joint angles, rad.
+            reach: a trial ends when the robot is this far from its start, m; it keeps its last
+                pose then.
+        """
+        rows, frames = commands.shape[:2]
+        poses = np.full((rows, frames + 1, 3), np.nan)
+        poses[:, 0] = starts
+        states, going = self.standing(starts), np.arange(rows)
+        for first in range(0, frames, _CHUNK):
+            part = slice(first, min(first + _CHUNK, frames))
+            chosen = [models[int(row)] for row in going] if isinstance(models, Sequence) else models
+            found = self.frames(chosen, states[going], commands[going, part])
+            seen = poses_of(found, poses[going, first])
+            states[going] = found[:, -1]
+            poses[going, first + 1 : part.stop + 1] = seen
+            over = np.isnan(seen[:, -1, 0])
+            if reach is not None:
+                away = np.linalg.norm(seen[..., :2] - starts[going, None, :2], axis=-1)
+                arrived = ~over & (np.nanmax(np.where(over[:, None], 0.0, away), axis=1) >= reach)
+                poses[going[arrived], part.stop + 1 :] = seen[arrived, -1:]
+                over |= arrived
+            going = going[~over]
+            if not len(going):
+                break
+        return poses
+
+    def __getstate__(self) -> None:
+        raise TypeError("threads cannot be copied")
+
+
+def poses_of(states: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the poses [B, T, 3] of states [B, T, size]; NaN from a fall on.
+
+    Args:
+        states: frame by frame.
+        before: [B, 3] the poses before them; a NaN stays one.
+    """
+    x, y, height, w, i, j, k = np.moveaxis(states[..., 1:8], -1, 0)
+    heading = np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
+    upright = 1.0 - 2.0 * (i * i + j * j)
+    with np.errstate(invalid="ignore"):
+        lost = ~np.isfinite(states).all(-1) | ~(upright > FALLEN) | ~(height < HIGHEST)
+    lost = np.logical_or.accumulate(lost | np.isnan(before[:, None, 0]), axis=1)
+    turned = np.unwrap(np.concatenate([before[:, None, 2], heading], axis=1), axis=1)[:, 1:]
+    return np.where(lost[..., None], np.nan, np.stack([x, y, turned], axis=-1))

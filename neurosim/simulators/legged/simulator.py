@@ -1,0 +1,200 @@
+"""The simulator of the walking robot, with the adjustable parameters of Zagal et al. 2004.
+
+Section 5.1.2: four masses, four parameters of the dynamics, four of the joints. The paper's slip
+in two directions is that of ODE, where a foot creeps with a speed proportional to the force.
+MuJoCo's friction creeps so, too, as its constraints are soft: with a speed that is about
+proportional to the tangential force and to the time constant of ``solreffriction``. That is one
+for both directions; what differs between them is the regularisation, which goes with one over the
+square of a direction's friction coefficient. So ``slip`` is the time constant, and ``slip_ratio``
+says how much more a foot creeps to the side than ahead; the coefficient to the side is divided by
+its square root.
+
+The model is compiled anew for other parameters: inertias go with the masses.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.robots.quadruped import JOINTS
+from neurosim.simulators.adjustable import Adjustable
+from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, as_seed, put_down
+from neurosim.simulators.legged.build import Build, compile_model
+from neurosim.simulators.legged.physics import FRAME, Physics, poses_of
+
+#: name -> lowest, highest, unit, whether on a logarithmic scale.
+_RANGES: dict[str, tuple[float, float, str, bool]] = {
+    "head": (0.08, 0.4, "kg", False),
+    "neck": (0.03, 0.2, "kg", False),
+    "body": (0.3, 1.2, "kg", False),
+    "leg": (0.06, 0.3, "kg", False),
+    "friction": (0.3, 1.5, "", True),
+    "gravity": (8.0, 11.5, "m/s^2", False),
+    "slip": (0.003, 0.12, "s", True),
+    "slip_ratio": (0.25, 4.0, "", True),
+    "p": (1.5, 15.0, "N m/rad", True),
+    "i": (0.3, 15.0, "N m/(rad s)", True),
+    "d": (0.02, 0.4, "N m s/rad", True),
+    "torque": (0.25, 2.0, "N m", True),
+}
+PARAMETERS = tuple(_RANGES)
+
+
+class LeggedSimulator(Simulator):
+    """A four-legged robot on a flat floor; commands are joint angles (rad), held for a frame.
+
+    A robot that has fallen has no pose: NaN. The state behind the pose is MuJoCo's.
+
+    Attributes:
+        build: how it is built.
+    """
+
+    kind = "legged"
+    command_names = JOINTS
+    radius = 0.15
+
+    def __init__(self, build: Build | None = None, physics: Physics | None = None):
+        """Build it.
+
+        Args:
+            build: by default as we think the robot is.
+            physics: threads and memory of another one, to be shared.
+
+        Raises:
+            UserError: if MuJoCo is not installed, or a parameter is out of bounds.
+        """
+        self.build = build or Build()
+        for one in self.parameters:  # checks that they are within bounds
+            one.share(one.value)
+        self._shared = physics
+
+    @cached_property
+    def model(self) -> Any:
+        """The compiled model, an ``MjModel``."""
+        return compile_model(self.build)
+
+    @cached_property
+    def physics(self) -> Physics:
+        """What it runs in."""
+        return self._shared or Physics(self.model)
+
+    @property
+    def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The columns of a state."""
+        return ("x", "y", "theta", *(f"physics_{n}" for n in range(self.physics.size)))
+
+    @property
+    def parameters(self) -> tuple[Adjustable, ...]:
+        """Its adjustable parameters."""
+        found = []
+        for name, (low, high, unit, log) in _RANGES.items():
+            found.append(Adjustable(name, float(getattr(self.build, name)), low, high, unit, log))
+        return tuple(found)
+
+    def adjusted(self, values: NDArray[np.float64]) -> LeggedSimulator:
+        """Return the simulator with other values [12] of its parameters.
+
+        Raises:
+            UserError: if there are not as many, or one is out of bounds.
+        """
+        if np.shape(values) != (len(PARAMETERS),):
+            raise UserError(f"expected {len(PARAMETERS)} parameters, got {np.shape(values)}")
+        changes = dict(zip(PARAMETERS, np.asarray(values, np.float64).tolist(), strict=True))
+        return LeggedSimulator(replace(self.build, **changes), self.physics)
+
+    def conditions(self) -> dict[str, Any]:
+        """Return its build."""
+        return {"build": asdict(self.build)}
+
+    def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Return the states [B, S] of robots that stand at poses [B, 3]."""
+        states = torch.from_numpy(self.physics.standing(pose.double().numpy()))
+        return torch.cat([pose.double(), states], dim=1)
+
+    def step(
+        self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
+    ) -> Tensor:
+        """Return the states [B, S] a frame later."""
+        before = state.numpy()
+        after = self.physics.frames(
+            self.model,
+            np.ascontiguousarray(before[:, 3:]),
+            command.double().numpy()[:, None],
+        )
+        poses = poses_of(after, before[:, :3])
+        return torch.from_numpy(np.concatenate([poses[:, 0], after[:, 0]], axis=1))
+
+    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
+        """Return rollouts of a controller whose commands depend on time alone (``over``)."""
+        if not hasattr(controller, "over") or episode.step != FRAME or episode.rest:
+            return None
+        return _OpenLoop(self, controller, episode)
+
+    def write(self, folder: str | Path) -> None:
+        """Write it as a folder with ``simulator.json``.
+
+        Raises:
+            UserError: if something stands there.
+        """
+        content = {"kind": self.kind, "parameters": asdict(self.build)}
+        with files.new_folder(folder) as partial:
+            files.write_json(partial / "simulator.json", FORMAT, VERSION, content)
+
+    @classmethod
+    def read(cls, folder: str | Path, device: Any = "cpu") -> LeggedSimulator:
+        """Read one.
+
+        Raises:
+            FileError: if the file is missing or wrong.
+        """
+        path = Path(folder) / "simulator.json"
+        given = files.read_json(path, FORMAT, VERSION, {"parameters": dict})["parameters"]
+        try:
+            return cls(Build(**{name: _fixed(value) for name, value in given.items()}))
+        except (TypeError, UserError) as error:
+            raise FileError(path, str(error), field="parameters") from None
+
+
+def _fixed(value: Any) -> Any:
+    return tuple(map(_fixed, value)) if isinstance(value, list) else value
+
+
+class _OpenLoop:
+    """Rollouts of commands that are known beforehand."""
+
+    def __init__(self, simulator: LeggedSimulator, controller: Any, episode: Episode):
+        self._simulator, self._controller = simulator, controller
+        self._times = np.arange(episode.steps) * episode.step
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw where each robot stands; nothing else is uncertain."""
+        return Draws(put_down(starts, placing, torch.Generator().manual_seed(as_seed(rng))))
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        simulator, outcomes = self._simulator, len(draws)
+        commands = self._controller.over(genes, self._times)
+        poses = simulator.physics.walk(
+            simulator.model,
+            np.tile(draws.starts, (len(genes), 1)),
+            np.repeat(commands, outcomes, axis=0),
+        )
+        shape = (len(genes), outcomes)
+        given = np.broadcast_to(commands[:, None], (*shape, *commands.shape[1:]))
+        return Trajectory(poses.reshape(*shape, *poses.shape[1:]), given, FRAME)

@@ -1,0 +1,145 @@
+"""Trials in reality: written down, never repeated, counted, and what reality may do wrong."""
+
+import json
+import threading
+
+import numpy as np
+import pytest
+from sliding_block import Push
+
+from neurosim.back_to_reality import REALITIES, Trials, make_reality
+from neurosim.back_to_reality.by_hand import ByHand
+from neurosim.back_to_reality.reality import read_trials
+from neurosim.base.errors import FileError, RobotError, UserError
+
+ONE, TWO = np.array([0.25, 0.5]), np.array([0.75, 0.1])
+
+
+class Counting:
+    """Returns how many trials there were before, and remembers them."""
+
+    def __init__(self):
+        self.seen = []
+
+    def trial(self, genes, number):
+        self.seen.append((genes.tolist(), number))
+        return float(number)
+
+    def describe(self):
+        return {"kind": "counting"}
+
+
+def test_every_trial_is_written_before_it_is_used_and_none_is_made_twice(tmp_path):
+    reality, path = Counting(), tmp_path / "trials.jsonl"
+    trials = Trials(reality, path, each=3)
+    assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([1.0, 4.0])
+    assert trials.evaluate(ONE[None], "again") == pytest.approx([1.0])
+    assert (trials.used, trials.made, trials.evaluations) == (6, 6, 2.0)
+    assert trials.evaluate(ONE[None], "confirm", 2) == pytest.approx([(0 + 1 + 2 + 6 + 7 + 8) / 6])
+    trials.close()
+    rows = read_trials(path)
+    assert [row["number"] for row in rows] == list(range(9))
+    assert rows[0] == {"number": 0, "genes": [0.25, 0.5], "fitness": 0.0, "why": "first"}
+    assert rows[-1]["why"] == "confirm"
+    assert len(reality.seen) == 9
+
+
+def test_an_interrupted_run_goes_on_without_repeating_a_trial(tmp_path):
+    path = tmp_path / "trials.jsonl"
+
+    class Breaks(Counting):
+        def trial(self, genes, number):
+            if number == 4:
+                raise KeyboardInterrupt
+            return super().trial(genes, number)
+
+    with pytest.raises(KeyboardInterrupt):
+        Trials(Breaks(), path).evaluate(np.stack([ONE, TWO]), "first")
+    assert len(read_trials(path)) == 4
+    with path.open("a") as file:
+        file.write('{"number": 4, "gen')  # killed within a line
+    reality = Counting()
+    trials = Trials(reality, path)
+    assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([1.0, 4.0])
+    assert [number for _, number in reality.seen] == [4, 5]
+    assert (trials.used, trials.made) == (6, 2)
+
+
+@pytest.mark.parametrize("answer", [None, float("nan"), float("inf"), "fast"])
+def test_a_reality_that_returns_no_number_is_refused(tmp_path, answer):
+    answers = iter([0.5, answer])
+    trials = Trials(lambda genes: next(answers), tmp_path / "trials.jsonl")
+    with pytest.raises(UserError, match=r"reality returned .* in trial 2, not a fitness"):
+        trials.evaluate(ONE[None], "first")
+    assert len(read_trials(tmp_path / "trials.jsonl")) == 1
+
+
+def test_a_reality_that_hangs_is_given_up(tmp_path):
+    wait = threading.Event()
+    trials = Trials(lambda genes: wait.wait(60), tmp_path / "trials.jsonl", patience=0.1)
+    with pytest.raises(RobotError, match=r"did not answer in trial 1 within 0\.1 s"):
+        trials.evaluate(ONE[None], "first")
+    wait.set()
+
+
+def test_what_a_reality_raises_comes_through(tmp_path):
+    def lost(genes):
+        raise RobotError("the robot is gone")
+
+    with pytest.raises(RobotError, match="the robot is gone"):
+        Trials(lost, tmp_path / "trials.jsonl").evaluate(ONE[None], "first")
+
+
+def test_a_person_is_asked_before_every_trial(tmp_path):
+    asked, typed = [], iter(["fast", "0.5", "0.7", "0"])
+    reality = ByHand(Push(), lambda message: next(typed))
+    with pytest.raises(UserError, match="needs a person"):
+        Trials(reality, tmp_path / "trials.jsonl")
+    trials = Trials(reality, tmp_path / "trials.jsonl", ask=asked.append)
+    assert trials.evaluate(ONE[None], "first") == pytest.approx([0.4])
+    assert len(asked) == 3
+    assert "Put the robot back" in asked[0]
+
+
+def test_several_at_once_get_numbers_of_their_own(tmp_path):
+    class Many(Counting):
+        def trials(self, genes, numbers):
+            self.seen.append(len(genes))
+            return numbers * 1.0
+
+    reality = Many()
+    trials = Trials(reality, tmp_path / "trials.jsonl")
+    found = trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
+    assert found == pytest.approx([1.0, 4.0, 7.0])
+    assert reality.seen == [6, 3]  # an interruption loses six trials at most
+
+
+def test_an_individual_that_is_asked_for_twice_at_once_is_tried_once(tmp_path):
+    reality = Counting()
+    trials = Trials(reality, tmp_path / "trials.jsonl")
+    trials.evaluate(ONE[None], "first")
+    found = trials.evaluate(np.stack([ONE, ONE, TWO, TWO]), "second", 2)
+    assert found == pytest.approx([2.5, 2.5, 8.5, 8.5])
+    assert len(reality.seen) == trials.used == 12
+
+
+def test_a_file_of_another_reality_or_a_damaged_one_is_refused(tmp_path):
+    path = tmp_path / "trials.jsonl"
+    Trials(Counting(), path).evaluate(ONE[None], "first")
+    with pytest.raises(FileError, match="reality"):
+        Trials(lambda genes: 0.0, path)
+    lines = path.read_text().splitlines()
+    path.write_text("\n".join([lines[0], "nonsense", *lines[1:]]) + "\n")
+    with pytest.raises(FileError, match="line 2: expected a JSON object"):
+        Trials(Counting(), path)
+    row = json.loads(lines[1]) | {"fitness": "fast"}
+    path.write_text("\n".join([lines[0], json.dumps(row)]) + "\n")
+    with pytest.raises(FileError, match="line 2, field 'fitness'"):
+        Trials(Counting(), path)
+
+
+def test_realities_have_names():
+    REALITIES.register("counting-test", lambda controller: Counting())
+    assert isinstance(make_reality("counting-test", Push()), Counting)
+    with pytest.raises(UserError, match="there is no reality 'moon'"):
+        make_reality("moon", Push())

@@ -1,0 +1,110 @@
+"""``neurosim back-to-reality``, from the command line."""
+
+import json
+import sys
+
+import pytest
+
+from neurosim.cli.main import main
+from neurosim.controllers.gait import HAND_TUNED
+
+pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
+
+SIZES = {
+    "seconds": 1, "generations": 2, "search-population": 4, "candidates": 2,
+    "adapt-generations": 2, "adapt-population": 3, "policy-steps": 1, "policies": 2, "trials": 1,
+}  # fmt: skip
+SMALL = [word for name, size in SIZES.items() for word in (f"--{name}", str(size))]
+
+
+@pytest.fixture
+def neurosim(tmp_path, monkeypatch, capsys):
+    """Run a command in the folder of the test; return its exit code, stdout and stderr."""
+    monkeypatch.chdir(tmp_path)
+
+    def run(*words):
+        monkeypatch.setattr(sys, "argv", ["neurosim", *map(str, words)])
+        capsys.readouterr()
+        try:
+            main()
+            code = 0
+        except SystemExit as stop:
+            code = stop.code or 0
+        out, said = capsys.readouterr()
+        return code, out, said
+
+    return run
+
+
+def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
+    code, out, said = neurosim("back-to-reality", "-o", "found", *SMALL, "--json")
+    assert code == 0, said
+    content = json.loads(out)
+    assert content["trials"] == len((tmp_path / "found/trials.jsonl").read_text().splitlines()) - 1
+    assert content["start"]["fitness"] > 0.08
+    assert content["reality"]["place"] == "main"
+    code, out, said = neurosim(
+        "report", "found", "found/controller", "found/simulator", "-o", "page.html"
+    )
+    assert code == 0, said
+    assert "Back to reality" in (tmp_path / "page.html").read_text()
+    code, _, said = neurosim("back-to-reality", "-o", "found", *SMALL)
+    assert code == 1
+    assert "not empty" in said
+
+
+def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monkeypatch):
+    """A person types what came out; after three trials the terminal is closed."""
+    answers = iter(["0.1", "0.2", "0.3"])
+
+    def typed(message):
+        try:
+            return next(answers)
+        except StopIteration:
+            raise KeyboardInterrupt from None
+
+    monkeypatch.setattr("builtins.input", typed)
+    monkeypatch.setattr("click.prompt", lambda *args, **settings: "")
+    words = ["--reality", "by-hand", *SMALL]
+    code, _, said = neurosim("back-to-reality", "-o", "found", *words)
+    assert code == 130
+    assert "--resume" in said
+    lines = (tmp_path / "found.checkpoint/trials.jsonl").read_text().splitlines()
+    assert [json.loads(line)["fitness"] for line in lines[1:]] == [0.1, 0.2, 0.3]
+    monkeypatch.setattr("builtins.input", lambda message: "0.15")
+    code, out, said = neurosim("back-to-reality", "-o", "found", "--resume", "--json")
+    assert code == 0, said
+    content = json.loads(out)
+    assert content["real"][:3] == [0.1, 0.2, 0.3]
+    assert content["best"]["fitness"] == 0.3
+    assert content["settings"]["policy"]["policies"] == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--place", "moon"], "there is no place 'moon' in the lab"),
+        (["--cycles", "0"], "cycles must be at least 1"),
+        (["--seconds", "0"], "a trial of walking takes a second at least"),
+        (["--settings", "best"], "paper and better"),
+        (["--controller", "network", "--inputs", "time"], "gives it no angles of its joints"),
+        (["--task", "go-to", "--controller", "plan"], "angles of its joints"),
+        (["--simulator", "nowhere"], "no such simulator"),
+        (["--start", "gait.json"], "the gait's length is 7, outside of 0.01 to 0.1 m"),
+        (["--start", "far.json"], "foot cannot reach"),
+        (["--policies", "1"], "two policies"),
+        (["--resume"], "there is no interrupted run"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_sentence(neurosim, tmp_path, words, said):
+    head = {"format": "neurosim-parameters", "version": 1}
+    far = {"front_x": 0.08, "front_z": 0.125, "length": 0.1}
+    for name, changes in (("gait", {"length": 7}), ("far", far)):
+        text = json.dumps({**head, "parameters": {**HAND_TUNED, **changes}})
+        (tmp_path / f"{name}.json").write_text(text)
+    code, out, error = neurosim("back-to-reality", "-o", "found", *words)
+    assert code == 1
+    assert out == ""
+    assert said in error
+    assert error.count("\n") == 1
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["far.json", "gait.json"]

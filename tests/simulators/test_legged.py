@@ -1,0 +1,188 @@
+"""The walking robot: its simulator, its 12 parameters, and the task."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.trajectory import Trajectory
+from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.loop.evaluate import Evaluator, evaluate
+from neurosim.robots.quadruped import JOINTS, standing
+from neurosim.simulators import read_simulator
+from neurosim.tasks.walking import Walking
+
+mujoco = pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
+
+from neurosim.simulators.legged.build import Build, compile_model  # noqa: E402
+from neurosim.simulators.legged.physics import Physics, poses_of  # noqa: E402
+from neurosim.simulators.legged.simulator import PARAMETERS, LeggedSimulator  # noqa: E402
+
+HAND = genes_of(HAND_TUNED)
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return LeggedSimulator()
+
+
+def test_the_hand_tuned_gait_walks_forward_at_about_its_ground_speed(simulator):
+    evaluator = Evaluator(simulator, Walking(seconds=4.0), Gait())
+    judged, trajectory = evaluator.judge(HAND[None], evaluator.expectation())
+    assert judged.success.all()
+    assert 0.08 < judged.fitness[0, 0] < 0.15
+    end = trajectory.poses[0, 0, -1]
+    assert end[0] > 0.3
+    assert abs(end[1]) < 0.5 * end[0]
+
+
+def test_masses_and_inertias_are_those_of_the_build():
+    light, heavy = (compile_model(Build(body=mass)) for mass in (0.4, 0.8))
+    trunk = light.body("trunk").id
+    assert light.body_mass[trunk] == pytest.approx(0.4)
+    assert heavy.body_inertia[trunk] == pytest.approx(2.0 * light.body_inertia[trunk])
+    legs = [light.body(f"left_front_{part}").mass[0] for part in ("hip", "knee")]
+    assert sum(legs) == pytest.approx(0.15)
+    assert [light.actuator(n).name for n in range(12)] == list(JOINTS)
+
+
+def test_it_stands_with_its_feet_on_the_floor(simulator):
+    poses = simulator.physics.walk(
+        simulator.model, np.array([[1.0, 2.0, 0.5]]), np.tile(standing(), (1, 250, 1))
+    )
+    np.testing.assert_allclose(poses[0, -1], [1.0, 2.0, 0.5], atol=0.01)
+    lowest = mujoco.MjData(simulator.model)
+    state = simulator.physics.standing(np.zeros((1, 3)))[0]
+    mujoco.mj_setState(simulator.model, lowest, state, mujoco.mjtState.mjSTATE_FULLPHYSICS)
+    mujoco.mj_forward(simulator.model, lowest)
+    assert lowest.ncon == 0 or min(lowest.contact.dist) > -1e-9
+    lowest.qpos[2] -= 0.001
+    mujoco.mj_forward(simulator.model, lowest)
+    assert min(lowest.contact.dist) == pytest.approx(-0.001)
+
+
+def test_compiled_rollouts_are_the_steps(simulator):
+    task = Walking(seconds=1.0)
+    genes = np.stack([HAND, np.clip(HAND + 0.05, 0.0, 1.0)])
+    whole = Evaluator(simulator, task, Gait())
+    stepped = Evaluator(simulator, task, Gait(), stepped=True)
+    draws = whole.expectation()
+    one, other = whole.run(genes, draws), stepped.run(genes, draws)
+    np.testing.assert_allclose(one.commands, other.commands, atol=1e-12)
+    # Friction is solved by iterations that begin where the step before ended, or anew.
+    np.testing.assert_allclose(one.poses, other.poses, atol=2e-3)
+
+
+def test_threads_change_nothing():
+    model = compile_model(Build())
+    commands = Gait().over(np.stack([HAND, HAND * 0.9]), np.arange(100) * 0.008)
+    found = [Physics(model, threads).walk(model, np.zeros((2, 3)), commands) for threads in (1, 2)]
+    np.testing.assert_array_equal(found[0], found[1])
+
+
+def test_every_parameter_matters(simulator):
+    task, values = Walking(seconds=2.0), [one.value for one in simulator.parameters]
+    expected = evaluate(simulator, task, Gait())(HAND)
+    assert [one.name for one in simulator.parameters] == list(PARAMETERS)
+    assert len(PARAMETERS) == 12
+    for place, one in enumerate(simulator.parameters):
+        changed = np.array(values)
+        changed[place] = one.at(0.1)
+        assert evaluate(simulator.adjusted(changed), task, Gait())(HAND) != expected, one.name
+
+
+@pytest.mark.parametrize("slip", [0.01, 0.05])
+def test_a_foot_creeps_by_force_times_the_time_constant(slip):
+    """A capsule that is pulled along itself by a force below friction creeps in proportion."""
+    speeds = []
+    for force in (0.5, 1.0):
+        model = compile_model(Build(slip=slip, timestep=0.001))
+        data = mujoco.MjData(model)
+        data.qpos[7:] = standing()
+        data.qpos[2] = 0.12
+        for step in range(1500):
+            data.ctrl[:] = standing()
+            data.xfrc_applied[model.body("trunk").id, 0] = force * (step >= 500)
+            mujoco.mj_step(model, data)
+            if step == 1000:
+                begin = data.qpos[0]
+        speeds.append((data.qpos[0] - begin) / 0.5)
+    assert speeds[1] == pytest.approx(2.0 * speeds[0], rel=0.3)
+    if slip == 0.05:
+        assert speeds[1] > 1e-4
+
+
+def test_a_fall_has_no_pose_and_no_speed(simulator):
+    """Legs that are thrown to one side at once: the robot falls at the start."""
+    command = standing().reshape(4, 3) + np.array([[0, 1.2, 0], [0, 1.4, 0]] * 2) * [[0, 1, 0]]
+    commands = np.tile(command.ravel(), (1, 250, 1))
+    commands[0, ::2] = standing() + 2.0
+    poses = simulator.physics.walk(simulator.model, np.zeros((1, 3)), commands)
+    lying = np.array([[1.0, 0, 0, 0.05, np.cos(1.0), np.sin(1.0), 0, 0]])
+    seen = poses_of(lying[:, None], np.zeros((1, 3)))
+    assert np.isnan(seen).all()
+    fallen = np.zeros((1, 251, 3))
+    fallen[:, :, 0] = np.linspace(0, 1, 251)
+    fallen[0, 100:] = np.nan
+    judged = Walking(2.0).judge(Trajectory(fallen, commands, 0.008))
+    assert judged.fitness[0] == 0.0
+    assert not judged.success[0]
+    assert Walking.reasons[judged.reason[0]] == "fell"
+    assert judged.segment[0] == 99
+    assert poses.shape == fallen.shape
+
+
+def test_a_model_that_blows_up_falls_and_does_not_disturb_the_others(tmp_path, monkeypatch):
+    """MuJoCo stops such a trial, and would begin it anew where it stood at first."""
+    monkeypatch.chdir(tmp_path)  # it leaves a log
+    wild, tame = compile_model(Build(p=1e9, d=0.0, torque=1e9)), compile_model(Build())
+    commands = np.tile(standing() + 0.3, (2, 200, 1))
+    physics = Physics(tame, 2)
+    poses = physics.walk([wild, tame], np.zeros((2, 3)), commands)
+    assert np.isfinite(poses[:, 0]).all()
+    assert np.isnan(poses[0, 2:]).all()
+    assert np.isfinite(poses[1]).all()
+    assert np.isnan(physics.frames(tame, np.full((1, physics.size), np.nan), commands[:1])).all()
+    assert not list(tmp_path.iterdir())
+
+
+def test_numbers_that_blow_up_are_a_fall():
+    states = np.full((1, 3, 20), 0.1)
+    states[..., 4], states[..., 5:8] = 1.0, 0.0
+    states[0, 1, 12] = np.inf
+    seen = poses_of(states, np.zeros((1, 3)))
+    assert np.isfinite(seen[0, 0]).all()
+    assert np.isnan(seen[0, 1:]).all()
+
+
+def test_walking_is_displacement_by_time_and_a_stall_is_a_failure():
+    poses = np.zeros((2, 251, 3))
+    poses[0, :, 0], poses[0, :, 1] = np.linspace(0, 0.3, 251), np.linspace(0, 0.4, 251)
+    poses[1, :, 0] = np.linspace(0, 0.01, 251)
+    judged = Walking(2.0).judge(Trajectory(poses, np.zeros((2, 250, 12)), 0.008))
+    assert judged.fitness == pytest.approx([0.25, 0.0])
+    assert judged.success.tolist() == [True, False]
+    assert Walking.reasons[judged.reason[1]] == "did not walk"
+
+
+def test_parameters_out_of_bounds_are_refused(simulator):
+    values = np.array([one.value for one in simulator.parameters])
+    values[PARAMETERS.index("friction")] = 3.0
+    with pytest.raises(UserError, match=r"friction is 3, outside of 0\.3 to 1\.5"):
+        simulator.adjusted(values)
+    with pytest.raises(UserError, match="expected 12 parameters"):
+        simulator.adjusted(values[:5])
+    with pytest.raises(UserError, match=r"gravity is 0, outside of 8 to 11\.5 m/s\^2"):
+        LeggedSimulator(Build(gravity=0.0))
+
+
+def test_it_is_written_and_read(tmp_path, simulator):
+    made = LeggedSimulator(replace(simulator.build, friction=0.5))
+    made.write(tmp_path / "simulator")
+    again = read_simulator(tmp_path / "simulator")
+    assert again.build == made.build
+    path = tmp_path / "simulator" / "simulator.json"
+    path.write_text(path.read_text().replace('"friction": 0.5', '"friction": 50'))
+    with pytest.raises(FileError, match=r"simulator\.json, field 'parameters'.*friction is 50"):
+        read_simulator(tmp_path / "simulator")
