@@ -28,12 +28,15 @@ from neurosim.simulators import MotionNetwork
 from neurosim.training.guided import motor_data
 from neurosim.training.train import learn
 
+KINDS = ("random", "guided")
+
 
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("--seeds", type=int, default=5)
+    parser.add_argument("--kinds", nargs="+", default=KINDS, choices=KINDS)
     parser.add_argument("--commands", type=int, default=400)
     parser.add_argument("--round", type=int, default=50)
     parser.add_argument("--plans", type=int, default=2, help="of each simulator")
@@ -48,11 +51,11 @@ def main() -> None:
     torch.set_num_threads(1)
     found = []
     for seed in range(options.seeds):
-        made = {
-            "random": random_rows(seed, seed, options.commands),
-            "guided": guided_rows(seed, seed, Rounds(options.commands, options.round)),
-        }
-        for kind, (x, y, _) in made.items():
+        for kind in options.kinds:
+            if kind == "random":
+                x, y, _ = random_rows(seed, seed, options.commands)
+            else:
+                x, y, _ = guided_rows(seed, seed, Rounds(options.commands, options.round))
             simulator = learn(motor_data(x, y), seed)
             for number in range(options.plans):
                 found.append(
@@ -75,13 +78,17 @@ def one_plan(
 
 
 def words(found: list[dict]) -> str:
-    """Return the table for a person: every plan, and the means."""
-    lines = ["virtual lab          said   completed, robot by robot"]
-    for kind in ("random", "guided"):
+    """Return the table for a person: means, by how many points what is said is off, all plans."""
+    lines = [
+        "virtual lab          said   completed   off by   at most   said and completed, by robot"
+    ]
+    for kind in dict.fromkeys(plan["kind"] for plan in found):
         plans = [plan for plan in found if plan["kind"] == kind]
-        said, done = (float(np.mean([plan[k] for plan in plans])) for k in ("said", "completed"))
-        each = ", ".join(f"{plan['said']:.0%} {plan['completed']:.0%}" for plan in plans)
-        lines.append(f"{kind:8s} mean {said:12.0%}{done:12.0%}   {each}")
+        said, done = (np.array([plan[k] for plan in plans]) for k in ("said", "completed"))
+        off = np.abs(said - done)
+        each = ", ".join(f"{s:.0%} {d:.0%}" for s, d in zip(said, done, strict=True))
+        shown = f"{said.mean():12.0%}{done.mean():12.0%}{off.mean():9.0%}{off.max():10.0%}"
+        lines.append(f"{kind:8s} mean {shown}   {each}")
     return "\n".join(lines)
 
 

@@ -72,7 +72,41 @@ def learning(artefacts: Artefacts) -> Section | None:
     blocks: list[Block] = [Row(pictures)] if pictures else []
     if not pictures:
         blocks.append(Text("The simulator's folder holds no history of its training.", True))
+    for _, simulator in _learned(artefacts):
+        if simulator.meta.get("composition"):
+            blocks += _composition(simulator)
     return Section("learning", "How the simulator was learned", blocks)
+
+
+def _composition(simulator: Artefact) -> list[Block]:
+    """Return tables of what a simulator is made of: laws of its actuators, and what they leave."""
+    made = simulator.meta["composition"]
+    laws = list(dict.fromkeys(law for each in made["actuators"].values() for law in each))
+    actuators = [
+        [name, *(f"{each[law]:.3g}" if law in each else "-" for law in laws)]
+        for name, each in made["actuators"].items()
+    ]
+    learned = []
+    for name, units in zip(READABLE, made["product_units"], strict=True):
+        share = made["shares"][name]
+        shown = (f"{share[kind]:.0%}" for kind in ("product_units", "process"))
+        learned.append([AXES[name], f"{units:.0f}", *shown])
+    words = (
+        f"{simulator.name}: laws of the actuators (lag and stick in s, rate in 1/s); a command is "
+        f"answered after {1000 * made['delay']:.0f} ms"
+    )
+    units = f"shares of product units and of a Gaussian process of {made['kernel_units']} units"
+    return [
+        Table(
+            words, ["actuator", *(law.replace("_", " ") for law in laws)], actuators, folded=True
+        ),
+        Table(
+            f"{simulator.name}: what the laws leave, {units}",
+            ["output", "product units", "their share", "process"],
+            learned,
+            folded=True,
+        ),
+    ]
 
 
 def others(artefacts: Artefacts) -> Section | None:

@@ -109,6 +109,13 @@ _FIELDS: dict[str, dict[str, Shape]] = {
         "source?": _SOURCE,
         "sources?": [_SOURCE],
         "wall_clock?": {"training_seconds?": float},
+        "composition?": {
+            "actuators": {str: {str: float}},
+            "delay": float,
+            "product_units": Rows(3),
+            "kernel_units": int,
+            "shares": {key: {"product_units": float, "process": float} for key in OUTPUTS},
+        },
         "robots?": [_ROBOT],
         "virtual?": bool,
     },

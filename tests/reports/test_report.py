@@ -99,6 +99,21 @@ def test_commands_and_poses_are_the_trials(whole):
     assert heading == pytest.approx(np.pi / 2)
 
 
+def test_what_a_simulator_is_made_of_is_shown(whole):
+    page = whole[3]
+    assert page.table(["actuator", "lag"]) == [
+        ["actuator", "lag", "dead zone"],
+        ["left", "0.0824", "0.07"],
+        ["right", "0.1", "0"],
+    ]
+    assert page.table(["output", "product units"])[1:] == [
+        ["dx, forward (cm)", "24", "70%", "30%"],
+        ["dy, to the left (cm)", "0", "0%", "80%"],
+        ["change in angle (deg)", "19", "100%", "0%"],
+    ]
+    assert "answered after 28 ms" in page.text
+
+
 def test_table_2_against_an_independent_reckoning(whole):
     from neurosim.simulators import read_simulator
     from tracking.datasets.dataset import Dataset
