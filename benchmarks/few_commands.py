@@ -25,7 +25,6 @@ from neurosim.loop.evolve import evolve_in
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.rounds import Rounds
 from neurosim.simulators import MotionNetwork
-from neurosim.training.guided import motor_data
 from neurosim.training.train import learn
 
 KINDS = ("random", "guided")
@@ -53,10 +52,10 @@ def main() -> None:
     for seed in range(options.seeds):
         for kind in options.kinds:
             if kind == "random":
-                x, y, _ = random_rows(seed, seed, options.commands)
+                data, _ = random_rows(seed, seed, options.commands)
             else:
-                x, y, _ = guided_rows(seed, seed, Rounds(options.commands, options.round))
-            simulator = learn(motor_data(x, y), seed)
+                data, _ = guided_rows(seed, seed, Rounds(options.commands, options.round))
+            simulator = learn(data, seed)
             for number in range(options.plans):
                 found.append(
                     {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}

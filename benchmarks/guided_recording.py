@@ -28,6 +28,7 @@ import json
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import torch
@@ -48,8 +49,10 @@ from neurosim.lab.nxt.physics import (
 )
 from neurosim.recording.commands import Command, RandomCommands
 from neurosim.recording.rounds import Rounds
+from neurosim.training.base import TrainingData, Within
 from neurosim.training.guided import MARGIN, Committee, Place, choose, motor_data
 from neurosim.training.train import learn
+from tracking.datasets.within import choose_instants
 
 OUTPUTS = ("dx", "dy", "dtheta")
 #: Of a pose that is tracked: standard deviations, m, m and rad.
@@ -62,17 +65,24 @@ READ = np.array([100.0, 100.0, 180.0 / np.pi])
 
 
 @njit(cache=True)
-def drive(state, inputs, command, p, field, half_length, half_width):
-    """Drive a command in pieces of 0.05 s; return False as soon as the rectangle is left."""
+def drive(state, inputs, command, p, field, half_length, half_width, seen):
+    """Drive a command in pieces of 0.05 s; return how many, -1 as soon as the rectangle is left.
+
+    Time and pose [4] after each piece are written into ``seen``.
+    """
     for wheel in range(2):
         inputs[U.POWER + wheel] = command[wheel]
         begin_command(state, wheel, p)
-    end = state[S.TIME] + command[2]
+    began, pieces = state[S.TIME], 0
+    end = began + command[2]
     while state[S.TIME] < end - 1e-9:
         advance(state, inputs, p, field, min(end, state[S.TIME] + 0.05))
         if abs(state[S.X]) > half_length or abs(state[S.Y]) > half_width:
-            return False
-    return True
+            return -1
+        seen[pieces, 0] = state[S.TIME] - began
+        seen[pieces, 1:] = state[S.X : S.X + 3]
+        pieces += 1
+    return pieces
 
 
 class Robot:
@@ -84,6 +94,7 @@ class Robot:
         self._p, self._field = params.coefficients(), slip_field(params)
         self._state, self._inputs = new_state(params, seed, (0.0, 0.0, 0.0)), new_inputs()
         self._inputs[U.MODE : U.MODE + 2] = REGULATED
+        self._seen = np.empty((200, 4))
         self.cuts = 0
 
     @property
@@ -98,27 +109,30 @@ class Robot:
         self._state[S.BATTERY] = self.rng.uniform(*BATTERY)
         self.drive((0.0, 0.0, 0.5))
 
-    def drive(self, command: tuple, line: NDArray | None = None) -> bool:
-        """Drive a command; return False if it was cut at the line."""
+    def drive(self, command: tuple, line: NDArray | None = None) -> NDArray | None:
+        """Drive a command; return times and poses (K, 4) in it, None if it was cut at the line."""
         half = np.full(2, np.inf) if line is None else line
-        given = np.array(command, float)
-        return drive(self._state, self._inputs, given, self._p, self._field, *half)
+        given, seen = np.array(command, float), self._seen
+        pieces = drive(self._state, self._inputs, given, self._p, self._field, *half, seen)
+        return None if pieces < 0 else seen[:pieces].copy()
 
     def measured(self, start: NDArray) -> NDArray:
         """Return the displacement since ``start`` as it would be tracked."""
         noise = TRACKED * self.rng.standard_normal((2, 3))
         return se2.between(start + noise[0], self.pose + noise[1])
 
-    def record(self, commands: list[Command]) -> tuple[NDArray, NDArray]:
-        """Return inputs (N, 5) and displacements (N, 3) of what was driven to its end."""
+    def record(self, commands: list[Command]) -> TrainingData:
+        """Return what was driven to its end, as a dataset of a recording has it."""
         before = (0.0, 0.0)
-        rows, moved = [], []
+        rows, moved, within = [], [], []
         self.drive((*before, 0.5))
         for command in commands:
             given = (command.left, command.right, command.duration)
             for _ in range(ATTEMPTS):
                 start = self.pose
-                if self.drive(given, LINE):
+                seen = self.drive(given, LINE)
+                if seen is not None:
+                    within += self._within(len(rows), start, seen, command.duration)
                     rows.append([*before, *given])
                     moved.append(self.measured(start))
                     break
@@ -126,28 +140,45 @@ class Robot:
                 self.put(0.3)
                 self.drive((*before, LEAD_IN))
             before = given[:2]
-        return np.array(rows), np.array(moved)
+        data = motor_data(np.array(rows), np.array(moved))
+        row, time, poses = (np.array(part) for part in zip(*within, strict=True))
+        parts = Within(torch.tensor(row), torch.tensor(time), torch.tensor(poses))
+        return replace(data, within=parts)
+
+    def _within(self, row: int, start: NDArray, seen: NDArray, duration: float) -> list[tuple]:
+        """Return row, time and displacement (3,) of a few instants, as they would be tracked."""
+        seen = seen[choose_instants(seen[:, 0], duration)]
+        noise = TRACKED * self.rng.standard_normal((len(seen) + 1, 3))
+        moved = se2.between(start + noise[0], seen[:, 1:] + noise[1:])
+        return [(row, *pair) for pair in zip(seen[:, 0], moved, strict=True)]
 
 
-def random_rows(lab_seed: int, seed: int, count: int) -> tuple[NDArray, NDArray, int]:
-    """Return inputs, displacements and how many commands were cut, of a random recording."""
+def random_rows(lab_seed: int, seed: int, count: int) -> tuple[TrainingData, int]:
+    """Return rows and how many commands were cut, of a random recording."""
     robot, source = Robot(lab_seed, seed), RandomCommands(seed=seed)
-    x, y = robot.record([source.command(n) for n in range(count)])
-    return x, y, robot.cuts
+    return robot.record([source.command(n) for n in range(count)]), robot.cuts
 
 
-def guided_rows(lab_seed: int, seed: int, rounds: Rounds) -> tuple[NDArray, NDArray, int]:
+def guided_rows(lab_seed: int, seed: int, rounds: Rounds) -> tuple[TrainingData, int]:
     """Return the same of a guided recording, whose rounds are as the command line's."""
     robot, source = Robot(lab_seed, seed), RandomCommands(seed=seed)
     first, *others = rounds.numbers()
-    x, y = robot.record([source.command(n) for n in first])
+    data = robot.record([source.command(n) for n in first])
     room = (BOARD.length - 2 * MARGIN, BOARD.width - 2 * MARGIN)
     for numbers in others:
-        committee = Committee(motor_data(x, y), seed)
+        committee = Committee(replace(data, within=None), seed)
         place = Place(tuple(map(float, robot.pose)), *room)
         more = robot.record(choose(committee, source, numbers, place))
-        x, y = (np.concatenate(pair) for pair in zip((x, y), more, strict=True))
-    return x, y, robot.cuts
+        data = together(data, more)
+    return data, robot.cuts
+
+
+def together(one: TrainingData, other: TrainingData) -> TrainingData:
+    """Return the rows of both, one after the other."""
+    shifted = other.within._replace(row=other.within.row + len(one.x))
+    within = Within(*(torch.cat(pair) for pair in zip(one.within, shifted, strict=True)))
+    x, y = torch.cat([one.x, other.x]), torch.cat([one.y, other.y])
+    return replace(one, x=x, y=y, within=within)
 
 
 def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArray]:
@@ -175,17 +206,17 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
     return np.array(inputs), np.array(found)
 
 
-def learned(x: NDArray, y: NDArray, seed: int) -> Callable[[NDArray], NDArray]:
+def learned(data: TrainingData, seed: int) -> Callable[[NDArray], NDArray]:
     """Return what the default trainer predicts from these rows."""
-    simulator = learn(motor_data(x, y), seed, members=1, noise=False)
+    simulator = learn(data, seed, members=1, noise=False)
     return lambda inputs: simulator.displacement(torch.tensor(inputs)).numpy()
 
 
-def judged(x: NDArray, y: NDArray, test: tuple[NDArray, NDArray], seed: int, repeats: int) -> dict:
+def judged(data: TrainingData, test: tuple[NDArray, NDArray], seed: int, repeats: int) -> dict:
     """Return errors and excesses (cm, cm, deg) of a training, averaged, and of their mean."""
     inputs, found = test
     middle = np.median(found, axis=1)
-    said = np.array([learned(x, y, 100 * k + seed)(inputs) for k in range(repeats)])
+    said = np.array([learned(data, 100 * k + seed)(inputs) for k in range(repeats)])
 
     def off(prediction: NDArray) -> tuple[NDArray, NDArray]:
         error = np.abs(prediction[:, None] - found).mean((0, 1)) * READ
@@ -228,10 +259,10 @@ def main() -> None:
             "random": random_rows(seed, seed, max(options.random)),
             "guided": guided_rows(seed, seed, rounds),
         }
-        result["cut"].append({name: rows[2] for name, rows in made.items()})
-        for name, (x, y, _) in made.items():
+        result["cut"].append({name: cuts for name, (_, cuts) in made.items()})
+        for name, (data, _) in made.items():
             for count in getattr(options, name):
-                found = judged(x[:count], y[:count], test, seed, options.repeats)
+                found = judged(data.part(slice(count)), test, seed, options.repeats)
                 result[name].setdefault(count, []).append(found)
                 print(f"seed {seed}, {count} {name}: {found['error']}", file=sys.stderr, flush=True)
     print(json.dumps(result) if options.json else words(result, options.repeats))
