@@ -19,7 +19,7 @@ from neurosim.cli._types import PATH
     "settings",
     "neurosim.sampling:build_tables",
     skip=("samples", "out"),
-    units={"wheel_base": "mm", "full_speed": "mm/s"},
+    units={"wheel_base": "mm", "full_speed": "mm/s", "radius": "mm"},
 )
 @json_option
 def build_tables(

@@ -116,12 +116,15 @@ def run(
 
 def _arena(saved: Any) -> Any:
     """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
+    from neurosim.base.files import sha256
     from neurosim.lab import LabArena
     from neurosim.simulators import read_simulator
 
-    folder = Path(saved.simulator.get("path", ""))
-    if not (folder / "simulator.json").is_file():
+    # Only the very simulator that the controller names: a path of somebody else's is no proof.
+    file = Path(str(saved.simulator.get("path", ""))) / "simulator.json"
+    if not file.is_file() or sha256(file) != saved.simulator.get("sha256"):
         return None
+    folder = file.parent
     arena = getattr(read_simulator(folder), "arena", None)
     return None if arena is None else LabArena.of(arena)
 

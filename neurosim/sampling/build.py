@@ -19,6 +19,8 @@ from neurosim.simulators.tables.simulator import RADIUS, TableSimulator
 
 #: Whole speeds of an ideal robot up to full speed: those of a Khepera.
 UNITS = 10
+#: Sensors of a Khepera.
+KHEPERA_SENSORS = 8
 
 
 def build_tables(
@@ -29,6 +31,7 @@ def build_tables(
     wheel_base: float | None = None,
     full_speed: float | None = None,
     units: int | None = None,
+    radius: float | None = None,
     arena: Arena | str | Path | None = None,
     noise: Literal["none", "uniform", "samples"] = "uniform",
 ) -> TableSimulator:
@@ -48,14 +51,16 @@ def build_tables(
         full_speed: Wheel speed of the ideal robot at 100 %, m/s; by default a Khepera's, 100 mm/s.
         units: Whole speeds that the robot can be set to, up to full speed; by default as sampled,
             or 10.
+        radius: Radius of the circle around the robot's body, m; by default that of the robot that
+            sampled itself, or of a Khepera, 27.5 mm, where there are as many sensors as it has.
         arena: JSON file of the arena (from Python also an arena); by default that of the paper, 60
             x 35 cm with three obstacles.
         noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
             as the samples' own.
 
     Raises:
-        UserError: if ``out`` is taken, an object has no samples, or the ideal robot is described
-            although there are motor samples.
+        UserError: if ``out`` is taken, an object has no samples, the ideal robot is described
+            although there are motor samples, or nothing says how large the robot is.
         FileError: if a file is missing or wrong.
     """
     if motors is not None:
@@ -69,7 +74,10 @@ def build_tables(
     if not used:
         raise UserError("give the samples of a wall and of a cylinder, .sample files")
     sampling = (used[0] if motors is None else Path(motors)).parent
-    baud, (whole, radius) = sampled_baud(sampling), sampled_body(sampling)
+    baud, (whole, sampled_radius) = sampled_baud(sampling), sampled_body(sampling)
+    radius = sampled_radius if radius is None else radius
+    if radius is not None and not 0 < radius <= 10:
+        raise UserError(f"a robot's radius lies above 0 and up to 10 m, not {radius:g} m")
     # An ideal robot's table has a row and a column for each speed: only as many as asked for.
     units = units or (None if motors is None else whole) or UNITS
     if motors is None:
@@ -81,8 +89,15 @@ def build_tables(
         used = [*used, Path(motors)]
     if not isinstance(arena, Arena):
         arena = paper_arena() if arena is None else Arena.read(arena)
+    sensors = SensorTable.from_files([Path(path) for path in samples])
+    count = sensors.mean.shape[-1]
+    if radius is None and count != KHEPERA_SENSORS:
+        raise UserError(
+            f"nothing says how large this robot is, and with {count} sensors it is no Khepera: "
+            "give its radius (--radius, mm)"
+        )
     simulator = TableSimulator(
-        SensorTable.from_files([Path(path) for path in samples]),
+        sensors,
         table,
         arena,
         noise=noise,

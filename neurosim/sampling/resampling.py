@@ -33,6 +33,9 @@ _FAINT = 0.02
 #: Readings are averaged so far around an angle, rad.
 _NEAR = math.radians(2.0)
 
+#: A full turn is looked for so far around the nominal one, as a share of it.
+_REACH = 0.1
+
 _TURN = 2.0 * math.pi
 _Array = NDArray[np.float64]
 
@@ -42,6 +45,10 @@ def full_turn(turns: Turns) -> float:
 
     The median over objects and repeats of the period with the least mean squared difference, at
     the smallest distance, where sensors say most.
+
+    Raises:
+        UserError: if nothing was sampled to its end, or the sensors say the same again nowhere
+            near to where the counters have it.
     """
     found = [
         _period(rows)
@@ -73,15 +80,27 @@ def _period(rows: _Array) -> float:
 
 
 def _repeats(turned: _Array, readings: _Array) -> float:
-    """Return after how many counts [N] readings [N, S] say the same again."""
+    """Return after how many counts [N] readings [N, S] say the same again.
+
+    Raises:
+        UserError: if the best is at the edge of what was looked at, and the true one beyond.
+    """
     turned = turned - turned[0]
-    periods = turned[-1] / TURNS * np.linspace(0.9, 1.1, 401)
+    periods = turned[-1] / TURNS * np.linspace(1.0 - _REACH, 1.0 + _REACH, 401)
     errors = []
     for period in periods:
         late = turned >= period
         again = np.stack([np.interp(turned[late] - period, turned, r) for r in readings.T], axis=1)
         errors.append(((readings[late] - again) ** 2).mean())
-    return float(periods[int(np.argmin(errors))])
+    best = int(np.argmin(errors))
+    if best in (0, len(periods) - 1):
+        raise UserError(
+            f"the robot's sensors do not see its turn begin again within {100 * _REACH:.0f} % of "
+            "where its counters say: they have another number of pulses than was taken (a "
+            "Khepera's is 10,000 a metre here and 12,000 or 12,500 in its manuals), or the robot "
+            "is of another size; give --pulses-per-metre and sample into a new folder"
+        )
+    return float(periods[best])
 
 
 def _turned(rows: _Array, sizes: tuple[float, float] = (1.0, 1.0)) -> _Array:

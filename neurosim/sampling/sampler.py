@@ -110,6 +110,7 @@ def _sample(
         for name in OBJECTS:
             for repeat in range(1, settings.repeats + 1):
                 sample_object(out, robot, settings, name, repeat, place, bar)
+                full_turn(read_turns(out))  # counters that are taken for others are said at once
     finally:
         robot.stop()
         if bar is not None:

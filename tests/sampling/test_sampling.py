@@ -8,6 +8,7 @@ import click
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from patience import PATIENCE
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, RobotError, UserError
@@ -61,6 +62,24 @@ def sampled(
         lab = rig.describe()
         result = sample(out, robot, settings, place, resume=resume, progress=False, lab=lab)
         return result, asked, rig.lab.body.params, arena
+
+
+@pytest.mark.parametrize("nominal", [8333.0, 8000.0])
+def test_counters_of_another_number_of_pulses_are_refused(tmp_path, nominal):
+    """The robot's are 10,000 a metre; it is taken for one of fewer, 12 or 12.5 to their 10."""
+    arena, poses = sampling_places()
+    placed = []
+    with VirtualKheperaRig(1, arena=arena, start=poses["open"], baud=BAUD) as rig:
+        clock, timeout = rig.lab.clock, PATIENCE
+        robot = Khepera(rig.address, pulses_per_metre=nominal, clock=clock, timeout=timeout)
+
+        def place(where):
+            placed.append(where)
+            rig.lab.place(*poses[where])
+
+        with robot, pytest.raises(UserError, match=r"another number of pulses.*--pulses-per-metre"):
+            sample(tmp_path / "out", robot, SETTINGS, place, progress=False)
+    assert placed == ["wall"]
 
 
 @pytest.fixture(scope="module")

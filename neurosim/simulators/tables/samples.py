@@ -33,11 +33,13 @@ class Samples:
         activations: (D, A, S) in 0..1, distance x angle x sensor.
         first_distance: from rim to surface, m.
         distance_step: between distances, m.
+        line_end: of the file's lines; those of the published ones are CR LF.
     """
 
     activations: NDArray[np.float64]
     first_distance: float
     distance_step: float
+    line_end: str = "\r\n"
 
     @classmethod
     def read(cls, path: str | Path) -> Samples:
@@ -47,7 +49,9 @@ class Samples:
             FileError: naming the line, if the file is missing or cut short, or has a wrong
                 header, a wrong count of lines or numbers, or something that is no activation.
         """
-        lines = _lines(Path(path))
+        text = files.read_text(path, "a .sample file", encoding="ascii")
+        line_end = "\r\n" if "\r\n" in text or "\n" not in text else "\n"
+        lines = text.replace("\r\n", "\n").removesuffix("\n").split("\n")
         sensors, angles, distances, first, step = _header(Path(path), lines[0])
         expected = 2 + distances * (angles + 1)
         if len(lines) < expected:
@@ -68,7 +72,8 @@ class Samples:
         _expect(path, lines[expected - 1], "END", expected)
         if any(line.strip() for line in lines[expected:]):
             raise FileError(path, "goes on after END", line=expected + 1)
-        return cls(rows.reshape(distances, angles, sensors), first / 1000, step / 1000)
+        turns = rows.reshape(distances, angles, sensors)
+        return cls(turns, first / 1000, step / 1000, line_end)
 
     def write(self, path: str | Path) -> None:
         """Write a file, whole or not at all; activations to six decimals, or as many as needed.
@@ -85,12 +90,7 @@ class Samples:
             lines.append(f"TURN {distance}")
             lines += ["".join(f"{_activation(value)} " for value in row) for row in turn]
         with files.atomic_path(path) as partial:
-            partial.write_bytes("".join(f"{line}\r\n" for line in [*lines, "END"]).encode())
-
-
-def _lines(path: Path) -> list[str]:
-    text = files.read_text(path, "a .sample file", encoding="ascii")
-    return text.replace("\r\n", "\n").removesuffix("\n").split("\n")
+            partial.write_bytes("".join(line + self.line_end for line in [*lines, "END"]).encode())
 
 
 def _is_whole(line: str, sensors: int) -> bool:
