@@ -10,7 +10,7 @@ that it believes in then is measured in ten trials that it never saw, and the me
     python benchmarks/back_to_reality.py --speed                          # what a trial costs
 
 Each run (a method, a seed, a place) is a line of the file, on the disk as soon as it is over; what
-stands there is not run again. Nothing is tuned on carpet and parquet. ``--paper`` takes the
+stands there is not run again. No parameter is tuned on carpet and parquet. ``--paper`` takes the
 paper's 600 generations, 45 for L3 and trials of 20 s; without it there are 120, 20 and 5 s.
 """
 
