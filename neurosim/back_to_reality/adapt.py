@@ -74,9 +74,19 @@ def begin_adapting(
     return Climb(make_search(search, start, genetic, SPREAD, seed), evaluate, told, before)
 
 
-def kept_sets(climb: Climb, count: int) -> NDArray[np.float64]:
-    """Return the best parameter sets [S, K] of a search that differ, S up to ``count``."""
-    sets, fitness = np.concatenate(climb.asked), np.concatenate(climb.fitness)
+def kept_sets(
+    climb: Climb, count: int, before: NDArray[np.float64], fitness_before: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the best parameter sets that differ, [S, K], S up to ``count``.
+
+    Args:
+        climb: the search.
+        count: how many are wanted.
+        before: [B, K] the sets before it, which stay where nothing better was found.
+        fitness_before: [B] the negative of their discrepancy.
+    """
+    sets = np.concatenate([before, *climb.asked])
+    fitness = np.concatenate([fitness_before, *climb.fitness])
     kept: list[NDArray[np.float64]] = []
     for place in np.argsort(-fitness, kind="stable"):
         apart = [np.sqrt(np.mean((sets[place] - one) ** 2)) for one in kept]

@@ -14,7 +14,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.back_to_reality.adapt import agreement, begin_adapting, kept_sets, similar
+from neurosim.back_to_reality.adapt import (
+    agreement,
+    begin_adapting,
+    discrepancy,
+    kept_sets,
+    similar,
+)
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
 from neurosim.back_to_reality.policy_gradient import PolicyGradient
@@ -257,7 +263,8 @@ class Alternation:
         )  # fmt: skip
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, name, settings.adapt_generations, label)
-        before, self._sets = self._sets[0], kept_sets(climb, settings.sets)
+        before, worth = self._sets, -discrepancy(self._simulated.over(ten, self._sets), fitness)
+        self._sets, before = kept_sets(climb, settings.sets, before, worth), before[0]
         self.cycles[cycle]["adapted"] = self._sets.tolist()
         self.cycles[cycle]["before"] = before.tolist()
         self.cycles[cycle]["L3"] = {

@@ -14,6 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+#: The joints get new commands so often: a frame (Zagal et al. 2004, section 5.2), s.
+FRAME = 0.008
 #: In the order of columns of commands.
 LEGS = ("left_front", "right_front", "left_rear", "right_rear")
 LEG_JOINTS = ("swing", "spread", "knee")

@@ -9,10 +9,9 @@ import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.robots.quadruped import FRAME
 from neurosim.tasks.base import Judgement, Task
 
-#: Of the frames in which joints get commands, s.
-_FRAME = 0.008
 #: Who is slower has not walked, m/s.
 STALL = 0.01
 
@@ -39,7 +38,7 @@ class Walking(Task):
     @property
     def episode(self) -> Episode:
         """Commands in frames of 8 ms."""
-        return Episode(step=_FRAME, steps=round(self.seconds / _FRAME))
+        return Episode(step=FRAME, steps=round(self.seconds / FRAME))
 
     def judge(self, trajectory: Trajectory) -> Judgement:
         """Judge trajectories [...].

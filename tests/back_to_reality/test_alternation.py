@@ -228,8 +228,10 @@ def test_kept_sets_differ():
 
     climb = Climb(Given(), lambda sets: np.array([-0.1, -0.2, -0.3, -0.4]))
     climb.generation()
-    assert kept_sets(climb, 3).tolist() == [[0.5, 0.5], [0.9, 0.1], [0.1, 0.9]]
-    assert kept_sets(climb, 1).tolist() == [[0.5, 0.5]]
+    bad, good = (np.array([[0.3, 0.3]]), np.array([-1.0])), (np.array([[0.7, 0.7]]), np.zeros(1))
+    assert kept_sets(climb, 3, *bad).tolist() == [[0.5, 0.5], [0.9, 0.1], [0.1, 0.9]]
+    assert kept_sets(climb, 1, *bad).tolist() == [[0.5, 0.5]]
+    assert kept_sets(climb, 2, *good).tolist() == [[0.7, 0.7], [0.5, 0.5]]
 
 
 def test_what_does_not_fit_is_refused():

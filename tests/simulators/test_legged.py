@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Trajectory
@@ -175,6 +176,19 @@ def test_parameters_out_of_bounds_are_refused(simulator):
         simulator.adjusted(values[:5])
     with pytest.raises(UserError, match=r"gravity is 0, outside of 8 to 11\.5 m/s\^2"):
         LeggedSimulator(Build(gravity=0.0))
+
+
+def test_a_command_is_held_for_its_duration(simulator):
+    """Every row for its own; 24 ms are three frames."""
+    start = simulator.start(torch.zeros(2, 3, dtype=torch.float64))
+    angles = torch.from_numpy(np.tile(standing() + 0.1, (2, 1)))
+    times = torch.tensor([[0.024], [0.008]], dtype=torch.float64)
+    after = simulator.step(start, torch.cat([angles, times], dim=1))
+    assert after[:, 3].tolist() == pytest.approx([0.024, 0.008])  # MuJoCo's clock
+    again = start[1:]
+    for _ in range(3):
+        again = simulator.step(again, torch.cat([angles, times], dim=1)[1:])
+    np.testing.assert_allclose(again[0, :3], after[0, :3], atol=1e-5)
 
 
 def test_it_is_written_and_read(tmp_path, simulator):

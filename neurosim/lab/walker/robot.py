@@ -24,9 +24,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.robots.quadruped import JOINTS, standing
+from neurosim.robots.quadruped import FRAME, JOINTS, standing
 from neurosim.simulators.legged.build import Build, compile_model
-from neurosim.simulators.legged.physics import FRAME, Physics
+from neurosim.simulators.legged.physics import Physics
 
 #: Radius of the circle, m, and the longest trial, s.
 RADIUS, LONGEST = 2.0, 60.0

@@ -13,11 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.robots.quadruped import FOOT, JOINTS, standing
+from neurosim.robots.quadruped import FOOT, FRAME, JOINTS, standing
 from neurosim.simulators.legged.build import mujoco
 
-#: The joints get new commands so often: a frame (Zagal et al. 2004, section 5.2), s.
-FRAME = 0.008
 #: Frames that are computed at once.
 _CHUNK = 125
 #: The robot has fallen where its back points further than this from straight up, cos, or its

@@ -27,11 +27,11 @@ from torch import Tensor
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
-from neurosim.robots.quadruped import JOINTS
+from neurosim.robots.quadruped import FRAME, JOINTS
 from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, as_seed, put_down
 from neurosim.simulators.legged.build import Build, compile_model
-from neurosim.simulators.legged.physics import FRAME, Physics, poses_of
+from neurosim.simulators.legged.physics import Physics, poses_of
 
 #: name -> lowest, highest, unit, whether on a logarithmic scale.
 _RANGES: dict[str, tuple[float, float, str, bool]] = {
@@ -52,7 +52,8 @@ PARAMETERS = tuple(_RANGES)
 
 
 class LeggedSimulator(Simulator):
-    """A four-legged robot on a flat floor; commands are joint angles (rad), held for a frame.
+    """A four-legged robot on a flat floor; commands are joint angles (rad), held for a duration of
+    whole frames of 8 ms.
 
     A robot that has fallen has no pose: NaN. The state behind the pose is MuJoCo's.
 
@@ -61,7 +62,7 @@ class LeggedSimulator(Simulator):
     """
 
     kind = "legged"
-    command_names = JOINTS
+    command_names = (*JOINTS, "duration")
     radius = 0.15
 
     def __init__(self, build: Build | None = None, physics: Physics | None = None):
@@ -125,15 +126,18 @@ class LeggedSimulator(Simulator):
     def step(
         self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return the states [B, S] a frame later."""
-        before = state.numpy()
-        after = self.physics.frames(
-            self.model,
-            np.ascontiguousarray(before[:, 3:]),
-            command.double().numpy()[:, None],
-        )
-        poses = poses_of(after, before[:, :3])
-        return torch.from_numpy(np.concatenate([poses[:, 0], after[:, 0]], axis=1))
+        """Return the states [B, S] after ``command`` [B, 13] was held for its duration (s)."""
+        before, given = state.numpy(), command.double().numpy()
+        after = before.copy()
+        frames = np.maximum(np.rint(given[:, -1] / FRAME), 1).astype(int)
+        for count in np.unique(frames):  # one, where all are held for as long
+            rows = frames == count
+            held = np.repeat(given[rows, None, :-1], count, axis=1)
+            states = np.ascontiguousarray(before[rows, 3:])
+            found = self.physics.frames(self.model, states, held)
+            poses = poses_of(found, before[rows, :3])
+            after[rows] = np.concatenate([poses[:, -1], found[:, -1]], axis=1)
+        return torch.from_numpy(after)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return rollouts of a controller whose commands depend on time alone (``over``)."""
