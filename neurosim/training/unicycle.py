@@ -46,12 +46,18 @@ def unicycle(rows: Dataset) -> Unicycle | None:
     """Return the unicycle for a dataset, None if its inputs are not those of one.
 
     Where the inputs are velocities (v in m/s, w in rad/s) nothing is fitted. Where they are motor
-    commands, the two factors that take them to velocities are fitted to ``rows`` by least squares.
+    commands, or velocities in other units, the two factors that take them to velocities are fitted
+    to ``rows`` by least squares.
     """
     names = rows.inputs
+    units = {entry["name"]: entry.get("unit") for entry in rows.meta["inputs"]}
+    kind = "unicycle"
     if {"v", "w", "duration"} <= set(names):
-        return Unicycle(names, 1.0, 1.0, "ideal unicycle")
-    if not {"left", "right", "duration"} <= set(names):
+        if (units["v"], units["w"]) == ("m/s", "rad/s"):
+            return Unicycle(names, 1.0, 1.0, "ideal unicycle")
+    elif {"left", "right", "duration"} <= set(names):
+        kind = "differential drive"
+    else:
         return None
     speed, turn, duration = _drive(names, rows.input_array())
     ahead, _, turned = se2.mid_turn(rows.output_array()).T
@@ -59,7 +65,7 @@ def unicycle(rows: Dataset) -> Unicycle | None:
         names,
         _slope(se2.chord(turned) * speed * duration, ahead),
         _slope(turn * duration, turned),
-        "ideal differential drive, two factors fitted",
+        f"ideal {kind}, two factors fitted",
     )
 
 

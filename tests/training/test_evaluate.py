@@ -89,6 +89,16 @@ def test_the_fitted_drive_finds_the_factors_of_an_ideal_robot(make_dataset):
     np.testing.assert_allclose(drive.displacement(inputs), outputs, atol=1e-12)
 
 
+def test_velocities_in_other_units_are_fitted(make_dataset):
+    inputs, outputs = velocities(np.random.default_rng(2), 50)
+    names = dict(VELOCITIES, prev_v="cm/s", v="cm/s")
+    scaled = inputs * np.where([name.endswith("v") for name in names], 100.0, 1.0)
+    drive = unicycle(make_dataset(scaled, outputs, names))
+    assert drive.description == "ideal unicycle, two factors fitted"
+    assert (drive.forward, drive.turning) == pytest.approx((0.01, 1.0))
+    np.testing.assert_allclose(drive.displacement(scaled), outputs, atol=1e-12)
+
+
 def test_no_unicycle_for_a_robot_without_wheels(make_dataset):
     names = {"prev_gait": "", "gait": "", "duration": "s"}
     rows = make_dataset(np.ones((5, 3)), np.zeros((5, 3)), names)
