@@ -86,8 +86,9 @@ def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
             handle = self.radio._unheard
 
             def unheard():
-                if silent := handle():
-                    self.robot._brick._sock._deadline = 0.3  # nothing comes any more
+                silent, brick = handle(), self.robot._brick
+                if silent and brick is not None:  # stops are still sent as the line is closed
+                    brick._sock._deadline = 0.3  # nothing comes any more
                 return silent
 
             self.radio._unheard = unheard
