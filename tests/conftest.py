@@ -7,8 +7,12 @@ from pathlib import Path
 
 import pytest
 
-# A shell that starts the tests in the background has them, and all that they start, ignore Ctrl-C.
+# A shell that starts the tests in the background, or nohup, has them, and all that they start,
+# ignore what would end them.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+for name in ("SIGHUP", "SIGQUIT"):
+    if hasattr(signal, name):
+        signal.signal(getattr(signal, name), signal.SIG_DFL)
 
 #: Whoever asks for one of these waits for another process: all verbs in a row, or a browser.
 SLOW_FIXTURES = {"pipeline", "browser", "tab"}

@@ -106,7 +106,7 @@ _FIELDS: dict[str, dict[str, Shape]] = {
         "training?": {"held_out?": float},
         "history?": [{"generation": float, "mse": Rows(None)}],
         "test_errors?": {key: {"mse": float, "mean_absolute_error": float} for key in OUTPUTS},
-        "source?": _SOURCE,
+        "source?": (dict, list),
         "sources?": [_SOURCE],
         "wall_clock?": {"training_seconds?": float},
         "composition?": {

@@ -336,7 +336,7 @@ def test_a_recording_says_what_chose_its_commands():
 
 KILLED = """
 import os, signal, sys
-sys.path.insert(0, {tests!r})
+sys.path[:0] = [{tests!r}, {tests!r} + "/../support"]
 from test_record import FakeRobot, run
 from neurosim.base import files
 replace, left = os.replace, {steps}

@@ -166,7 +166,9 @@ def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, ti
         until = double([time * place / FINE])
         found = drive.approach(before[None], told[None], until)
         reached = drive.reached(before[None], told[None], until)
-        np.testing.assert_allclose(reached[0], speeds[place], atol=2e-3)
+        # What starts from standing does so at the end of a step.
+        a_step = float(drive.rate.max()) * time / FINE
+        np.testing.assert_allclose(reached[0], speeds[place], atol=2e-3 + a_step)
         missed = np.trapezoid(told.numpy() - speeds[: place + 1], dx=time / FINE, axis=0)
         np.testing.assert_allclose(found.missed[0], missed, atol=1e-3)
         if bool((until > found.settling).all()):
