@@ -8,6 +8,7 @@ it is tracked (:class:`~neurosim.base.trajectory.Tracked`). It may also say what
 
 from __future__ import annotations
 
+import inspect
 import math
 import queue
 import threading
@@ -48,25 +49,37 @@ class Reality(Protocol):
         ...
 
 
-#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`.
+#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`; it
+#: is given the task, too, if it has a parameter of this name.
 REALITIES = Registry(
     "reality",
     "neurosim.realities",
     {
         "virtual-walker": "neurosim.lab.walker:VirtualWalker",
+        "virtual-nxt": "neurosim.trials.nxt:VirtualNxt",
         "by-hand": "neurosim.back_to_reality.by_hand:ByHand",
     },
 )
 
 
-def make_reality(name: str, controller: Any, **options: Any) -> Reality:
+def make_reality(name: str, controller: Any, task: Any = None, **options: Any) -> Reality:
     """Return a reality.
+
+    Args:
+        name: of it.
+        controller: whose genes it is given.
+        task: that is to be done there.
+        options: of it.
 
     Raises:
         UserError: if there is none of this name, it does not take the options, or what has the
             name is none.
     """
-    found = REALITIES.make(name, {"controller": controller, **options})
+    given = {"controller": controller, **options}
+    maker = REALITIES.get(name)
+    if callable(maker) and "task" in inspect.signature(maker).parameters:
+        given["task"] = task
+    found = REALITIES.make(name, given)
     if not isinstance(found, Reality):
         raise UserError(f"the reality {name!r} has no trial()")
     return found

@@ -164,7 +164,7 @@ def back_to_reality(
         found,
         made,
         family,
-        make_reality(reality, family, **reality_options),
+        make_reality(reality, family, made, **reality_options),
         out=out,
         start=start_genes(family, start),
         settings=chosen,
