@@ -22,7 +22,7 @@ from torch import Tensor
 
 from neurosim.back_to_reality.reality import Reality
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.base.trajectory import Draws, Episode, Tracked, Trajectory
 from neurosim.controllers.base import Controller
 from neurosim.controllers.network import Network
 from neurosim.controllers.plan import COMMAND_NAMES, Plan
@@ -540,11 +540,21 @@ def check_reality(reality: Any, genes: Any) -> None:
     if hasattr(reality, "trials"):
         several = reality.trials(np.stack([row, row]), np.arange(2))
         assert np.shape(several) == (2,), "trials() returns a fitness for each individual"
-        assert np.allclose(several, found), "trials() returns what trial() does for its number"
+        alike = np.allclose([_fitness(value) for value in several], [*map(_fitness, found)])
+        assert alike, "trials() returns what trial() does for its number"
         found += list(several)
     for value in found:
+        if isinstance(value, Tracked):
+            steps = {np.shape(one.poses) for one in found if isinstance(one, Tracked)}
+            alike = len(steps) == 1 and np.shape(value.poses)[1:] == (3,)
+            assert alike, "poses are [K, 3], of all trials alike"
+        value = _fitness(value)
         number = math.nan if value is None else float(value)
         assert math.isfinite(number), f"a fitness is {value!r}"
+
+
+def _fitness(found: Any) -> Any:
+    return found.fitness if isinstance(found, Tracked) else found
 
 
 def check_trainer(trainer: type[Trainer], *, generations: int = 2) -> None:

@@ -4,6 +4,7 @@ from neurosim.back_to_reality.alternate import Alternation, Found, Interrupted
 from neurosim.back_to_reality.reality import REALITIES, Reality, Trials, make_reality
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
+from neurosim.base.trajectory import Tracked
 
 __all__ = [
     "Alternation",
@@ -13,6 +14,7 @@ __all__ = [
     "REALITIES",
     "Reality",
     "Simulated",
+    "Tracked",
     "Trials",
     "make_reality",
     "settings_named",

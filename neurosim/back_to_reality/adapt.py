@@ -1,12 +1,13 @@
-"""L3: the simulator's parameters are searched until it gives the fitness that reality gave.
+"""L3: the simulator's parameters are searched until it gives what reality gave.
 
 Zagal et al. 2004, section 5.3: ten individuals with similar fitness in reality and in the
-simulator are compared; what is minimised is the norm of the ten differences.
+simulator are compared; what is minimised is the norm of the ten differences. Where reality tracked
+them all it is their poses that are compared, which say more than one number a trial.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -15,16 +16,74 @@ from numpy.typing import NDArray
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.simulated import Simulated
+from neurosim.base.errors import UserError
 
 #: Parameter sets that are kept differ by this at least: root mean square of their shares.
 APART = 0.05
 #: With cma the first population is spread so far, as a share of the ranges.
 SPREAD = 0.2
+#: Where poses are compared a difference of headings by a radian counts as so many metres.
+HEADING_LENGTH = 0.3
+#: So far from reality is a simulation that blew up, m.
+NOWHERE = 1e6
 
 
 def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return the norm [...] of the fitness differences of individuals [..., P] and [P]."""
     return np.linalg.norm(simulated - real, axis=-1)
+
+
+def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> float:
+    """Return the root mean square distance (m) of poses [..., 3] where reality's are finite.
+
+    It is :data:`NOWHERE` where the simulator's are not.
+    """
+    apart = simulated - real
+    turn = np.remainder(apart[..., 2] + np.pi, 2.0 * np.pi) - np.pi
+    square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + (HEADING_LENGTH * turn) ** 2
+    square = square[np.isfinite(real).all(axis=-1)]
+    return float(np.nan_to_num(np.sqrt(square.mean()), nan=NOWHERE, posinf=NOWHERE))
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """Individuals of which it is known what they do in reality.
+
+    Attributes:
+        simulated: the simulator.
+        genes: [P, G] of them.
+        fitness: [P] in reality.
+        poses: [P, K, 3] in reality, NaN where not seen; None if not all were tracked.
+
+    Raises:
+        UserError: if the simulator gives other poses than reality tracked.
+    """
+
+    simulated: Simulated
+    genes: NDArray[np.float64]
+    fitness: NDArray[np.float64]
+    poses: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.poses is None:
+            return
+        expected = self.simulated.poses(self.genes[:1], self.simulated.as_is)
+        steps = None if expected is None else expected.shape[1]
+        if steps != self.poses.shape[1]:
+            raise UserError(
+                f"reality tracked {self.poses.shape[1]} poses a trial, and the simulator gives "
+                f"{steps or 'none'}: expected one after each step of the task's trial"
+            )
+
+    def discrepancy(self, sets: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return by how much the simulator with sets [S, K] differs from reality, [S].
+
+        It is in metres where poses are compared.
+        """
+        if self.poses is None:
+            return discrepancy(self.simulated.over(self.genes, sets), self.fitness)
+        each = [self.simulated.poses(self.genes, one) for one in sets]
+        return np.array([poses_apart(one, self.poses) for one in each if one is not None])
 
 
 def similar(
@@ -41,9 +100,7 @@ def similar(
 
 
 def begin_adapting(
-    simulated: Simulated,
-    genes: NDArray[np.float64],
-    real: NDArray[np.float64],
+    compared: Compared,
     start: NDArray[np.float64],
     search: str,
     genetic: BitSettings,
@@ -53,9 +110,7 @@ def begin_adapting(
     """Return the search for parameters, under way; its fitness is the discrepancy's negative.
 
     Args:
-        simulated: the simulator.
-        genes: [P, G] of the individuals that are compared.
-        real: [P] their fitness in reality.
+        compared: the individuals.
         start: [K] shares where the search begins.
         search: ``ga`` or ``cma``.
         genetic: the genetic algorithm; its population is that of cma, too.
@@ -64,7 +119,7 @@ def begin_adapting(
     """
 
     def evaluate(sets: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -discrepancy(simulated.over(genes, sets), real)
+        return -compared.discrepancy(sets)
 
     def told(fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         # Selection by shares needs a fitness above 0: what the worst of the generation loses by
@@ -98,28 +153,23 @@ def kept_sets(
 
 
 def agreement(
-    simulated: Callable[[NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-    genes: NDArray[np.float64],
-    real: NDArray[np.float64],
-    before: NDArray[np.float64],
-    after: NDArray[np.float64],
+    compared: Compared, before: NDArray[np.float64], after: NDArray[np.float64]
 ) -> dict[str, Any]:
     """Return how well a simulator agrees with reality, before and after it was adapted.
 
     Args:
-        simulated: returns the fitness [P] of individuals with parameters [K].
-        genes: [P, G].
-        real: [P] their fitness in reality.
+        compared: the individuals.
         before, after: [K] shares of the parameters.
 
     Returns:
         ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their
         ``rms`` and ``median`` (absolute), and the ``rank`` correlation (Spearman; None where all
-        are alike).
+        are alike); ``poses`` (m, root mean square) where they were tracked.
     """
+    real = compared.fitness
     found: dict[str, Any] = {"individuals": len(real)}
     for name, parameters in (("before", before), ("after", after)):
-        fitness = simulated(genes, parameters)
+        fitness = compared.simulated.fitness(compared.genes, parameters)
         apart = np.abs(fitness - real)
         found[name] = {
             "norm": float(np.linalg.norm(apart)),
@@ -127,6 +177,8 @@ def agreement(
             "median": float(np.median(apart)),
             "rank": _rank_correlation(fitness, real),
         }
+        if compared.poses is not None:
+            found[name]["poses"] = float(compared.discrepancy(parameters[None])[0])
     return found
 
 

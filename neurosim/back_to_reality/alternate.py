@@ -1,7 +1,7 @@
 """Back to reality: controller and simulator are adapted to each other, in turn.
 
 Zagal, Ruiz-del-Solar and Vallejos 2004, section 4: L1 learns the controller in the simulator, L2
-in reality, L3 adapts the simulator until it gives the fitness that reality gave; and round again.
+in reality, L3 adapts the simulator until it gives what reality gave; and round again.
 Nothing here knows what the controller moves.
 """
 
@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality.adapt import (
+    Compared,
     agreement,
     begin_adapting,
-    discrepancy,
     kept_sets,
     similar,
 )
@@ -244,7 +244,7 @@ class Alternation:
     # L3
 
     def _adapt(self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]) -> None:
-        """Search the parameters with which the simulator gives the fitness that reality gave."""
+        """Search the parameters with which the simulator gives what reality gave."""
         settings = self._settings
         if settings.compare == "similar":
             fitness = self._simulated.fitness(genes, self._sets[0])
@@ -256,14 +256,14 @@ class Alternation:
             real = np.array([one.fitness for one in recent])
             chosen = np.arange(len(recent))
         others = np.setdiff1d(np.arange(len(genes)), chosen)
-        ten, fitness, name = genes[chosen], real[chosen], f"{cycle}.L3"
+        ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
         climb = begin_adapting(
-            self._simulated, ten, fitness, self._sets[0], settings.adapt,
+            ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
         )  # fmt: skip
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, name, settings.adapt_generations, label)
-        before, worth = self._sets, -discrepancy(self._simulated.over(ten, self._sets), fitness)
+        before, worth = self._sets, -ten.discrepancy(self._sets)
         self._sets, before = kept_sets(climb, settings.sets, before, worth), before[0]
         self.cycles[cycle]["adapted"] = self._sets.tolist()
         self.cycles[cycle]["before"] = before.tolist()
@@ -271,10 +271,10 @@ class Alternation:
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
             "parameters": [self._named(one) for one in self._sets],
             "compared": {
-                **self._agreement(cycle, ten, fitness),
-                "real": fitness.tolist(),
-                "simulated_before": self._simulated.fitness(ten, before).tolist(),
-                "simulated_after": self._simulated.fitness(ten, self._sets[0]).tolist(),
+                **self._agreement(cycle, ten.genes, ten.fitness),
+                "real": ten.fitness.tolist(),
+                "simulated_before": self._simulated.fitness(ten.genes, before).tolist(),
+                "simulated_after": self._simulated.fitness(ten.genes, self._sets[0]).tolist(),
             },
         }
         if len(others):
@@ -287,7 +287,11 @@ class Alternation:
     ) -> dict[str, Any]:
         what = self.cycles[cycle]
         before, after = np.array(what["before"]), np.array(what["adapted"])[0]
-        return agreement(self._simulated.fitness, genes, real, before, after)
+        return agreement(self._compared(genes, real), before, after)
+
+    def _compared(self, genes: NDArray[np.float64], real: NDArray[np.float64]) -> Compared:
+        poses = self._trials.poses(self._simulated.real_genes(genes))
+        return Compared(self._simulated, genes, real, poses)
 
     def _named(self, shares: NDArray[np.float64]) -> dict[str, float]:
         values = self._simulated.values(shares).tolist()

@@ -1,12 +1,14 @@
 """Trials in reality: each is written down before it is used, and none is made twice.
 
-A reality is anything with ``trial(genes, number)`` that returns a fitness. It may also say what it
-is (``describe``), what a person is to do before a trial (``instruction``), and try several at once
+A reality is anything with ``trial(genes, number)`` that returns a fitness, and poses besides where
+it is tracked (:class:`~neurosim.base.trajectory.Tracked`). It may also say what it is
+(``describe``), what a person is to do before a trial (``instruction``), and try several at once
 (``trials``).
 """
 
 from __future__ import annotations
 
+import inspect
 import math
 import queue
 import threading
@@ -21,6 +23,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.base.files import JsonLines, read_json_lines
 from neurosim.base.registry import Registry
+from neurosim.base.trajectory import Tracked
 
 FORMAT, VERSION = "neurosim-real-trials", 1
 #: No more trials are made at once: what an interruption loses.
@@ -36,7 +39,7 @@ class Reality(Protocol):
     [N]) -> [N]``, where several can be made at once.
     """
 
-    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+    def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
         """Return the fitness of an individual [G] in a trial; the higher the better.
 
         Args:
@@ -46,25 +49,37 @@ class Reality(Protocol):
         ...
 
 
-#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`.
+#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`; it
+#: is given the task, too, if it has a parameter of this name.
 REALITIES = Registry(
     "reality",
     "neurosim.realities",
     {
         "virtual-walker": "neurosim.lab.walker:VirtualWalker",
+        "virtual-nxt": "neurosim.trials.nxt:VirtualNxt",
         "by-hand": "neurosim.back_to_reality.by_hand:ByHand",
     },
 )
 
 
-def make_reality(name: str, controller: Any, **options: Any) -> Reality:
+def make_reality(name: str, controller: Any, task: Any = None, **options: Any) -> Reality:
     """Return a reality.
+
+    Args:
+        name: of it.
+        controller: whose genes it is given.
+        task: that is to be done there.
+        options: of it.
 
     Raises:
         UserError: if there is none of this name, it does not take the options, or what has the
             name is none.
     """
-    found = REALITIES.make(name, {"controller": controller, **options})
+    given = {"controller": controller, **options}
+    maker = REALITIES.get(name)
+    if callable(maker) and "task" in inspect.signature(maker).parameters:
+        given["task"] = task
+    found = REALITIES.make(name, given)
     if not isinstance(found, Reality):
         raise UserError(f"the reality {name!r} has no trial()")
     return found
@@ -110,9 +125,10 @@ class Trials:
         about = self._reality.describe() if hasattr(self._reality, "describe") else {}
         self._file = JsonLines(path, FORMAT, VERSION, {"reality": about})
         self._known: dict[bytes, list[float]] = {}
+        self._tracked: dict[bytes, list[NDArray[np.float64]]] = {}
         for line, row in enumerate(self._file.rows, 2):
-            genes, fitness = _checked(row, self._file.path, line)
-            self._known.setdefault(genes.tobytes(), []).append(fitness)
+            genes, fitness, poses = _checked(row, self._file.path, line)
+            self._remember(genes, fitness, poses)
         self._count = len(self._file.rows)
         self.used = self.made = 0
         self._taken: dict[bytes, int] = {}
@@ -144,6 +160,18 @@ class Trials:
             self._taken[key] = max(wanted, self._taken.get(key, 0))
         self._make(missing, why)
         return np.array([np.mean(self._known[row.tobytes()][:wanted]) for row in genes])
+
+    def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        """Return where individuals [P, G] that were tried were, [P, K, 3], mean over their trials.
+
+        NaN where one was not seen in any trial; None if any was not tracked at all, or for another
+        number of steps than the others.
+        """
+        each = [self._tracked.get(row.tobytes(), []) for row in genes]
+        shapes = {poses.shape for trials in each for poses in trials}
+        if len(shapes) != 1 or not all(np.isfinite(trials).any() for trials in each):
+            return None
+        return np.stack([_mean_pose(np.stack(trials)) for trials in each])
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
         if not rows:
@@ -190,19 +218,40 @@ class Trials:
             raise error
         return found
 
-    def _write(self, genes: NDArray[np.float64], fitness: Any, why: str) -> None:
+    def _write(self, genes: NDArray[np.float64], found: Any, why: str) -> None:
+        fitness, poses = found, None
+        if isinstance(found, Tracked):
+            fitness, poses = found.fitness, _poses(found.poses)
+            if poses is None:
+                raise UserError(
+                    f"reality returned poses of shape {np.shape(found.poses)} in trial "
+                    f"{self._count + 1}, not [K, 3]"
+                )
         try:
             value = float(fitness)
         except (TypeError, ValueError):
             raise _no_number(fitness, self._count) from None
         if not math.isfinite(value):
             raise _no_number(fitness, self._count)
-        self._file.append(
-            {"number": self._count, "genes": genes.tolist(), "fitness": value, "why": why}
-        )
-        self._known.setdefault(genes.tobytes(), []).append(value)
+        row: dict[str, Any] = {
+            "number": self._count,
+            "genes": genes.tolist(),
+            "fitness": value,
+            "why": why,
+        }
+        if poses is not None:
+            row["poses"] = [one.tolist() if np.isfinite(one).all() else None for one in poses]
+        self._file.append(row)
+        self._remember(genes, value, poses)
         self._count += 1
         self.made += 1
+
+    def _remember(
+        self, genes: NDArray[np.float64], fitness: float, poses: NDArray[np.float64] | None
+    ) -> None:
+        self._known.setdefault(genes.tobytes(), []).append(fitness)
+        if poses is not None:
+            self._tracked.setdefault(genes.tobytes(), []).append(poses)
 
     def close(self) -> None:
         """Close the file."""
@@ -230,18 +279,48 @@ def _no_number(found: Any, number: int) -> UserError:
     )
 
 
-def _checked(row: Mapping[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], float]:
+def _poses(found: Any) -> NDArray[np.float64] | None:
+    """Return poses [K, 3], all NaN where one of the three is not finite; None if they are none."""
+    try:
+        poses = np.array(found, np.float64)
+    except (TypeError, ValueError):
+        return None
+    if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
+        return None
+    return np.where(np.isfinite(poses).all(axis=1, keepdims=True), poses, np.nan)
+
+
+def _mean_pose(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the mean [K, 3] of poses [N, K, 3] of :func:`_poses`; headings as directions."""
+    seen = np.isfinite(poses[..., 0])
+    given = np.where(seen[..., None], poses, 0.0)
+    with np.errstate(invalid="ignore"):
+        found: NDArray[np.float64] = given.sum(axis=0) / seen.sum(axis=0)[:, None]
+    east, north = (np.where(seen, f(given[..., 2]), 0.0).sum(axis=0) for f in (np.cos, np.sin))
+    found[:, 2] = np.where(seen.any(axis=0), np.arctan2(north, east), np.nan)
+    return found
+
+
+def _checked(
+    row: Mapping[str, Any], path: Path, line: int
+) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
     genes, fitness = row.get("genes"), row.get("fitness")
     if not isinstance(fitness, float | int) or isinstance(fitness, bool):
         raise FileError(path, f"expected a number, found {fitness!r}", line=line, field="fitness")
+    poses = None
+    if "poses" in row:
+        listed = row["poses"] if isinstance(row["poses"], list) else []
+        poses = _poses([[math.nan] * 3 if one is None else one for one in listed])
+        if poses is None:
+            raise FileError(path, "expected poses, or null each", line=line, field="poses")
     try:
-        return np.array(genes, np.float64).reshape(-1), float(fitness)
+        return np.array(genes, np.float64).reshape(-1), float(fitness), poses
     except (TypeError, ValueError):
         raise FileError(path, "expected numbers", line=line, field="genes") from None
 
 
 def read_trials(path: str | Path) -> list[dict[str, Any]]:
-    """Read a file of trials: number, genes, fitness and why of each.
+    """Read a file of trials: number, genes, fitness and why of each, poses where it was tracked.
 
     Raises:
         FileError: if it is missing or damaged.

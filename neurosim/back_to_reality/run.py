@@ -18,10 +18,13 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import SavedController, read_controller
+from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.controllers.base import Controller
+from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import path_of
 from neurosim.simulators.base import Simulator
+from neurosim.simulators.registry import write_simulator
 from neurosim.tasks.base import Task
 
 FORMAT, VERSION = "neurosim-back-to-reality", 1
@@ -52,6 +55,8 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
         return np.asarray(controller.hand_tuned(), np.float64)
     if Path(path).is_dir():
         saved = read_controller(path)
+        if saved.commands and saved.kind == controller.kind and hasattr(controller, "encode"):
+            return _genes_of_plan(controller, saved, path)
         if saved.kind != controller.kind or saved.genes.shape != (controller.genes,):
             raise UserError(
                 f"{path} holds a {saved.kind} of {saved.genes.size} genes; expected a "
@@ -71,6 +76,16 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
     if genes.shape != (controller.genes,) or not np.isfinite(genes).all():
         raise FileError(path, f"expected {controller.genes} finite numbers", field="genes")
     return genes
+
+
+def _genes_of_plan(controller: Any, saved: SavedController, path: str | Path) -> NDArray:
+    """Return the genes [G] of a plan that was written down as its commands."""
+    room = controller.slots - len(saved.commands)
+    if room < 0:
+        raise UserError(
+            f"{path} has {len(saved.commands)} commands; expected {controller.slots} at most"
+        )
+    return controller.encode([*saved.commands, *[None] * room])
 
 
 def back_to_reality(
@@ -217,10 +232,9 @@ def _simulators(found: Found, simulated: Simulated, folder: Path) -> list[str]:
     names = []
     for place, one in enumerate(found.sets):
         simulator = simulated.adjusted(one)
-        if not hasattr(simulator, "write"):
-            return []
         names.append("simulator" if not place else f"simulator-{place + 1}")
-        simulator.write(folder / names[-1])
+        if not write_simulator(simulator, folder / names[-1]):
+            return []
     return names
 
 
@@ -237,17 +251,22 @@ def _controller(
     evaluator = Evaluator(simulated.adjusted(found.sets[0]), task, controller)
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
-    poses = trajectory.poses[0, 0]
-    poses = poses[np.isfinite(poses).all(axis=1)]
-    poses = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
+    family, own = controller, genes
+    poses, rest = path_of(trajectory, 0, evaluator)
+    if controller.kind == "plan":
+        family, own = FixedPlan(tuple(commands_of(controller, genes))), np.empty(0)
+    else:
+        poses = poses[np.isfinite(poses).all(axis=1)]
+        poses = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
+        rest = poses[-1]
     return SavedController(
-        controller=controller,
-        genes=genes,
+        controller=family,
+        genes=own,
         task=content["task"],
         start=tuple(poses[0].tolist()),
         predicted={
             "poses": poses.tolist(),
-            "rest": poses[-1].tolist(),
+            "rest": rest.tolist(),
             "fitness": float(judged.fitness[0].mean()),
             "completes": bool(judged.success[0].all()),
             "unsupported": 0.0,

@@ -89,6 +89,19 @@ class Simulated:
             merit, _ = evaluator.merit(self.real_genes(genes), evaluator.expectation())
         return np.nan_to_num(merit.merit, nan=0.0, posinf=0.0, neginf=0.0)
 
+    def poses(
+        self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
+    ) -> NDArray[np.float64] | None:
+        """Return where individuals [P, G] are expected after each step, [P, K, 3]; None: nowhere.
+
+        From the task's first start, with one set of parameters [K], without noise.
+        """
+        evaluator = self._evaluator(parameters)
+        self.tried += len(genes)
+        with evaluator.threads_for(len(genes)):
+            poses = evaluator.run(self.real_genes(genes), evaluator.expectation()).poses
+        return None if poses is None else np.array(poses[:, 0, 1:])
+
     def over(self, genes: NDArray[np.float64], sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness [S, P] of individuals [P, G] with sets of parameters [S, K]."""
         return np.stack([self.fitness(genes, one) for one in sets])

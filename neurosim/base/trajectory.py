@@ -112,6 +112,20 @@ class Trajectory:
 
 
 @dataclass(frozen=True, eq=False)
+class Tracked:
+    """What came of a trial in reality in which poses were tracked.
+
+    Attributes:
+        fitness: the higher the better.
+        poses: [K, 3] (m, m, rad) after each of the K steps of the task's trial, as if it had begun
+            exactly at the task's start; NaN where it was not seen.
+    """
+
+    fitness: float
+    poses: NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
 class Episode:
     """How a trial runs, as far as simulators need to know.
 

@@ -164,7 +164,7 @@ def back_to_reality(
         found,
         made,
         family,
-        make_reality(reality, family, **reality_options),
+        make_reality(reality, family, made, **reality_options),
         out=out,
         start=start_genes(family, start),
         settings=chosen,
@@ -191,9 +191,10 @@ def _text(content: dict[str, Any], out: Path) -> str:
     for number, cycle in enumerate(content["cycles"], 1):
         if "L3" in cycle:
             compared = cycle["L3"]["compared"]
+            by, unit = ("poses", " m") if "poses" in compared["before"] else ("norm", "")
             text += (
                 f"Cycle {number}: the simulator and reality differed by "
-                f"{compared['before']['norm']:.3g} over {compared['individuals']} controllers "
-                f"(norm), by {compared['after']['norm']:.3g} after its parameters were adapted.\n"
+                f"{compared['before'][by]:.3g}{unit} over {compared['individuals']} controllers "
+                f"({by}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
             )
     return text + next_step("report", out, out / "controller", "-o", "report.html")

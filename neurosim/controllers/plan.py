@@ -102,6 +102,13 @@ class FixedPlan(Controller):
         return with_rest(commands, np.ones(commands.shape[:2], np.bool_), rest)
 
 
+def commands_of(controller: Controller, genes: NDArray[np.float64]) -> list[Command | None]:
+    """Return the commands of an individual [G] of a blind controller, None for a null one."""
+    commands, active = controller.commands(genes[None], 0.0)
+    pairs = zip(commands[0].tolist(), active[0], strict=True)
+    return [tuple(command) if given else None for command, given in pairs]
+
+
 def with_rest(commands: NDArray, active: NDArray, rest: float) -> tuple[NDArray, NDArray]:
     """Return commands [P, K + 1, 3] and active [P, K + 1] with the stop at the end.
 

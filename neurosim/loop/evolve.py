@@ -25,6 +25,7 @@ from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
 from neurosim.controllers import FixedPlan, SavedController, make_controller, read_controller
 from neurosim.controllers.base import Controller
+from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.objectives import mean_fitness, repeats_of
 from neurosim.loop.optimisers import make_optimiser
@@ -80,13 +81,7 @@ class Result:
     @property
     def commands(self) -> list[tuple[float, float, float] | None]:
         """The commands of a plan, None for a null one; of other kinds none."""
-        if not self.controller.blind:
-            return []
-        commands, active = self.controller.commands(self.genes[None], 0.0)
-        return [
-            tuple(command) if given else None
-            for command, given in zip(commands[0].tolist(), active[0], strict=True)
-        ]
+        return commands_of(self.controller, self.genes) if self.controller.blind else []
 
 
 class Evolution:
@@ -303,7 +298,7 @@ class Evolution:
                 if settings.outcomes and not settings.robust:
                     fitness = expected_fitness
                     spread = float(fitnesses.std(ddof=1)) * evaluator.task.trial_starts**0.5
-            poses, rest = _path(expected, run, evaluator)
+            poses, rest = path_of(expected, run, evaluator)
             found.append(
                 Result(
                     controller=evaluator.controller,
@@ -405,8 +400,11 @@ def _check_reach(evaluator: Evaluator) -> None:
     check_commands(evaluator.simulator, commands[active | (commands[..., -1] > 0)], "the commands")
 
 
-def _path(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, NDArray]:
-    """Return the poses of one individual's expected path, and the last."""
+def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, NDArray]:
+    """Return the poses of one individual's expected path, and the last.
+
+    Those of a plan are where its given commands begin and end.
+    """
     poses = trajectory.poses[run, 0]
     if evaluator.controller.blind:
         slots = len(poses) - 1 - (evaluator.episode.rest > 0)

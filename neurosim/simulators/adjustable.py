@@ -37,7 +37,7 @@ class Adjustable:
         finite = math.isfinite(self.low) and math.isfinite(self.high)
         if not finite or self.low >= self.high or (self.log and self.low <= 0.0):
             raise UserError(f"the parameter {self.name}: {self.low:g} to {self.high:g} is no range")
-        self._check(self.value)
+        self.checked(self.value)
 
     def at(self, share: float) -> float:
         """Return the value at a share 0..1 of the range; what is outside is cut to it."""
@@ -52,18 +52,24 @@ class Adjustable:
         Raises:
             UserError: if it is out of bounds.
         """
-        self._check(value)
+        self.checked(value)
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
         return (value - self.low) / (self.high - self.low)
 
-    def _check(self, value: float) -> None:
+    def checked(self, value: float) -> float:
+        """Return a value.
+
+        Raises:
+            UserError: if it is out of bounds.
+        """
         if not self.low <= value <= self.high:
             unit = f" {self.unit}" if self.unit else ""
             raise UserError(
                 f"the parameter {self.name} is {value:g}, outside of {self.low:g} to "
                 f"{self.high:g}{unit}"
             )
+        return value
 
 
 @runtime_checkable

@@ -1,4 +1,4 @@
-"""The kinds of simulators by name, and how one is read from its folder."""
+"""The kinds of simulators by name, and how one is read from its folder and written to one."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from neurosim.base import files
 from neurosim.base.errors import FileError
 from neurosim.base.registry import Registry
 from neurosim.simulators.base import FORMAT, VERSION, Simulator
+from neurosim.simulators.motion.files import write_motion
+from neurosim.simulators.motion.network import MotionNetwork
 
 #: By the kind that simulator.json names: what reads such a folder, (folder, device) -> simulator.
 SIMULATORS = Registry(
@@ -38,3 +40,19 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
         known = ", ".join(SIMULATORS.names())
         raise FileError(path, f"expected one of {known}, found {kind!r}", field="kind")
     return SIMULATORS.get(kind)(folder, device)
+
+
+def write_simulator(simulator: Simulator, folder: str | Path) -> bool:
+    """Write a simulator as a new folder; return whether its kind can be written.
+
+    Raises:
+        UserError: if something stands there.
+    """
+    if isinstance(simulator, MotionNetwork):
+        with files.new_folder(folder) as partial:
+            write_motion(simulator, partial)
+    elif hasattr(simulator, "write"):
+        simulator.write(folder)
+    else:
+        return False
+    return True

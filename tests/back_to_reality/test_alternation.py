@@ -4,6 +4,7 @@ import signal
 
 import numpy as np
 import pytest
+import torch
 from ideal_simulator import SlippingWheels
 from sliding_block import Block, Push, Slide, reality_of
 
@@ -11,10 +12,20 @@ from neurosim.back_to_reality import (
     Alternation,
     Interrupted,
     Simulated,
+    Tracked,
     Trials,
     settings_named,
 )
-from neurosim.back_to_reality.adapt import agreement, discrepancy, kept_sets, similar
+from neurosim.back_to_reality.adapt import (
+    HEADING_LENGTH,
+    NOWHERE,
+    Compared,
+    agreement,
+    discrepancy,
+    kept_sets,
+    poses_apart,
+    similar,
+)
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
 from neurosim.back_to_reality.genetic import BitSettings
@@ -54,16 +65,72 @@ def test_discrepancy_and_choice_of_similar_ones_by_hand():
 
 
 def test_agreement_by_hand():
-    def fitness(genes, parameters):
-        return genes[:, 0] + parameters[0]
+    class Given:
+        def fitness(self, genes, parameters):
+            return genes[:, 0] + parameters[0]
 
-    genes, real = np.array([[1.0], [2.0], [3.0]]), np.array([1.0, 2.0, 5.0])
-    found = agreement(fitness, genes, real, np.array([1.0]), np.array([0.0]))
+    compared = Compared(Given(), np.array([[1.0], [2.0], [3.0]]), np.array([1.0, 2.0, 5.0]))
+    found = agreement(compared, np.array([1.0]), np.array([0.0]))
     assert found["before"]["norm"] == pytest.approx(3**0.5)
     assert found["after"]["norm"] == pytest.approx(2.0)
     assert found["after"]["median"] == 0.0
     assert found["after"]["rms"] == pytest.approx((4 / 3) ** 0.5)
     assert found["after"]["rank"] == pytest.approx(1.0)
+    assert "poses" not in found["after"]
+
+
+def test_poses_apart_by_hand():
+    real = np.array([[0.0, 0.0, 0.1], [1.0, 1.0, 6.2], [np.nan] * 3])
+    near = np.array([[0.3, 0.4, 0.1], [1.0, 1.0, 6.2 - 2 * np.pi + 1.0], [9.0, 9.0, 9.0]])
+    # 0.5 m of the first, a radian of the second, and the third was not seen.
+    assert poses_apart(near, real) == pytest.approx(((0.25 + HEADING_LENGTH**2) / 2) ** 0.5)
+    assert poses_apart(np.full((3, 3), np.nan), real) == NOWHERE
+
+
+class TrackedBlock:
+    """A block that is seen after its first step only; its fitness says nothing."""
+
+    def __init__(self, mass, friction, steps=2):
+        self.block, self.steps = Block(mass, friction), steps
+
+    def trial(self, genes, number):
+        start = torch.zeros(1, 3, dtype=torch.float64)
+        end = self.block.step(start, torch.from_numpy(genes[None]))
+        return Tracked(0.0, np.concatenate([end.numpy(), np.full((self.steps - 1, 3), np.nan)]))
+
+
+@pytest.mark.parametrize("compare", ["similar", "recent"])
+def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
+    settings = settings_named(
+        "paper", compare=compare, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
+    )
+    trials = Trials(TrackedBlock(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
+    adapted = found.cycles[0]["L3"]
+    assert adapted["compared"]["after"]["poses"] < 0.25 * adapted["compared"]["before"]["poses"]
+    assert adapted["held_out"]["after"]["poses"] < 0.5 * adapted["held_out"]["before"]["poses"]
+    assert adapted["history"]["best"][-1] >= adapted["compared"]["after"]["poses"] - 1e-12
+
+
+def test_fitness_is_compared_where_one_was_not_tracked(tmp_path):
+    class Sometimes(TrackedBlock):
+        def trial(self, genes, number):
+            found = super().trial(genes, number)
+            return found if number % 2 else reality_of()(genes)
+
+    trials = Trials(Sometimes(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    settings = settings_named("paper", **SMALL)
+    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
+    assert "poses" not in found.cycles[0]["L3"]["compared"]["after"]
+
+
+def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
+    trials = Trials(TrackedBlock(2.0, 0.2, steps=3), tmp_path / "trials.jsonl", each=1)
+    run = Alternation(
+        simulated(), trials, START, settings_named("paper", **SMALL), seed=3, progress=False
+    )
+    with pytest.raises(UserError, match="tracked 3 poses a trial, and the simulator gives 2"):
+        run.run()
 
 
 @pytest.mark.parametrize("search", ["ga", "cma"])

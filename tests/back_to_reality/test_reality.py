@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sliding_block import Push
 
-from neurosim.back_to_reality import REALITIES, Trials, make_reality
+from neurosim.back_to_reality import REALITIES, Tracked, Trials, make_reality
 from neurosim.back_to_reality.by_hand import ByHand
 from neurosim.back_to_reality.reality import read_trials
 from neurosim.base.errors import FileError, RobotError, UserError
@@ -88,6 +88,48 @@ def test_what_a_reality_raises_comes_through(tmp_path):
 
     with pytest.raises(RobotError, match="the robot is gone"):
         Trials(lost, tmp_path / "trials.jsonl").evaluate(ONE[None], "first")
+
+
+def seen(*poses):
+    return Tracked(0.5, np.array(poses, float))
+
+
+def test_poses_are_written_and_read_again(tmp_path):
+    path, nan = tmp_path / "trials.jsonl", np.nan
+    answers = [seen((1, 2, 3), (nan, 0, 0)), seen((2, 2, 3.1), (nan, nan, nan)), 0.25, 0.75]
+    trials = Trials(lambda genes: answers.pop(0), path, each=2)
+    assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([0.5, 0.5])
+    trials.close()
+    assert [row.get("poses") for row in read_trials(path)] == [
+        [[1.0, 2.0, 3.0], None],
+        [[2.0, 2.0, 3.1], None],
+        None,
+        None,
+    ]
+    for known in (trials, Trials(lambda genes: None, path, each=2)):
+        expected = [[[1.5, 2.0, 3.05], [nan] * 3]]
+        np.testing.assert_allclose(known.poses(ONE[None]), expected)
+        assert known.poses(np.stack([ONE, TWO])) is None  # the second was not tracked
+
+
+def test_headings_are_averaged_as_directions(tmp_path):
+    answers = [seen((0, 0, 3.0)), seen((0, 0, -3.0 - 4 * np.pi)), seen((nan := np.nan, 0, nan))]
+    trials = Trials(lambda genes: answers.pop(0), tmp_path / "trials.jsonl")
+    trials.evaluate(ONE[None], "first")
+    assert abs(trials.poses(ONE[None])[0, 0, 2]) == pytest.approx(np.pi)
+
+
+@pytest.mark.parametrize("poses", [[], [1.0, 2.0, 3.0], [[1.0, 2.0]], "here", [[1.0], [1.0, 2.0]]])
+def test_what_are_no_poses_is_refused(tmp_path, poses):
+    path = tmp_path / "trials.jsonl"
+    with pytest.raises(UserError, match=r"poses of shape .* in trial 1, not \[K, 3\]"):
+        Trials(lambda genes: Tracked(0.5, np.array(poses, object)), path).evaluate(ONE[None], "")
+    trials = Trials(lambda genes: seen((1, 2, 3)), path, each=1)
+    trials.evaluate(ONE[None], "first")
+    head, line = path.read_text().splitlines()
+    path.write_text("\n".join([head, json.dumps(json.loads(line) | {"poses": poses})]) + "\n")
+    with pytest.raises(FileError, match="line 2, field 'poses'"):
+        read_trials(path)
 
 
 def test_a_person_is_asked_before_every_trial(tmp_path):

@@ -8,7 +8,10 @@ nobody waits for a robot that is not there.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,6 +45,8 @@ class VirtualRig:
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
         real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
+        changes: fields of :class:`LabParams` in which robot and ground differ from those of the
+            seed, such as another floor's slip.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -63,14 +68,17 @@ class VirtualRig:
         device: str | None = None,
         port: int = 0,
         real_time: bool = False,
+        changes: Mapping[str, float] | None = None,
     ):
-        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        self._about: dict[str, Any] = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        if changes:
+            self._about["changes"] = dict(changes)
         rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
         spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
         x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
         self.lab = Lab(
             int(rng.integers(2**31)),
-            params=LabParams.drawn(robot_seed),
+            params=replace(LabParams.drawn(robot_seed), **(changes or {})),
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=(float(x), float(y), float(theta)),
             wiring=Wiring(),
@@ -92,9 +100,9 @@ class VirtualRig:
         """Whether the line still stands."""
         return self._server.error is None
 
-    def describe(self) -> dict[str, int]:
+    def describe(self) -> dict[str, Any]:
         """Return what makes the same lab again."""
-        return dict(self._seeds)
+        return dict(self._about)
 
     def write_truth(self, folder: Path, session: int) -> None:
         """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""

@@ -138,6 +138,7 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
             e.stick,
             e.delay,
             e.kinematics,
+            e.correction,
             e.longest,
         )
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)

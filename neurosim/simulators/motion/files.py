@@ -15,6 +15,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
@@ -47,6 +48,8 @@ NOISE = {
 def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
     """Write simulator.json and weights.safetensors into an existing folder."""
     folder = Path(folder)
+    correction = simulator.correction
+    corrects = None if correction == Correction() else asdict(correction)
     content = {
         "kind": simulator.kind,
         "inputs": simulator.inputs,
@@ -65,6 +68,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         "members": simulator.members,
         "central": simulator.central,
         "noise": None if simulator.noise is None else NOISE,
+        **({} if corrects is None else {"correction": corrects}),
         **({} if simulator.known is None else {"domain": _said_of(simulator.known)}),
         **simulator.meta,
     }
@@ -158,7 +162,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
     others = ("format", "version", "outputs", "members", "central", "noise", "derived")
-    described = (*others, "drive", "kernel_units", "domain", *fields)
+    described = (*others, "drive", "kernel_units", "domain", "correction", *fields)
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(
@@ -176,6 +180,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             DriveModel(**_part(loaded, "drive.")) if drives else None,
             KernelUnits(**_part(loaded, "kernel.")) if units else None,
             known,
+            _correction(path, content),
         )
     except ValueError as error:
         raise FileError(path, f"is no motion network ({error})") from None
@@ -206,6 +211,22 @@ def _derived(path: Path, content: Mapping[str, Any]) -> Derived:
     raise FileError(
         path, "expected swing (a number, or null): train the simulator anew", field="derived"
     )
+
+
+def _correction(path: Path, content: Mapping[str, Any]) -> Correction:
+    found = content.get("correction")
+    if found is None:
+        return Correction()
+    names = list(asdict(Correction()))
+    numbers = isinstance(found, dict) and all(
+        isinstance(value, int | float) and not isinstance(value, bool) for value in found.values()
+    )
+    if not numbers or list(found) != names:
+        raise FileError(path, f"expected {', '.join(names)}, numbers", field="correction")
+    try:
+        return Correction(**{name: float(value) for name, value in found.items()})
+    except ValueError as error:
+        raise FileError(path, str(error), field="correction") from None
 
 
 def _units(path: Path, content: Mapping[str, Any]) -> int:

@@ -39,7 +39,7 @@ class Arrays(NamedTuple):
     centres: np.ndarray  #: of kernel units, over their lengths, [J, K]
     lengths: np.ndarray  #: [J]
     kernel_weights: np.ndarray  #: [M, O, K]
-    drives: bool  #: whether there is a drive model; if not, the next eight hold anything
+    drives: bool  #: whether there is a drive model; if not, the next nine hold anything
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray  #: [C]
     braking: np.ndarray  #: [C]
@@ -47,7 +47,8 @@ class Arrays(NamedTuple):
     bend: np.ndarray  #: [C]
     stick: np.ndarray  #: [C]
     delay: np.ndarray  #: [1]
-    kinematics: np.ndarray  #: [F, 3]
+    kinematics: np.ndarray  #: [F, 3], corrected
+    correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros

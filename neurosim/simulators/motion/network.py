@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict, astuple
 from typing import Any
 
 import numpy as np
@@ -20,12 +21,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
+from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.motion.closed_loop import MotionClosedLoop
+from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
@@ -72,6 +76,8 @@ class MotionNetwork(Simulator):
             steps of any length. Without, a step is a whole command.
         kernel_units: units beside the networks' own, or None.
         known: the commands that it has learned from; None: but the largest are not known.
+        correction: of drive model and networks, all members alike, where another floor or robot
+            is to be simulated than was learned from.
         meta: what else simulator.json says: training, test errors, source.
     """
 
@@ -93,6 +99,7 @@ class MotionNetwork(Simulator):
         drive: DriveModel | None = None,
         kernel_units: KernelUnits | None = None,
         known: Domain | None = None,
+        correction: Correction | None = None,
     ):
         """Make a simulator.
 
@@ -120,6 +127,9 @@ class MotionNetwork(Simulator):
             raise ValueError("the domain is one of other commands")
         if (drive is not None) != (coordinates == "residual-twist"):
             raise ValueError("a residual twist is one beside a drive model")
+        correction = correction or Correction()
+        if drive is None and correction != Correction():
+            raise ValueError("without a drive model there is nothing to correct")
         if drive is not None and not can_drive(names, len(drive.lag)):
             raise ValueError("a drive model needs a duration, and every input's command before")
         if derived.swing is not None and not can_swing(columns):
@@ -144,6 +154,8 @@ class MotionNetwork(Simulator):
         self.drive = drive
         self.kernel_units = kernel_units
         self.known = known
+        self.correction = correction
+        self._corrected = None if drive is None else correction.of_drive(drive)
         self.columns = columns
         if drive is None:
             self.state_names: tuple[str, ...] = ("x", "y", "theta", *remembered)
@@ -397,7 +409,10 @@ class MotionNetwork(Simulator):
             return outputs
         columns, share = self.columns, x[:, self.columns.duration]
         before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
-        changing, twist = self.drive.phases(before, told, share * self.longest)
+        assert self._corrected is not None
+        changing, twist = self._corrected.phases(before, told, share * self.longest)
+        if self.correction != Correction():
+            outputs = self.correction.of_twists(outputs)
         return se2.compose(changing, se2.exp(twist + share.unsqueeze(1) * outputs))
 
     def disturbed(self, x: Tensor, mean: Tensor, z: Tensor) -> Tensor:
@@ -411,6 +426,54 @@ class MotionNetwork(Simulator):
         if self.noise is None:
             return mean
         return disturb(self.noise, self.columns, x, mean, z)
+
+    @property
+    def parameters(self) -> list[Adjustable]:
+        """Return the five numbers of its correction.
+
+        Raises:
+            UserError: if there is no drive model, which is what is corrected.
+        """
+        if self.drive is None:
+            raise UserError(
+                "this simulator has no drive model that could be corrected: train it with the "
+                "default trainer"
+            )
+        return self.correction.parameters
+
+    def adjusted(self, values: NDArray[np.float64]) -> MotionNetwork:
+        """Return the simulator with another correction [5], instead of the one that it has.
+
+        Raises:
+            UserError: if there are not as many, one is out of bounds, or there is no drive model.
+        """
+        parameters = self.parameters
+        if np.shape(values) != (len(parameters),):
+            raise UserError(f"expected {len(parameters)} parameters, got {np.shape(values)}")
+        pairs = zip(parameters, np.asarray(values, np.float64).tolist(), strict=True)
+        correction = Correction(*(one.checked(value) for one, value in pairs))
+        return MotionNetwork(
+            self.inputs,
+            self.network,
+            self.genes,
+            self.input_scale,
+            self.output_scale,
+            self.coordinates,
+            self.meta,
+            self.noise,
+            self.dead_zone,
+            self.central,
+            self.derived,
+            self.drive,
+            self.kernel_units,
+            self.known,
+            correction,
+        )
+
+    def conditions(self) -> dict[str, Any]:
+        """Return its correction, where there is one."""
+        none = self.correction == Correction()
+        return {} if none else {"correction": asdict(self.correction)}
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts where the units are linear and the commands are these."""
@@ -456,7 +519,7 @@ class MotionNetwork(Simulator):
         }
         count = len(self.columns.driven)
         shapes_of = DriveModel.shapes(count)
-        drive = self.drive or DriveModel(
+        drive = self._corrected or DriveModel(
             **{name: torch.ones(shapes_of[name]) for name in DriveModel.NAMES}
         )
         units = self.kernel_units or KernelUnits(
@@ -476,6 +539,7 @@ class MotionNetwork(Simulator):
             "lengths": units.lengths,
             "kernel_weights": units.weights,
             **{name: getattr(drive, name) for name in DriveModel.NAMES},
+            "correction": torch.tensor(astuple(self.correction)[:4], dtype=torch.float64),
             **{f"noise_{name}": value for name, value in noise.items()},
         }
         return Arrays(

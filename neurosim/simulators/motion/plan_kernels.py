@@ -74,6 +74,7 @@ class Ensemble(NamedTuple):
     stick: np.ndarray
     delay: np.ndarray
     kinematics: np.ndarray
+    correction: np.ndarray
     longest: float
 
 
@@ -283,6 +284,8 @@ def displacements(e, x, room, out):
     for m in range(e.members):
         dx, dy, turn = rows[3 * m], rows[3 * m + 1], rows[3 * m + 2]
         if e.drives:
+            c = e.correction
+            dx, turn = c[0] * dx + c[3] * turn, c[2] * dx + c[1] * turn
             dx, dy, turn = se2.compose_exp(
                 moved[0],
                 moved[1],

@@ -1,0 +1,86 @@
+"""Five numbers that correct a motion network: for another floor, battery or wheel.
+
+A robot of two wheels that travel l and r times as far as was learned, whose track is another and
+which drifts, moves by a linear map of forward way and turn: four numbers, with those of any planar
+robot. The fifth is slip to the outside of bends, in proportion to the acceleration to the side.
+
+It is a correction of twists, not of displacements: within a command a robot may turn round more
+than once, and then a displacement does not say by which twist it came about. A drive model's pieces
+and what the networks add to them are twists, and linear; so a corrected simulator costs what it
+did, and a command may be cut as before.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import astuple, dataclass, fields, replace
+
+import torch
+from torch import Tensor
+
+from neurosim.simulators.adjustable import Adjustable
+from neurosim.simulators.motion.drive import DriveModel
+
+
+@dataclass(frozen=True)
+class Correction:
+    """What is corrected of the motion; as it stands, nothing.
+
+    Attributes:
+        forward: ways forward are so many times as long.
+        turn: turns are so many times as large.
+        yaw: turns to the left beside it for every metre forward, rad/m.
+        drift: way forward beside it for every radian of turn, m/rad.
+        slip: speed to the left for an acceleration to the left, the product of the drive model's
+            speed forward and its turn rate, s.
+
+    Raises:
+        ValueError: if one is not finite, or a factor not above 0.
+    """
+
+    forward: float = 1.0
+    turn: float = 1.0
+    yaw: float = 0.0
+    drift: float = 0.0
+    slip: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, astuple(self))) or min(self.forward, self.turn) <= 0.0:
+            raise ValueError("a correction is of finite numbers, and its factors are above 0")
+
+    @property
+    def parameters(self) -> list[Adjustable]:
+        """Return the five, with bounds that no robot of two wheels should leave."""
+        ranges = {
+            "forward": (1 / 1.5, 1.5, "", True),
+            "turn": (1 / 1.5, 1.5, "", True),
+            "yaw": (-1.0, 1.0, "rad/m", False),
+            "drift": (-0.02, 0.02, "m/rad", False),
+            "slip": (-0.1, 0.1, "s", False),
+        }
+        return [
+            Adjustable(field.name, getattr(self, field.name), *ranges[field.name])
+            for field in fields(self)
+        ]
+
+    def of_twists(self, twists: Tensor) -> Tensor:
+        """Return twists [..., 3] (m, m, rad) corrected, but for the slip."""
+        vx, vy, turn = twists.unbind(-1)
+        ahead, turned = self.forward * vx + self.drift * turn, self.yaw * vx + self.turn * turn
+        return torch.stack([ahead, vy, turned], dim=-1)
+
+    def of_drive(self, drive: DriveModel) -> DriveModel:
+        """Return a drive model corrected.
+
+        The slip follows from the part of the motion that is linear in the speeds; it is a sum of
+        their products, which a drive model has.
+        """
+        if self == Correction():
+            return drive
+        kinematics, count = self.of_twists(drive.kinematics), len(drive.lag)
+        ahead, turn = kinematics[:count, 0], kinematics[:count, 2]
+        # In the order of motion_features.
+        pairs = [(i, j) for i in range(count) for j in range(i, count)]
+        both = [ahead[i] * turn[j] + (ahead[j] * turn[i] if i != j else 0.0) for i, j in pairs]
+        kinematics[count:, 1] += self.slip * torch.stack(both)
+        return replace(drive, kinematics=kinematics)

@@ -1,0 +1,134 @@
+"""The wheeled robot: its simulator is of another floor, and a few trials bring it back."""
+
+import json
+import math
+import sys
+
+import numpy as np
+import pytest
+import torch
+from motion_networks import NAMES
+
+from neurosim.back_to_reality import make_reality
+from neurosim.back_to_reality.run import start_genes
+from neurosim.base.errors import UserError
+from neurosim.cli.main import main
+from neurosim.controllers import FixedPlan, Network, Plan, SavedController
+from neurosim.controllers.plan import commands_of
+from neurosim.networks import ProductSummationNetwork
+from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.registry import write_simulator
+from neurosim.tasks.nine_rectangles import NineRectangles
+from neurosim.testing import check_reality
+
+FAMILY, TASK = Plan(slots=4), NineRectangles()
+#: Up into the first rectangle and to the right.
+COMMANDS = ((40.0, 40.0, 1.5), None, (30.0, -30.0, 0.6), (40.0, 36.0, 1.2))
+
+
+def nxt(forward=1.0, turn=1.0, yaw=0.0):
+    """Return a simulator of the lab's typical robot, on a floor where it moves otherwise."""
+    wheel, track = 0.25, 0.13  # m/s at 50 %, m
+    kinematics = [[0.5 * wheel, 0.0, sign * wheel / track] for sign in (-1.0, 1.0)]
+    other = torch.tensor([[forward, 0.0, yaw], [0.0, 1.0, 0.0], [0.0, 0.0, turn]]).double()
+    laws = (0.1, 1.0, 0.5, 50.0, 0.0, 0.0)
+    network = ProductSummationNetwork(len(NAMES), 1, 1)
+    return MotionNetwork(
+        [{"name": name, "unit": "s" if name == "duration" else "%"} for name in NAMES],
+        network,
+        torch.zeros(1, 3, network.genes),
+        torch.tensor([50.0] * 4 + [3.0]),
+        torch.ones(3),
+        "residual-twist",
+        drive=DriveModel(
+            *(torch.tensor([law, law]) for law in laws),
+            torch.tensor([0.04]),
+            torch.cat([torch.tensor(kinematics).double() @ other, torch.zeros(3, 3)]),
+        ),
+    )
+
+
+def test_a_trial_is_judged_and_tracked():
+    reality = make_reality("virtual-nxt", FAMILY, TASK, lab_seed=3)
+    genes = FAMILY.encode(COMMANDS)
+    found, again = reality.trial(genes, 1), reality.trial(genes, 1)
+    assert np.array_equal(found.poses, again.poses, equal_nan=True)
+    assert np.isnan(found.poses).all(axis=1).tolist() == [False, True, False, False, False]
+    assert found.fitness == pytest.approx(1 - 0.2)  # the first rectangle, with the first command
+    # 20 cm/s, and to the right by 2.3 rad/s for 0.6 s, but for lags.
+    x, y, heading = TASK.start
+    assert found.poses[0] == pytest.approx([x, y + 0.28, heading], abs=0.03)
+    assert found.poses[0, 2] - found.poses[2, 2] == pytest.approx(1.15, abs=0.2)
+    assert reality.trial(genes, 2).poses[0, 1] != found.poses[0, 1]
+    # The left wheel is the smaller, so it turns left.
+    worn = make_reality("virtual-nxt", FAMILY, TASK, lab_seed=3, worn=0.1).trial(genes, 1)
+    assert worn.poses[0, 2] > found.poses[0, 2] + 0.1
+    assert json.dumps(reality.describe())
+
+
+def test_what_a_plan_without_commands_does():
+    reality = make_reality("virtual-nxt", FAMILY, TASK)
+    found = reality.trial(FAMILY.encode([None] * 4), 0)
+    assert found.poses.tolist() == [list(TASK.start)] * 5
+    assert found.fitness == 0.0
+    check_reality(reality, FAMILY.encode([None] * 4))
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"slip": 1.0}, "slip is a share from 0 to 0.9, not 1"),
+        ({"worn": -0.1}, "worn is a share"),
+        ({"battery": 2.0}, "the battery has 6 to 10 V, not 2"),
+        ({"slip": math.nan}, "slip is a share"),
+    ],
+)
+def test_what_cannot_be_is_refused(options, says):
+    with pytest.raises(UserError, match=says):
+        make_reality("virtual-nxt", FAMILY, TASK, **options)
+    with pytest.raises(UserError, match="drives plans; a controller of the kind network"):
+        make_reality("virtual-nxt", Network(("time",)), TASK)
+
+
+def write_plan(folder):
+    """Write COMMANDS as a plan of which nothing is expected."""
+    start = list(TASK.start)
+    predicted = {"poses": [start] * 4, "rest": start, "fitness": 0.0, "completes": False}
+    plan = FixedPlan(COMMANDS)
+    SavedController(plan, np.empty(0), TASK.describe(), TASK.start, predicted).write(folder)
+
+
+def test_a_plan_to_start_from(tmp_path):
+    write_plan(tmp_path / "plan")
+    longer = Plan(slots=6)
+    commands = commands_of(longer, start_genes(longer, tmp_path / "plan"))
+    assert commands[4:] == [None, None]
+    given = [one for one in commands if one is not None]
+    assert np.array(given) == pytest.approx(np.array([COMMANDS[0], *COMMANDS[2:]]))
+    with pytest.raises(UserError, match="has 4 commands; expected 3 at most"):
+        start_genes(Plan(slots=3), tmp_path / "plan")
+
+
+@pytest.mark.slow  # seven trials in the lab, filmed
+def test_a_handful_of_trials_bring_a_simulator_of_another_floor_back(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    write_simulator(nxt(forward=1.2, turn=0.85, yaw=0.2), "simulator")
+    write_plan("plan")
+    line = (
+        "back-to-reality --simulator simulator --task nine-rectangles --controller plan"
+        " --commands 4 --reality virtual-nxt --lab-seed 3 --slip 0.08 --worn 0.02 --start plan"
+        " -o found --generations 6 --search-population 10 --candidates 3 --adapt-generations 30"
+        " --adapt-population 20 --policy-steps 0 --trials 1 --json"
+    )
+    monkeypatch.setattr(sys, "argv", ["neurosim", *line.split()])
+    main()
+    content = json.loads(capsys.readouterr().out)
+    assert content["trials"] <= 7
+    adapted = content["cycles"][0]["L3"]
+    for plans, share in (("compared", 0.4), ("held_out", 0.5)):
+        assert adapted[plans]["after"]["poses"] < share * adapted[plans]["before"]["poses"]
+    simulator = read_simulator("found/simulator")
+    assert vars(simulator.correction) == pytest.approx(adapted["parameters"][0])
+    rows = [json.loads(row) for row in (tmp_path / "found/trials.jsonl").read_text().splitlines()]
+    assert all(len(row["poses"]) == 5 for row in rows[1:])
