@@ -15,8 +15,8 @@ FPS = 30.0
 BACKGROUND = scene.background(SIZE)
 
 
-def new_tracker(geometry=None):
-    return Tracker(parse_colour("pink"), parse_colour("blue"), geometry)
+def new_tracker(geometry=None, colours=("pink", "blue")):
+    return Tracker(*(parse_colour(colour) for colour in colours), geometry)
 
 
 def drive(frames=60, seed=0):
@@ -196,6 +196,36 @@ def test_pushed_plate_in_real_footage(shared_data):
     axis = places[:, 0] - places[:, 1]
     heading = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
     assert np.abs(np.diff(heading)).max() < 0.12
+
+
+@pytest.mark.parametrize(("kind", "sd"), [("sensor", 10), ("sensor", 20), ("webcam", 20)])
+def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
+    rng = np.random.default_rng(3)
+    clean, noisy = new_tracker(colours=("green", "blue")), new_tracker(colours=("green", "blue"))
+    found = []
+    with Video(shared_data / "footage" / "marker-pushed.avi") as video:
+        for _, time, frame in video:
+            truth = pixels_of(clean.update(frame, time))
+            if kind == "sensor":
+                frame = scene.finish(frame, rng, noise=sd, blur=0)
+            else:
+                frame = scene.webcam_noise(frame, sd, rng)
+            sighting = noisy.update(frame, time)
+            if sighting.found:
+                found.append(np.abs(pixels_of(sighting) - truth).max())
+    assert max(found) < 5
+    assert len(found) > 90
+    assert min(each.confidence for each in noisy.found) > 0.6
+
+
+def test_in_nothing_but_noise_nothing_is_found():
+    rng, tracker = np.random.default_rng(4), new_tracker()
+    for i, sd in enumerate((10, 20, 40, 60)):
+        for frame in (
+            scene.finish(BACKGROUND, rng, noise=sd),
+            scene.webcam_noise(scene.finish(BACKGROUND), sd, rng),
+        ):
+            assert not tracker.update(frame, i / FPS).found
 
 
 @pytest.mark.parametrize(

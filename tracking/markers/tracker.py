@@ -26,6 +26,7 @@ from tracking.markers.markers import (
     learn,
     measure,
 )
+from tracking.markers.noise import passes_for
 from tracking.markers.pair import (
     LOST,
     Geometry,
@@ -45,6 +46,9 @@ AREA_RATIO = (0.70, 1.45)
 SEPARATION_TOLERANCE = 0.08
 #: The first time, with nothing learned yet.
 FIRST_AREA_RATIO = (0.4, 2.2)
+
+#: A pair that fits worse than this is as likely something else, and not written.
+LEAST_QUALITY = 0.05
 
 #: How far the pair may be found from where it was lost: separations, and separations a second.
 REACH, REACH_PER_SECOND = 1.0, 12.0
@@ -96,6 +100,7 @@ class Tracker:
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
+        self._passes = 0
         self._scale: tuple[float, float, float] | None = None
         self._apart: tuple[bytes, float] | None = None
         self._frames = 0
@@ -178,7 +183,7 @@ class Tracker:
     ) -> tuple[list[Measurement], float] | None:
         measured = self._measure_each(frame, near, margins)
         quality = 0.0 if measured is None else self._quality(measured)
-        return (measured, quality) if quality > 0 else None
+        return (measured, quality) if quality > LEAST_QUALITY else None
 
     def _measure_each(
         self, frame: NDArray, near: NDArray, margins: list[float]
@@ -186,7 +191,7 @@ class Tracker:
         radius = self._radii(middle_of(near))
         measured = []
         for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
-            measurement = measure(frame, place, r, look, margin, self._cast.white)
+            measurement = measure(frame, place, r, look, margin, self._cast.white, self._passes)
             if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
                 return None
             measured.append(measurement)
@@ -265,6 +270,7 @@ class Tracker:
         return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
 
     def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        self._passes = passes_for(frame)
         if self._learned is None:
             return self._search_first(frame)
         picture = Picture(frame, self._cast.white)
@@ -308,7 +314,9 @@ class Tracker:
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
             pixels = np.array([blob.centre for blob in pair])
             self._learn(
-                [learn(frame, blob, white) for blob in pair], [b.area for b in pair], pixels
+                [learn(frame, blob, white, self._passes) for blob in pair],
+                [b.area for b in pair],
+                pixels,
             )
             measured = self._measure_each(frame, pixels, margins)
             if measured is not None:
