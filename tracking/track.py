@@ -135,6 +135,7 @@ def track(
         "frames": len(found),
         "found": float(found.mean()),
         "quality": float(np.median(joined.quality[found])),
+        "undecided": sum(session.get("undecided", 0) for session in sessions),
         "sessions": sessions,
     }
     source.write_poses(joined)
@@ -217,6 +218,7 @@ def track_video(
             "found": float(seen.found.mean()),
             "quality": float(np.median(seen.quality[seen.found])),
             "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+            "undecided": seen.undecided,
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
@@ -297,6 +299,7 @@ def _session_summary(
         "frames": len(seen.frame),
         "found": float(seen.found.mean()),
         "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+        "undecided": seen.undecided,
         "clock": {
             "offset": clock.offset,
             "drift": clock.drift,

@@ -104,6 +104,12 @@ def track(
         where, markers = recording, least_confident(result["sessions"])
         then = "\n" + next_step("dataset", recording, "-o", "DATASET")
         remedy = "name others with --colours; neurosim watch shows what a click on each finds"
+    if result["undecided"]:
+        click.echo(
+            f"{recording}: in {result['undecided']} frames after the robot was lost, several pairs "
+            "could have been it, and none was taken",
+            err=True,
+        )
     problem = warning(markers)
     if problem:
         click.echo(f"{recording}: {problem}; {remedy}", err=True)

@@ -24,6 +24,8 @@ from tracking.markers.white import Cast
 #: Less chroma than this (of 255) is a grey.
 LEAST_CHROMA = 22.0
 LEAST_SATURATION = 0.22
+#: Hues (rad), and ratios of chroma to light, of the same paint in other light.
+SAME_HUE, SAME_SATURATION = math.radians(25.0), 2.0
 #: So many times the noise that is left is no noise; where more is left nothing is told from it.
 CLEAR_OF_NOISE, MOST_NOISE = 4.5, 12.0
 #: Fewer pixels of the reduced frame are noise; where it was smoothed chance makes larger patches.
@@ -73,6 +75,12 @@ class Look:
             (1 - share) * self.chroma + share * new.chroma,
             (1 - share) * self.light + share * new.light,
         )
+
+    def is_like(self, other: Look) -> bool:
+        """Return whether the other may be of the same paint, if the light may have changed."""
+        alike = float(self.direction @ other.direction) > math.cos(SAME_HUE)
+        ratio = (self.chroma / self.light) / (other.chroma / other.light)
+        return alike and 1.0 / SAME_SATURATION < ratio < SAME_SATURATION
 
     def membership(self, plane: NDArray) -> NDArray:
         """Return how much pixels of the chroma plane [2, ...] are this colour, 0..1."""
