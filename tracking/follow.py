@@ -107,6 +107,11 @@ def follow(
         )
         for index, time, frame in video:
             sighting = tracker.update(frame, time)
+            if clicks is not None and tracker.found is None:
+                raise UserError(
+                    f"{path}: no pair of markers is where was clicked in the first frame; click on "
+                    "the front marker and on the rear marker of one robot"
+                )
             rows.append(
                 (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
             )

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracking.markers.colours import NO_CAST, Colour, angle_between
-from tracking.markers.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate
+from tracking.markers.first_sight import FIRST_SEPARATION_TOLERANCE, on_marker, plausible, rate
 from tracking.markers.markers import (
     Look,
     Measurement,
@@ -84,7 +84,8 @@ class Tracker:
     Args:
         front, rear: the markers' colours.
         geometry: what is known of the pair.
-        start: pixels [2, 2] where front and rear are in the first frame, roughly.
+        start: pixels [2, 2] of a point on front and on rear in the first frame. Another pair is
+            never taken: where the first frame has none there, none is found.
     """
 
     def __init__(
@@ -322,8 +323,9 @@ class Tracker:
         return fitting
 
     def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
+        if self._start is not None and self._frames > 1:
+            return None
         rated = []
-        start = self._start if self._frames == 1 else None
         whites = [NO_CAST, cast_of(frame)]
         # Where the picture has a cast, the names may mean the colours with it or without.
         for white in whites[
@@ -336,7 +338,7 @@ class Tracker:
                 for seen, found in zip(self._seen, blobs, strict=True)
             ]
             rated += [
-                (rate(pair, self.colours, self.geometry, start), pair, white)
+                (rate(pair, self.colours, self.geometry, self._start), pair, white)
                 for pair in itertools.product(*blobs)
             ]
         rated.sort(key=lambda entry: -entry[0])
@@ -357,10 +359,21 @@ class Tracker:
                 pixels = np.array([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
-                if found is not None and plausible(found[0], self.colours):
+                if (
+                    found is not None
+                    and plausible(found[0], self.colours)
+                    and self._pointed_at(found[0])
+                ):
                     return found
             self._learned = self._cast = None
         return None
+
+    def _pointed_at(self, measured: list[Measurement]) -> bool:
+        """Return whether a pair is where a person said that it is, if one did."""
+        return self._start is None or all(
+            on_marker(m.centre, math.sqrt(m.area / math.pi), click)
+            for m, click in zip(measured, self._start, strict=True)
+        )
 
     def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
         scale = self._pixels_per_unit(middle_of(pixels))
