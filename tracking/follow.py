@@ -35,6 +35,7 @@ class Track:
         size: width and height of the video in pixels.
         colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
             what speaks against them where they are not sure.
+        undecided: frames in which several pairs could have been the lost one; none was taken.
     """
 
     frame: NDArray
@@ -45,6 +46,7 @@ class Track:
     lamp: NDArray
     size: tuple[int, int]
     colours: tuple[dict[str, Any], dict[str, Any]]
+    undecided: int = 0
 
     @property
     def found(self) -> NDArray:
@@ -105,6 +107,11 @@ def follow(
         )
         for index, time, frame in video:
             sighting = tracker.update(frame, time)
+            if clicks is not None and tracker.found is None:
+                raise UserError(
+                    f"{path}: no pair of markers is where was clicked in the first frame; click on "
+                    "the front marker and on the rear marker of one robot"
+                )
             rows.append(
                 (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
             )
@@ -126,6 +133,7 @@ def follow(
         table[:, 7],
         video.size,
         tuple(found.as_dict() for found in founds),
+        tracker.undecided,
     )
 
 

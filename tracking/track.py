@@ -22,6 +22,7 @@ from tracking.clock.sync import ClockFit, fit_clock, pulses
 from tracking.datasets.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
 from tracking.follow import Track, follow
 from tracking.markers.pair import Geometry
+from tracking.markers.palette import STILL, warning
 from tracking.poses import board_poses, marker_geometry, unwrap
 
 
@@ -35,6 +36,7 @@ def track(
     partial: bool = False,
     live: Mapping[int, Track] | None = None,
     sync: str = "flash",
+    doubtful: bool = False,
 ) -> dict[str, Any]:
     """Track a recording: poses.csv and tracking.json into its folder.
 
@@ -56,12 +58,14 @@ def track(
             not looked at again.
         sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
             the robot's answers to its commands.
+        doubtful: whether poses are wanted of a pair that may not be the robot's.
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
 
     Raises:
-        UserError: naming what is missing or wrong, and in which session.
+        UserError: naming what is missing or wrong, and in which session; also if the pair may not
+            be the robot's.
     """
     source = Recording(recording)
     markers = source.meta["markers"]
@@ -70,6 +74,7 @@ def track(
     names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
     lines = source.commands()
     parts: list[Poses] = []
+    tracks: list[tuple[str | Path, Track]] = []
     sessions = []
     paths = _videos(source, videos)
     for session, path in enumerate(paths, start=1):
@@ -95,16 +100,17 @@ def track(
                 f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
                 "after it was recorded; restore it, or use what there is of it with --partial"
             )
+        tracks.append((path, seen))
         poses = board_poses(seen, markers, camera)
         own = [line for line in lines if line.session == session]
         driven = [line for line in own if line.is_motor]
-        warning = None
+        problem = None
         try:
             if sync == "motion":
                 clock = fit_clock_to_motion(seen.time, poses, driven)
             else:
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
-                warning = disagreement(clock, seen.time, poses, driven)
+                problem = disagreement(clock, seen.time, poses, driven)
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
         delay = motion_delay(clock.to_robot(seen.time), poses, driven)
@@ -118,11 +124,13 @@ def track(
             {
                 **_session_summary(session, path, seen, clock, delay),
                 "frames_missing": max(missing, 0),
-                "warning": warning,
+                "warning": problem,
             }
         )
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
+    if not doubtful:
+        _check_sure(tracks)
     joined = Poses(
         *(
             np.concatenate([getattr(part, name) for part in parts])
@@ -135,6 +143,7 @@ def track(
         "frames": len(found),
         "found": float(found.mean()),
         "quality": float(np.median(joined.quality[found])),
+        "undecided": sum(session.get("undecided", 0) for session in sessions),
         "sessions": sessions,
     }
     source.write_poses(joined)
@@ -152,6 +161,7 @@ def track_video(
     height: float = 0.0,
     overlay: str | Path | None = None,
     clicks: ArrayLike | None = None,
+    doubtful: bool = False,
 ) -> dict[str, Any]:
     """Track two coloured markers in any video, without a recording.
 
@@ -169,12 +179,14 @@ def track_video(
         height: of the markers above the board, in metres; counts with a calibration only.
         overlay: write a video with the markers drawn over it here.
         clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
+        doubtful: whether poses are wanted of a pair that may not be the robot's.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
 
     Raises:
-        UserError: as :func:`follow` does, or if ``out`` is not empty.
+        UserError: as :func:`follow` does, if the pair may not be the robot's, or if ``out`` is not
+            empty.
     """
     if not math.isfinite(height):
         raise UserError(f"a marker's height of {height} m is not a number")
@@ -189,6 +201,8 @@ def track_video(
             path, front, rear,
             geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
         )  # fmt: skip
+        if not doubtful:
+            _check_sure([(path, seen)])
         if camera is None:
             ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
             # v runs down: mirrored, the heading is counter-clockwise as seen.
@@ -217,6 +231,7 @@ def track_video(
             "found": float(seen.found.mean()),
             "quality": float(np.median(seen.quality[seen.found])),
             "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+            "undecided": seen.undecided,
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
@@ -255,6 +270,20 @@ def _check_times(source: Recording, session: int, count: int) -> None:
         f"has {count} rows of session {session}, but {path.name} has {frames} frames: it was cut "
         "short after it was recorded; restore it, or use what there is of it with --partial",
     )
+
+
+def _check_sure(tracks: Sequence[tuple[str | Path, Track]]) -> None:
+    """Refuse a pair that may not be the robot's; in one session of several it may stand still."""
+    moves = any(all(colour.get("doubt") is None for colour in seen.colours) for _, seen in tracks)
+    for path, seen in tracks:
+        doubt = warning({"front": seen.colours[0], "rear": seen.colours[1]})
+        still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
+        if doubt and not (moves and still):
+            raise UserError(
+                f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a "
+                "video file) or in neurosim watch, name others with --colours, or take these with "
+                "--doubtful"
+            )
 
 
 def _camera(source: Recording, calibration: str | Path | CameraModel | None) -> CameraModel:
@@ -297,6 +326,7 @@ def _session_summary(
         "frames": len(seen.frame),
         "found": float(seen.found.mean()),
         "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+        "undecided": seen.undecided,
         "clock": {
             "offset": clock.offset,
             "drift": clock.drift,

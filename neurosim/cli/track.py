@@ -41,6 +41,11 @@ from neurosim.cli._types import NUMBER, PATH, PIXEL
     multiple=True,
     help="Of a video file: a pixel of the front marker in its first frame; again for the rear.",
 )
+@click.option(
+    "--doubtful",
+    is_flag=True,
+    help="Write the poses of a pair that may not be the robot's, too.",
+)
 @click.option("-o", "--out", type=PATH, help="New folder for the poses of a video file.")
 @click.option(
     "--height",
@@ -59,6 +64,7 @@ def track(
     partial: bool,
     sync: str,
     clicks: tuple[tuple[float, float], ...],
+    doubtful: bool,
     out: Path | None,
     height: float,
     as_json: bool,
@@ -88,6 +94,7 @@ def track(
         result = track_video(
             recording, front, rear, out,
             calibration=calibration, height=height, overlay=overlay, clicks=pixels or None,
+            doubtful=doubtful,
         )  # fmt: skip
         result.pop("poses")
         where, markers, then = out, result["markers"], ""
@@ -97,13 +104,22 @@ def track(
             raise UserError("--click is for video files; set a recording's colours with --colours")
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
-        result = track_(recording, pair, calibration, overlay, videos, partial=partial, sync=sync)
+        result = track_(
+            recording, pair, calibration, overlay, videos,
+            partial=partial, sync=sync, doubtful=doubtful,
+        )  # fmt: skip
         for session in result["sessions"]:
             if session.get("warning"):
                 click.echo(f"session {session['session']}: {session['warning']}", err=True)
         where, markers = recording, least_confident(result["sessions"])
         then = "\n" + next_step("dataset", recording, "-o", "DATASET")
         remedy = "name others with --colours; neurosim watch shows what a click on each finds"
+    if result["undecided"]:
+        click.echo(
+            f"{recording}: in {result['undecided']} frames after the robot was lost, several pairs "
+            "could have been it, and none was taken",
+            err=True,
+        )
     problem = warning(markers)
     if problem:
         click.echo(f"{recording}: {problem}; {remedy}", err=True)

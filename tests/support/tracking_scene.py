@@ -98,6 +98,17 @@ def _glow(image, centre, lamp):
     )
 
 
+def webcam_noise(frame, sd, rng):
+    """Add noise of ``sd`` grey levels to luma and, at half resolution, to both colour channels."""
+    picture = cv2.cvtColor(frame, cv2.COLOR_BGR2YCrCb).astype(np.float32)
+    height, width = frame.shape[:2]
+    picture[..., 0] += rng.normal(0.0, sd, (height, width))
+    for channel in (1, 2):
+        coarse = rng.normal(0.0, sd, ((height + 1) // 2, (width + 1) // 2)).astype(np.float32)
+        picture[..., channel] += cv2.resize(coarse, (width, height))
+    return cv2.cvtColor(np.clip(np.round(picture), 0, 255).astype(np.uint8), cv2.COLOR_YCrCb2BGR)
+
+
 def finish(image, rng=None, *, noise=2.0, blur=0.6, jpeg=None):
     """What the camera makes of it: blur, noise, eight bits, perhaps compression."""
     image = cv2.GaussianBlur(np.clip(image, 0, 255), (0, 0), blur) if blur else image

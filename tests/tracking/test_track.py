@@ -276,11 +276,44 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     assert abs(np.mean(poses["u"]) - 428) < 2
 
 
+@pytest.mark.parametrize(
+    "clicks",
+    [
+        ("204,106", "226,381"),  # the blue of one plate and the pink of another
+        ("218,364", "469,52"),
+        ("204,106", "100,222"),
+        ("214,118", "112,232"),
+    ],
+)
+def test_clicks_on_two_robots_take_no_third_pair(shared_data, tmp_path, clicks):
+    video = shared_data / "footage" / "marker-pushed.avi"
+    front, rear = clicks
+    done = CliRunner().invoke(
+        verb, [str(video), "-o", str(tmp_path / "out"), "--click", front, "--click", rear]
+    )
+    assert isinstance(done.exception, UserError)
+    assert "where was clicked" in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(recording, frames):
+    still = [frames[70]] * 20 + list(frames[:60]) + [frames[70]] * (FRAMES - 80)
+    write_video(recording.path / "video-002.mkv", still)
+    done = CliRunner().invoke(verb, [str(recording.path)])
+    assert isinstance(done.exception, UserError)
+    assert "the pair never moves" in str(done.exception)
+    assert not (recording.path / "poses.csv").exists()
+    done = CliRunner().invoke(verb, [str(recording.path), "--doubtful"])
+    assert done.exit_code == 0, done.exception
+    assert "the pair never moves" in done.stderr
+    assert (recording.path / "poses.csv").exists()
+
+
 def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):
-    def told(colours, video="marker-pushed.avi"):
+    def told(colours, video="marker-pushed.avi", *more):
         out = tmp_path / f"{colours}-{video}"
         path = str(shared_data / "footage" / video)
-        done = CliRunner().invoke(verb, [path, "--colours", colours, "-o", str(out)])
+        done = CliRunner().invoke(verb, [path, "--colours", colours, "-o", str(out), *more])
         markers = None
         if done.exit_code == 0:
             markers = json.loads((out / "tracking.json").read_text())["markers"]
@@ -296,7 +329,13 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
         ("pink,blue", "marker-pushed.avi"),
         ("green,orange", "field-static.mp4"),
     ):
-        wrong, done = told(colours, video)
+        refused, done = told(colours, video)
+        assert refused is None
+        assert isinstance(done.exception, UserError)
+        assert "may not be the robot's markers" in str(done.exception)
+        assert "--click U,V" in str(done.exception)
+        assert not (tmp_path / f"{colours}-{video}").exists()
+        wrong, done = told(colours, video, "--doubtful")
         assert max(seen["sure"] for seen in wrong.values()) <= 0.5
         assert "may not be the robot's markers" in done.stderr
         assert "--click U,V" in done.stderr

@@ -15,8 +15,8 @@ FPS = 30.0
 BACKGROUND = scene.background(SIZE)
 
 
-def new_tracker(geometry=None):
-    return Tracker(parse_colour("pink"), parse_colour("blue"), geometry)
+def new_tracker(geometry=None, colours=("pink", "blue")):
+    return Tracker(*(parse_colour(colour) for colour in colours), geometry)
 
 
 def drive(frames=60, seed=0):
@@ -196,6 +196,91 @@ def test_pushed_plate_in_real_footage(shared_data):
     axis = places[:, 0] - places[:, 1]
     heading = np.unwrap(np.arctan2(axis[:, 1], axis[:, 0]))
     assert np.abs(np.diff(heading)).max() < 0.12
+
+
+@pytest.mark.parametrize(("kind", "sd"), [("sensor", 10), ("sensor", 20), ("webcam", 20)])
+def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
+    rng = np.random.default_rng(3)
+    clean, noisy = new_tracker(colours=("green", "blue")), new_tracker(colours=("green", "blue"))
+    found = []
+    with Video(shared_data / "footage" / "marker-pushed.avi") as video:
+        for _, time, frame in video:
+            truth = pixels_of(clean.update(frame, time))
+            if kind == "sensor":
+                frame = scene.finish(frame, rng, noise=sd, blur=0)
+            else:
+                frame = scene.webcam_noise(frame, sd, rng)
+            sighting = noisy.update(frame, time)
+            if sighting.found:
+                found.append(np.abs(pixels_of(sighting) - truth).max())
+    assert max(found) < 5
+    assert len(found) > 90
+    assert min(each.confidence for each in noisy.found) > 0.6
+
+
+def hidden_plate(shared_data, tracker, twin_from=0):
+    """Hide the plate that stands still for 3 s of 9 s; return its place before, and all after."""
+    with Video(shared_data / "footage" / "marker-pushed.avi") as video:
+        forth = [frame for _, _, frame in video]
+    before, after = None, []
+    for i, frame in enumerate((forth + forth[::-1] + forth)[:270]):
+        frame = frame.copy()
+        if 26 <= i < 116:
+            frame[342:395, 200:245] = frame[250:303, 300:345]
+        if i < twin_from:
+            frame[205:245, 95:150] = frame[250:290, 300:355]
+        sighting = tracker.update(frame, i / FPS)
+        if i == 25:
+            before = pixels_of(sighting)
+        elif i > 25 and sighting.found:
+            after.append((i, pixels_of(sighting)))
+    return before, after
+
+
+@pytest.mark.parametrize("twin_from", [0, 70])
+def test_another_plate_is_not_taken_for_one_that_is_hidden(shared_data, twin_from):
+    tracker = new_tracker(colours=("blue", "pink"))
+    before, after = hidden_plate(shared_data, tracker, twin_from)
+    assert max(np.abs(place - before).max() for _, place in after) < 2
+    assert sum(i >= 116 for i, _ in after) > 145
+
+
+def twins(image, where, **robot):
+    for middle in where:
+        scene.robot(image, middle, 0.4, body=(48, 18), **robot)
+
+
+def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
+    rng, tracker, found = np.random.default_rng(10), new_tracker(), []
+    for i in range(150):
+        image = BACKGROUND.copy()
+        own = [] if 20 <= i < 110 else [(80.0, 60.0)]
+        # The other one is seen again and again while the robot is hidden, and goes on its way.
+        twins(image, own + ([(240.0 - 0.5 * i, 180.0)] if i >= 10 else []))
+        sighting = tracker.update(scene.finish(image, rng), i / FPS)
+        if sighting.found:
+            found.append(i)
+            assert np.abs(pixels_of(sighting).mean(axis=0) - (80.0, 60.0)).max() < 1
+    assert len(found) > 55
+
+
+def test_of_two_that_both_fit_none_is_taken_and_it_is_counted():
+    rng, tracker = np.random.default_rng(11), new_tracker()
+    for i in range(120):
+        image = BACKGROUND.copy()
+        twins(image, [(80.0, 60.0)] if i < 20 else [] if i < 90 else [(60, 180.0), (240.0, 180.0)])
+        assert tracker.update(scene.finish(image, rng), i / FPS).found == (i < 20)
+    assert tracker.undecided > 5
+
+
+def test_in_nothing_but_noise_nothing_is_found():
+    rng, tracker = np.random.default_rng(4), new_tracker()
+    for i, sd in enumerate((10, 20, 40, 60)):
+        for frame in (
+            scene.finish(BACKGROUND, rng, noise=sd),
+            scene.webcam_noise(scene.finish(BACKGROUND), sd, rng),
+        ):
+            assert not tracker.update(frame, i / FPS).found
 
 
 @pytest.mark.parametrize(

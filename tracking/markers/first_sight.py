@@ -17,6 +17,8 @@ FIRST_SEPARATION_TOLERANCE = 0.12
 LEAST_LIGHT = 5.0
 #: A hue may be this far beyond its colour's tolerance once it is measured at full resolution.
 HUE_MARGIN = math.radians(8.0)
+#: A click may miss a marker by so many pixels.
+CLICK_REACH = 4.0
 #: Where nothing is known of the separation: sums of radii that two markers are apart, at most
 #: on most robots, and on nearly all.
 CLOSE, REACH = 3.0, 4.0
@@ -34,7 +36,7 @@ def rate(
         pair: patches of the front's and of the rear's colour.
         colours: that were named.
         geometry: what is known of the pair.
-        start: pixels [2, 2] where front and rear are, roughly, or None.
+        start: pixels [2, 2] of a point on or close to front and rear, or None.
     """
     front, rear = pair
     pixels = np.stack([front.centre, rear.centre])
@@ -48,6 +50,8 @@ def rate(
         rating *= math.exp(-0.5 * off**2) * math.sqrt(blob.chroma / 255)
     if start is not None:
         for blob, place in zip(pair, start, strict=True):
+            if not on_marker(blob.centre, blob.radius, place):
+                return 0.0
             rating *= math.exp(-0.5 * (math.dist(blob.centre, place) / blob.radius) ** 2)
     if geometry.separation is not None:
         off = geometry.separation_of(pixels) / geometry.separation - 1.0
@@ -66,6 +70,11 @@ def rate(
             if not 0.3 < blob.area / full < 1.8:
                 return 0.0
     return rating
+
+
+def on_marker(centre: NDArray, radius: float, click: NDArray) -> bool:
+    """Return whether a click is on a marker, or misses it by a little; pixels."""
+    return math.dist(centre, click) < 1.5 * radius + CLICK_REACH
 
 
 def plausible(measured: list[Measurement], colours: tuple[Colour, Colour]) -> bool:

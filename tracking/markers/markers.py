@@ -17,14 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracking.markers.colours import NO_CAST, Colour, chroma_plane
+from tracking.markers.noise import noise_of, smooth
 from tracking.markers.patches import ACROSS, darkest, measure_marker, read_look, read_patch
 from tracking.markers.white import Cast
 
-#: Less chroma than this (of 255) is a grey with noise on it.
+#: Less chroma than this (of 255) is a grey.
 LEAST_CHROMA = 22.0
 LEAST_SATURATION = 0.22
-#: Fewer pixels of the reduced frame are noise.
-LEAST_AREA = 6
+#: Hues (rad), and ratios of chroma to light, of the same paint in other light.
+SAME_HUE, SAME_SATURATION = math.radians(25.0), 2.0
+#: So many times the noise that is left is no noise; where more is left nothing is told from it.
+CLEAR_OF_NOISE, MOST_NOISE = 4.5, 12.0
+#: Fewer pixels of the reduced frame are noise; where it was smoothed chance makes larger patches.
+LEAST_AREA, LEAST_SMOOTHED_AREA = 6, 28
 
 
 @dataclass(frozen=True)
@@ -70,6 +75,12 @@ class Look:
             (1 - share) * self.chroma + share * new.chroma,
             (1 - share) * self.light + share * new.light,
         )
+
+    def is_like(self, other: Look) -> bool:
+        """Return whether the other may be of the same paint, if the light may have changed."""
+        alike = float(self.direction @ other.direction) > math.cos(SAME_HUE)
+        ratio = (self.chroma / self.light) / (other.chroma / other.light)
+        return alike and 1.0 / SAME_SATURATION < ratio < SAME_SATURATION
 
     def membership(self, plane: NDArray) -> NDArray:
         """Return how much pixels of the chroma plane [2, ...] are this colour, 0..1."""
@@ -119,13 +130,18 @@ class Picture:
             # Halving is what OpenCV does fastest by far.
             half = (frame.shape[1] // 2, frame.shape[0] // 2)
             self.small = cv2.resize(frame, half, interpolation=cv2.INTER_AREA)
-        self.small = cv2.resize(self.small, size, interpolation=cv2.INTER_AREA)
+        raw = cv2.resize(self.small, size, interpolation=cv2.INTER_AREA)
+        self.small = smooth(raw)
+        self._least_area = LEAST_AREA if self.small is raw else LEAST_SMOOTHED_AREA
         self.scale = np.array([frame.shape[1] / size[0], frame.shape[0] / size[1]])
         self.plane = chroma_plane(self.small, white)
         self.luma = cv2.cvtColor(self.small, cv2.COLOR_BGR2GRAY)
+        self._noise = noise_of(self.small)
 
     def blobs(self, colour: Colour | Look, most: int = 12) -> list[Blob]:
         """Find patches of a named colour, or of a look already learned, the largest first."""
+        if self._noise > MOST_NOISE:
+            return []
         if isinstance(colour, Look):
             mask = colour.membership(self.plane) > 0.35
         else:
@@ -138,7 +154,7 @@ class Picture:
         for label in range(1, count):
             _, _, width, height, area = stats[label]
             stretched = max(width, height) > 3.5 * min(width, height)
-            if not LEAST_AREA <= area <= largest or stretched or area < 0.4 * width * height:
+            if not self._least_area <= area <= largest or stretched or area < 0.4 * width * height:
                 continue
             found.append((area, label))
         found.sort(reverse=True)
@@ -147,7 +163,8 @@ class Picture:
     def _near(self, colour: Colour) -> NDArray:
         direction = np.array([math.cos(colour.hue), math.sin(colour.hue)], np.float32)
         along, across = _components(self.plane, direction)
-        near = (along > LEAST_CHROMA * math.cos(colour.tolerance)) & (
+        least = max(LEAST_CHROMA, CLEAR_OF_NOISE * self._noise)
+        near = (along > least * math.cos(colour.tolerance)) & (
             np.abs(across) < math.tan(colour.tolerance) * along
         )
         blue, green, red = cv2.split(self.small)
@@ -184,6 +201,7 @@ def measure(
     look: Look,
     margin: float,
     white: tuple[float, float] = NO_CAST,
+    passes: int = 0,
 ) -> Measurement | None:
     """Measure the marker of a known look nearest to a place.
 
@@ -194,6 +212,7 @@ def measure(
         look: what it looks like.
         margin: how far from ``near`` its centre may lie, in pixels.
         white: factors of blue and of red that take a colour cast out.
+        passes: of smoothing, as :func:`tracking.markers.noise.passes_for` gives them.
 
     Returns:
         None where there is nothing of that colour.
@@ -201,7 +220,7 @@ def measure(
     direction = (float(look.direction[0]), float(look.direction[1]))
     seen = measure_marker(
         frame, float(near[0]), float(near[1]), float(radius), float(margin),
-        *direction, float(look.chroma), float(look.light), float(white[0]), float(white[1]),
+        *direction, float(look.chroma), float(look.light), float(white[0]), float(white[1]), passes,
     )  # fmt: skip
     if not seen[0]:
         return None
@@ -218,10 +237,12 @@ def compile_loops() -> None:
     Cast(frame).update(frame)
 
 
-def learn(frame: NDArray, blob: Blob, white: tuple[float, float] = NO_CAST) -> Look:
+def learn(
+    frame: NDArray, blob: Blob, white: tuple[float, float] = NO_CAST, passes: int = 0
+) -> Look:
     """Learn a marker's look from the patch in which it was found."""
     u, v = (float(place) for place in blob.centre)
-    plane, luma, left, top = read_patch(frame, u, v, blob.radius + 4.0, *white)
+    plane, luma, left, top = read_patch(frame, u, v, blob.radius + 4.0, *white, passes)
     p, q, chroma, light = read_look(
         plane, luma, u - left, v - top, blob.radius,
         math.cos(blob.hue), math.sin(blob.hue), max(blob.chroma, 1.0), 1.0, darkest(luma),

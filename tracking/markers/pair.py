@@ -116,6 +116,34 @@ class Motion:
         return Motion(time, middle, axis, (middle - self.middle) / gap, turned / gap)
 
 
+@dataclass
+class Strangers:
+    """Pairs that look like a lost one and are not it, because they were elsewhere when it was lost.
+
+    Attributes:
+        reach: how far one comes between two looks, px.
+        places: of their middles, [2] each, px.
+    """
+
+    reach: float = 0.0
+    places: list[NDArray] = field(default_factory=list)
+
+    def near(self, place: NDArray) -> bool:
+        """Return whether one of them may be at a place."""
+        return any(math.dist(place, known) < self.reach for known in self.places)
+
+    def follow(self, seen: list[NDArray]) -> list[NDArray]:
+        """Follow them to the places of what was seen now, and return which of these are theirs."""
+        left, theirs = list(range(len(seen))), []
+        for i, known in enumerate(self.places):
+            nearest = min(left, key=lambda k: math.dist(seen[k], known), default=None)
+            if nearest is not None and math.dist(seen[nearest], known) < self.reach:
+                left.remove(nearest)
+                self.places[i] = seen[nearest]
+                theirs.append(seen[nearest])
+        return theirs
+
+
 def lamp_luma(frame: NDArray, pixels: NDArray, place: tuple[float, float], rim: float) -> float:
     """Return the mean luma around the lamp, between the markers' rims; NaN where there is no room.
 

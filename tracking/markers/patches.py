@@ -29,8 +29,11 @@ _ROOT = math.sqrt(0.75)
 
 
 @njit(cache=True, nogil=True)
-def read_patch(frame, u, v, reach, blue_gain, red_gain):
-    """Return chroma plane [2, H, W] and luma [H, W] around a place, and where they begin."""
+def read_patch(frame, u, v, reach, blue_gain, red_gain, passes):
+    """Return chroma plane [2, H, W] and luma [H, W] around a place, and where they begin.
+
+    The chroma plane is smoothed ``passes`` times, luma never: it says where the centre is.
+    """
     height, width = frame.shape[:2]
     reach = math.ceil(reach)
     middle_u, middle_v = round(u), round(v)
@@ -49,7 +52,22 @@ def read_patch(frame, u, v, reach, blue_gain, red_gain):
             plane[1, i, j] = _ROOT * (green - b)
             # As OpenCV does it, whole grey levels.
             luma[i, j] = (1868 * blue + 9617 * green + 4899 * red + 8192) >> 14
+    for _ in range(passes if plane.size else 0):
+        for channel in plane:
+            _smooth_down(channel)
+            _smooth_down(channel.T)
     return plane, luma, left, top
+
+
+@njit(cache=True, nogil=True)
+def _smooth_down(channel):
+    """Weigh each pixel [H, W] with those above and below it, 1 2 1, in place."""
+    for j in range(channel.shape[1]):
+        before = channel[0, j]
+        for i in range(channel.shape[0]):
+            own, after = channel[i, j], channel[min(i + 1, channel.shape[0] - 1), j]
+            channel[i, j] = 0.25 * (before + after) + 0.5 * own
+            before = own
 
 
 @njit(cache=True, nogil=True)
@@ -247,14 +265,16 @@ def _brightest(plane, luma, u, v, radius, reach, full, dead, p, q, chroma, light
 
 
 @njit(cache=True, nogil=True)
-def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, red_gain):
+def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, red_gain, passes):
     """See :func:`tracking.markers.markers.measure`.
 
     Returns whether there is one, its u and v, those of its light alone, its area, and its look as
     it is now.
     """
     none = (False, u, v, u, v, 0.0, p, q, chroma, light)
-    plane, luma, left, top = read_patch(frame, u, v, radius + margin + 3.0, blue_gain, red_gain)
+    plane, luma, left, top = read_patch(
+        frame, u, v, radius + margin + 3.0, blue_gain, red_gain, passes
+    )
     rows, columns = luma.shape
     if rows < 3 or columns < 3:
         return none

@@ -16,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tracking.markers.colours import NO_CAST, Colour, angle_between
-from tracking.markers.first_sight import FIRST_SEPARATION_TOLERANCE, plausible, rate
+from tracking.markers.first_sight import FIRST_SEPARATION_TOLERANCE, on_marker, plausible, rate
 from tracking.markers.markers import (
-    Blob,
     Look,
     Measurement,
     Picture,
@@ -26,12 +25,14 @@ from tracking.markers.markers import (
     learn,
     measure,
 )
+from tracking.markers.noise import passes_for
 from tracking.markers.pair import (
     LOST,
     Geometry,
     Learned,
     Motion,
     Sighting,
+    Strangers,
     angle_of,
     lamp_luma,
     middle_of,
@@ -46,12 +47,18 @@ SEPARATION_TOLERANCE = 0.08
 #: The first time, with nothing learned yet.
 FIRST_AREA_RATIO = (0.4, 2.2)
 
+#: A pair that fits worse than this is as likely something else, and not written.
+LEAST_QUALITY = 0.05
+
 #: How far the pair may be found from where it was lost: separations, and separations a second.
 REACH, REACH_PER_SECOND = 1.0, 12.0
 #: How far it may have turned: radians, and radians a second.
 TURN, TURN_PER_SECOND = 0.7, 8.0
 #: After this many seconds it may be anywhere: a hand may have moved it.
 FORGET_AFTER = 2.0
+
+#: What fits elsewhere so soon after the pair was lost (s) is another pair.
+ELSEWHERE_WITHIN = 0.3
 
 #: The image's scale is worked out anew after the pair moved by this many pixels.
 SCALE_REACH = 4.0
@@ -77,7 +84,8 @@ class Tracker:
     Args:
         front, rear: the markers' colours.
         geometry: what is known of the pair.
-        start: pixels [2, 2] where front and rear are in the first frame, roughly.
+        start: pixels [2, 2] of a point on front and on rear in the first frame. Another pair is
+            never taken: where the first frame has none there, none is found.
     """
 
     def __init__(
@@ -96,11 +104,15 @@ class Tracker:
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
+        self._passes = 0
         self._scale: tuple[float, float, float] | None = None
         self._apart: tuple[bytes, float] | None = None
         self._frames = 0
         self._lost = 0
         self._seen = [False, False]
+        self._strangers = Strangers()
+        #: Frames in which several pairs could have been the lost one, and none was taken.
+        self.undecided = 0
 
     @property
     def seen(self) -> tuple[bool, bool]:
@@ -130,6 +142,8 @@ class Tracker:
             self._cast.update(frame)
         if self._motion is not None and self._lost == 0:
             found = self._follow(frame, time)
+        if self._lost == 0 and self._motion is not None and found is None:
+            self._strangers = Strangers(2.0 * float(np.hypot(*self._motion.axis)))
         if found is None and self._search_now():
             found = self._search(frame, time)
         if found is None:
@@ -138,6 +152,8 @@ class Tracker:
                 self._forget()
             return LOST
         measured, quality = found
+        if self._lost:
+            self._strangers = Strangers()
         self._lost = 0
         pixels = np.array([m.centre for m in measured])
         self._remember(measured, pixels, quality)
@@ -178,7 +194,7 @@ class Tracker:
     ) -> tuple[list[Measurement], float] | None:
         measured = self._measure_each(frame, near, margins)
         quality = 0.0 if measured is None else self._quality(measured)
-        return (measured, quality) if quality > 0 else None
+        return (measured, quality) if quality > LEAST_QUALITY else None
 
     def _measure_each(
         self, frame: NDArray, near: NDArray, margins: list[float]
@@ -186,7 +202,7 @@ class Tracker:
         radius = self._radii(middle_of(near))
         measured = []
         for place, r, look, margin in zip(near, radius, self._learned.looks, margins, strict=True):
-            measurement = measure(frame, place, r, look, margin, self._cast.white)
+            measurement = measure(frame, place, r, look, margin, self._cast.white, self._passes)
             if measurement is None or np.hypot(*(measurement.centre - place)) > 1.5 * margin:
                 return None
             measured.append(measurement)
@@ -265,26 +281,51 @@ class Tracker:
         return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
 
     def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
+        self._passes = passes_for(frame)
         if self._learned is None:
             return self._search_first(frame)
+        own, others = [], []
+        for found in self._all_that_fit(frame):
+            pixels = np.array([m.centre for m in found[0]])
+            (own if self._reachable(pixels, time) else others).append((middle_of(pixels), found))
+        if time - self._motion.time < ELSEWHERE_WITHIN:
+            # The robot cannot be there yet: this is another, and stays another as it moves.
+            known = [place for place, _ in others if not self._strangers.near(place)]
+            self._strangers.places += known
+        strangers = self._strangers.follow([place for place, _ in own + others])
+        own = [found for place, found in own if not any(place is other for other in strangers)]
+        if len(own) > 1:
+            self.undecided += 1
+        return own[0] if len(own) == 1 else None
+
+    def _all_that_fit(self, frame: NDArray) -> list[tuple[list[Measurement], float]]:
+        """Return all pairs in a frame that are the lost one by colours, sizes and separation."""
         picture = Picture(frame, self._cast.white)
-        kinds = [self._learned.looks, self.colours]
+        margin = 1.5 * picture.factor + 1.0
+        fitting: list[tuple[list[Measurement], float]] = []
         # The light may have changed while the pair was away: then the named colours must do.
+        kinds = [self._learned.looks, self.colours]
         for colours in kinds if self._lost % 8 == 7 else kinds[:1]:
-            front, rear = (picture.blobs(colour) for colour in colours)
-            for pair in self._ranked(front, rear, time):
+            blobs = [picture.blobs(colour) for colour in colours]
+            for pair in itertools.product(*blobs):
                 near = np.array([blob.centre for blob in pair])
-                margin = 1.5 * picture.factor + 1.0
+                off = abs(self.geometry.separation_of(near) / self._learned.separation - 1.0)
+                if off > 2 * SEPARATION_TOLERANCE:
+                    continue
                 found = self._measure(frame, near, [margin, margin])
-                if found is not None and self._reachable(
-                    np.array([m.centre for m in found[0]]), time
+                if found is None or not all(
+                    measurement.look.is_like(look)
+                    for measurement, look in zip(found[0], self._learned.looks, strict=True)
                 ):
-                    return found
-        return None
+                    continue
+                if not any(_same(found[0], other[0]) for other in fitting):
+                    fitting.append(found)
+        return fitting
 
     def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
+        if self._start is not None and self._frames > 1:
+            return None
         rated = []
-        start = self._start if self._frames == 1 else None
         whites = [NO_CAST, cast_of(frame)]
         # Where the picture has a cast, the names may mean the colours with it or without.
         for white in whites[
@@ -297,7 +338,7 @@ class Tracker:
                 for seen, found in zip(self._seen, blobs, strict=True)
             ]
             rated += [
-                (rate(pair, self.colours, self.geometry, start), pair, white)
+                (rate(pair, self.colours, self.geometry, self._start), pair, white)
                 for pair in itertools.product(*blobs)
             ]
         rated.sort(key=lambda entry: -entry[0])
@@ -308,7 +349,9 @@ class Tracker:
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
             pixels = np.array([blob.centre for blob in pair])
             self._learn(
-                [learn(frame, blob, white) for blob in pair], [b.area for b in pair], pixels
+                [learn(frame, blob, white, self._passes) for blob in pair],
+                [b.area for b in pair],
+                pixels,
             )
             measured = self._measure_each(frame, pixels, margins)
             if measured is not None:
@@ -316,10 +359,21 @@ class Tracker:
                 pixels = np.array([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
                 found = self._measure(frame, pixels, margins)
-                if found is not None and plausible(found[0], self.colours):
+                if (
+                    found is not None
+                    and plausible(found[0], self.colours)
+                    and self._pointed_at(found[0])
+                ):
                     return found
             self._learned = self._cast = None
         return None
+
+    def _pointed_at(self, measured: list[Measurement]) -> bool:
+        """Return whether a pair is where a person said that it is, if one did."""
+        return self._start is None or all(
+            on_marker(m.centre, math.sqrt(m.area / math.pi), click)
+            for m, click in zip(measured, self._start, strict=True)
+        )
 
     def _learn(self, looks: list[Look], areas: list[float], pixels: NDArray) -> None:
         scale = self._pixels_per_unit(middle_of(pixels))
@@ -329,23 +383,20 @@ class Tracker:
             self.geometry.separation or self.geometry.separation_of(pixels),
         )
 
-    def _ranked(self, front: list[Blob], rear: list[Blob], time: float) -> list[tuple[Blob, Blob]]:
-        """Return pairs that can be the lost one, the likeliest first."""
-        possible = []
-        for pair in itertools.product(front, rear):
-            pixels = np.array([blob.centre for blob in pair])
-            off = abs(self.geometry.separation_of(pixels) / self._learned.separation - 1.0)
-            if off > 2 * SEPARATION_TOLERANCE or not self._reachable(pixels, time):
-                continue
-            moved = float(np.hypot(*(middle_of(pixels) - self._motion.middle)))
-            possible.append((off + 0.1 * moved / np.hypot(*self._motion.axis), pair))
-        return [pair for _, pair in sorted(possible, key=lambda entry: entry[0])[:4]]
-
     def _reachable(self, pixels: NDArray, time: float) -> bool:
         motion = self._motion
         if motion is None or time - motion.time > FORGET_AFTER:
             return True
         gap = time - motion.time
-        moved = np.hypot(*(middle_of(pixels) - motion.middle)) / np.hypot(*motion.axis)
+        apart = float(np.hypot(*motion.axis))
+        moved = math.dist(middle_of(pixels), motion.middle) / apart
         turned = abs(float(angle_between(angle_of(pixels[0] - pixels[1]), angle_of(motion.axis))))
-        return moved < REACH + REACH_PER_SECOND * gap and turned < TURN + TURN_PER_SECOND * gap
+        return turned < TURN + TURN_PER_SECOND * gap and moved < REACH + REACH_PER_SECOND * gap
+
+
+def _same(one: list[Measurement], other: list[Measurement]) -> bool:
+    """Return whether two pairs are one and the same, seen twice."""
+    return all(
+        math.dist(a.centre, b.centre) < 0.5 * math.sqrt(a.area)
+        for a, b in zip(one, other, strict=True)
+    )
