@@ -95,6 +95,13 @@ class NxtBody:
         self._zeros = [[0.0, 0.0] for _ in range(3)]  # block and rotation, degrees
         self._types = [(0, 0)] * 4
         self._lamp = _Lamp(params.lamp_lag)
+        self._compile()
+
+    def _compile(self) -> None:
+        """Have the physics compiled, on copies, before anybody waits for the brick's answer."""
+        state, coefficients = self.state.copy(), self._coefficients
+        physics.begin_command(state, 0, coefficients)
+        physics.advance(state, self._inputs.copy(), coefficients, self._field, 2 * physics.STEP)
 
     @property
     def time(self) -> float:
