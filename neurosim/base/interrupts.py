@@ -20,6 +20,9 @@ SIGNALS = [
 #: The one that asked last.
 _last = [int(signal.SIGINT)]
 
+#: Whether something runs in the main thread that is not to be interrupted.
+_outer = [False]
+
 
 def answer_signals() -> None:
     """Have what asks this program to end raise KeyboardInterrupt.
@@ -106,7 +109,8 @@ def uninterrupted() -> Iterator[None]:
     For compiled code that runs on several cores, which does not survive an exception that is
     raised in the middle of it (:func:`deferred_interrupt` is for a whole generation). What came
     meanwhile is answered at the end, by whoever would have answered it; the third is answered at
-    once, for what runs inside may be anything. Also a decorator.
+    once, for what runs inside may be anything. Within another one it does nothing: the outer one
+    answers. Also a decorator.
 
     Raises:
         KeyboardInterrupt: at the end, or at the third.
@@ -118,10 +122,15 @@ def uninterrupted() -> Iterator[None]:
         if len(came) > 2:
             before[number](number, frame)
 
+    if _outer[0] or threading.current_thread() is not threading.main_thread():
+        yield
+        return
     before = _replaced(answer)
     try:
+        _outer[0] = True
         yield
     finally:
+        _outer[0] = False
         _put_back(before)
         for number in came:
             before[number](number, None)

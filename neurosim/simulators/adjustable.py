@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -70,6 +70,21 @@ class Adjustable:
                 f"{self.high:g}{unit}"
             )
         return value
+
+
+def adjustables(
+    values: Any, ranges: Mapping[str, tuple[float, float, str, bool]]
+) -> tuple[Adjustable, ...]:
+    """Return attributes of an object as parameters.
+
+    Args:
+        values: has an attribute of each name.
+        ranges: by name the bounds, the unit, and whether the scale is logarithmic.
+
+    Raises:
+        UserError: if a value is out of bounds.
+    """
+    return tuple(Adjustable(name, float(getattr(values, name)), *ranges[name]) for name in ranges)
 
 
 @runtime_checkable

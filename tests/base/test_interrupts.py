@@ -60,6 +60,17 @@ def test_compiled_code_ends_before_it_is_answered():
     assert exit_code() == 128 + signal.SIGTERM
 
 
+def test_within_another_the_outer_one_answers():
+    done = []
+    with pytest.raises(KeyboardInterrupt), uninterrupted():
+        with uninterrupted():
+            send(signal.SIGINT)
+        done.append(1)
+    assert done == [1]
+    with pytest.raises(KeyboardInterrupt):
+        send(signal.SIGINT)
+
+
 def test_the_third_is_answered_at_once():
     done = []
     with pytest.raises(KeyboardInterrupt), uninterrupted():

@@ -28,8 +28,8 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.robots.quadruped import FRAME, JOINTS
-from neurosim.simulators.adjustable import Adjustable
-from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, as_seed, put_down
+from neurosim.simulators.adjustable import Adjustable, adjustables
+from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, draw_outcomes
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
 
@@ -76,8 +76,7 @@ class LeggedSimulator(Simulator):
             UserError: if MuJoCo is not installed, or a parameter is out of bounds.
         """
         self.build = build or Build()
-        for one in self.parameters:  # checks that they are within bounds
-            one.share(one.value)
+        adjustables(self.build, _RANGES)  # checks that they are within bounds
         self._shared = physics
 
     @cached_property
@@ -98,10 +97,7 @@ class LeggedSimulator(Simulator):
     @property
     def parameters(self) -> tuple[Adjustable, ...]:
         """Its adjustable parameters."""
-        found = []
-        for name, (low, high, unit, log) in _RANGES.items():
-            found.append(Adjustable(name, float(getattr(self.build, name)), low, high, unit, log))
-        return tuple(found)
+        return adjustables(self.build, _RANGES)
 
     def adjusted(self, values: NDArray[np.float64]) -> LeggedSimulator:
         """Return the simulator with other values [12] of its parameters.
@@ -188,7 +184,7 @@ class _OpenLoop:
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw where each robot stands; nothing else is uncertain."""
-        return Draws(put_down(starts, placing, torch.Generator().manual_seed(as_seed(rng))))
+        return draw_outcomes(self._simulator, starts, rng, placing, len(self._times))
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""

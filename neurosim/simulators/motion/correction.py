@@ -13,13 +13,21 @@ did, and a command may be cut as before.
 from __future__ import annotations
 
 import math
-from dataclasses import astuple, dataclass, fields, replace
+from dataclasses import astuple, dataclass, replace
 
 import torch
 from torch import Tensor
 
-from neurosim.simulators.adjustable import Adjustable
+from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.motion.drive import DriveModel
+
+_RANGES = {
+    "forward": (1 / 1.5, 1.5, "", True),
+    "turn": (1 / 1.5, 1.5, "", True),
+    "yaw": (-1.0, 1.0, "rad/m", False),
+    "drift": (-0.02, 0.02, "m/rad", False),
+    "slip": (-0.1, 0.1, "s", False),
+}
 
 
 @dataclass(frozen=True)
@@ -49,19 +57,9 @@ class Correction:
             raise ValueError("a correction is of finite numbers, and its factors are above 0")
 
     @property
-    def parameters(self) -> list[Adjustable]:
+    def parameters(self) -> tuple[Adjustable, ...]:
         """Return the five, with bounds that no robot of two wheels should leave."""
-        ranges = {
-            "forward": (1 / 1.5, 1.5, "", True),
-            "turn": (1 / 1.5, 1.5, "", True),
-            "yaw": (-1.0, 1.0, "rad/m", False),
-            "drift": (-0.02, 0.02, "m/rad", False),
-            "slip": (-0.1, 0.1, "s", False),
-        }
-        return [
-            Adjustable(field.name, getattr(self, field.name), *ranges[field.name])
-            for field in fields(self)
-        ]
+        return adjustables(self, _RANGES)
 
     def of_twists(self, twists: Tensor) -> Tensor:
         """Return twists [..., 3] (m, m, rad) corrected, but for the slip."""

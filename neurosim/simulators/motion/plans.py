@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned
-from neurosim.simulators.base import as_seed, draw_members, put_down
+from neurosim.simulators.base import draw_outcomes
 from neurosim.simulators.motion.plan_kernels import drawn_poses, lay_out, mean_poses
 
 
@@ -37,15 +36,9 @@ class MotionPlans:
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw outcomes: where the robot is put down, member and noise of each."""
-        simulator, count = self._simulator, len(starts)
-        generator = torch.Generator().manual_seed(as_seed(rng))
-        starts = put_down(starts, placing, generator)
-        member = draw_members(count, simulator.members, generator)
         genes = np.zeros((1, self._controller.genes))
         steps = self._controller.commands(genes, self._rest)[0].shape[1]
-        if simulator.noise is None:
-            return Draws(starts, member, np.zeros((count, steps, 0)))
-        return Draws(starts, member, simulator.noise.draw(count, steps, generator).numpy())
+        return draw_outcomes(self._simulator, starts, rng, placing, steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...]; see :class:`neurosim.simulators.base.Rollouts`."""
