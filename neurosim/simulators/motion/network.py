@@ -428,7 +428,7 @@ class MotionNetwork(Simulator):
         return disturb(self.noise, self.columns, x, mean, z)
 
     @property
-    def parameters(self) -> list[Adjustable]:
+    def parameters(self) -> tuple[Adjustable, ...]:
         """Return the five numbers of its correction.
 
         Raises:
