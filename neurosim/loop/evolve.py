@@ -29,7 +29,7 @@ from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.objectives import mean_fitness, repeats_of
 from neurosim.loop.optimisers import make_optimiser
-from neurosim.loop.reality import TRIALS_AGAIN, Reality, RealSearch
+from neurosim.loop.reality import TRIALS_AGAIN, RealRobot, RealSearch
 from neurosim.loop.search import Search
 from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.simulators.base import Simulator, check_commands
@@ -97,7 +97,7 @@ class Evolution:
         evaluator: Evaluator,
         settings: EvolveSettings,
         seed: int,
-        reality: Reality | None = None,
+        reality: RealRobot | None = None,
         real_generations: int = 0,
     ):
         """Prepare the first stage.
@@ -180,7 +180,7 @@ class Evolution:
             self.load(self._latest)
         self._save()
 
-    def _run_real(self, reality: Reality, progress: bool) -> bool:
+    def _run_real(self, reality: RealRobot, progress: bool) -> bool:
         """Run the generations on the robot; Ctrl-C is answered at once, trial by trial."""
         if self.real is None:
             self.real = RealSearch(self.stages[0], reality, self._keep)
@@ -503,7 +503,7 @@ def evolve(
     keep_all: bool = False,
     resume: bool = False,
     options: Mapping[str, Any] | None = None,
-    reality: Reality | None = None,
+    reality: RealRobot | None = None,
     real_generations: int = 0,
     progress: bool = True,
     **changes: Any,
@@ -643,7 +643,9 @@ def _same_robot(robot: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _on_robot(real: RealSearch, reality: Reality | None, best: Result, seed: int) -> dict[str, Any]:
+def _on_robot(
+    real: RealSearch, reality: RealRobot | None, best: Result, seed: int
+) -> dict[str, Any]:
     """Return what is said of generations on a robot, and paths to compare once they are over."""
     found: dict[str, Any] = {}
     if real.again is not None:

@@ -20,7 +20,7 @@ from neurosim.loop.search import Search
 AGAIN, TRIALS_AGAIN = 5, 4
 
 
-class Reality(Protocol):
+class RealRobot(Protocol):
     """A robot that tries controllers."""
 
     def fitness(self, genes: NDArray[np.float64], rng: np.random.Generator) -> NDArray[np.float64]:
@@ -45,7 +45,7 @@ class RealSearch:
         again: mean and standard deviation of its fitness in them, [2].
     """
 
-    def __init__(self, first: Search, reality: Reality, keep: Callable[[], None]):
+    def __init__(self, first: Search, reality: RealRobot, keep: Callable[[], None]):
         """Go on after a stage in the simulator.
 
         Args:

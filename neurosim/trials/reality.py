@@ -41,7 +41,7 @@ class RobotTrials:
     reading; the command that follows from it is sent a fixed time later, so that the robot is as
     late in every step as it is in the simulator.
 
-    It is the :class:`~neurosim.loop.reality.Reality` of an evolution.
+    It is the :class:`~neurosim.loop.reality.RealRobot` of an evolution.
 
     Attributes:
         robot: connected.

@@ -97,24 +97,12 @@ ROWS = "a,duration,dx,dy,dtheta\n" + "".join(f"{n},1,0.1,0,{n}\n" for n in range
 
 
 @pytest.fixture
-def refused(tmp_path, monkeypatch, capsys):
+def refused(refused):
     """Import a file of a text, which must fail; return the one sentence."""
-    monkeypatch.chdir(tmp_path)
 
     def run(text, *words) -> str:
         Path("my.csv").write_bytes(text if isinstance(text, bytes) else text.encode())
-        given = ["dataset", "--from", "csv", "my.csv", "-o", "d", *words]
-        monkeypatch.setattr(sys, "argv", ["neurosim", *map(str, given)])
-        capsys.readouterr()
-        with pytest.raises(SystemExit) as stop:
-            main()
-        out, said = capsys.readouterr()
-        assert stop.value.code == 1
-        assert out == ""
-        assert said.startswith("neurosim: ")
-        assert said.count("\n") == 1, said
-        assert not Path("d").exists()
-        return said
+        return refused("dataset", "--from", "csv", "my.csv", "-o", "d", *words)
 
     return run
 
