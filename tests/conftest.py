@@ -24,6 +24,9 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
+    # A file is one worker's: what takes long comes first, so that none waits for it at the end.
+    slow = {item.path for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: (item.path.parent.name != "notebooks", item.path not in slow))
 
 
 @pytest.fixture(scope="session")
