@@ -20,6 +20,7 @@ from neurosim.cli.calibrate import calibrate
 from neurosim.cli.dataset import dataset
 from neurosim.cli.demo import demo
 from neurosim.cli.evolve import evolve
+from neurosim.cli.export import export
 from neurosim.cli.lab import lab
 from neurosim.cli.plan_check import plan_check
 from neurosim.cli.record import record
@@ -115,6 +116,7 @@ for verb in (
     plan_check,
     run,
     back_to_reality,
+    export,
     report,
     lab,
     demo,

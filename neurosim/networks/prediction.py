@@ -43,9 +43,8 @@ class Prediction:
         """Return the outputs [N, O] for scaled inputs [N, I]."""
         if not self._fast:
             return self._network.forward(self._genes, x).T
-        magnitude = self._log_magnitude(x) @ self._exponents
-        torch.minimum(magnitude, self._ceilings, out=magnitude)
-        magnitude.clamp_(min=-LOG_LIMIT).exp_()
-        magnitude *= self._signed[((x < 0) * self._bits).sum(-1)]
-        products = magnitude.unflatten(-1, self._groups).sum(-1)
-        return torch.addmm(self._bias, x, self._linear).add_(products)
+        magnitude = (self._log_magnitude(x) @ self._exponents).minimum(self._ceilings)
+        units = magnitude.clamp(min=-LOG_LIMIT).exp()
+        units = units * self._signed[((x < 0) * self._bits).sum(-1)]
+        products = units.unflatten(-1, self._groups).sum(-1)
+        return torch.addmm(self._bias, x, self._linear) + products

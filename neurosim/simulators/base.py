@@ -162,6 +162,19 @@ class Simulator:
         """
         return {}
 
+    def for_export(self, dtype: torch.dtype) -> Simulator:
+        """Return this simulator computing in ``dtype``, for :mod:`neurosim.simulators.export`.
+
+        Its step must be one sequence of tensor operations, whatever it is given.
+
+        Raises:
+            UserError: if it is not.
+        """
+        raise UserError(
+            f"a simulator of the kind {self.kind} cannot be exported: how many operations its step "
+            "takes depends on where the robots are; those of the kind motion-network can"
+        )
+
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.
 

@@ -15,9 +15,9 @@ from torch import Tensor
 
 from neurosim.simulators.motion.noise import CommandFeatures
 
-#: A direction that changes by less than this, half turns, does not: what rounding leaves of equal
-#: directions must not say which way it changed.
-SAME = 1e-9
+#: A direction that changes by less than this, half turns, does not: what is left of an earlier
+#: command, or rounding in float32, must not say which way it changed.
+SAME = 1e-4
 
 
 @dataclass(frozen=True)
@@ -47,10 +47,13 @@ class Derived:
         if self.swing is None:
             return x
         now, before = x[:, list(columns.driven)], x[:, list(columns.before)]
+        both = (now != 0).any(1) & (before != 0).any(1)
+        # The angle of what stands is not used; at 0, 0 its gradient would not be finite.
+        now, before = (torch.where(both.unsqueeze(1), speeds, 1.0) for speeds in (now, before))
         angle = torch.atan2(now[:, 1], now[:, 0]) - torch.atan2(before[:, 1], before[:, 0])
         turns = angle / math.pi
         turns = turns - 2.0 * (turns >= 1.0 - self.swing) + 2.0 * (turns < -1.0 - self.swing)
-        both = (now != 0).any(1) & (before != 0).any(1) & (turns.abs() >= SAME)
+        both = both & (turns.abs() >= SAME)
         return torch.cat([x, torch.where(both, turns, 0.0).unsqueeze(1)], dim=1)
 
 

@@ -29,8 +29,12 @@ PHASES, SETTLED = 2, 2.5
 #: Static friction holds an actuator that stands; one of this speed, a share, it no longer holds.
 MOVING = 0.02
 
-#: Slower is standing, and speeds are alike: rounding is not to decide which way a wheel moves.
+#: Slower is standing: rounding is not to decide which way a wheel moves.
 STILL = 1e-9
+
+#: Speeds that differ by less are alike: what is left of an earlier command after seconds, or lost
+#: in float32, is not to decide whether a wheel slows down.
+ALIKE = 1e-4
 
 #: No piece of a command is shorter, s.
 SHORTEST = 1e-3
@@ -111,7 +115,7 @@ class DriveModel:
     def approach(self, before: Tensor, told: Tensor, time: Tensor) -> Approach:
         """Return how far speeds have come from ``before`` to ``told`` [B, C] after ``time`` [B]."""
         difference, speed = told - before, told.abs().clamp(min=STILL)
-        lag = torch.where(speed < before.abs(), self.lag * self.slowing, self.lag)
+        lag = torch.where(speed < before.abs() - ALIKE, self.lag * self.slowing, self.lag)
         lag = torch.where(speed <= STILL, self.lag * self.braking, lag)
         size, linear = difference.abs(), self.rate * lag
         ramp = (size - linear).clamp(min=0.0) / self.rate  # how long the limit holds
@@ -133,13 +137,15 @@ class DriveModel:
         missed = missed + torch.where(after, fading * lag * (1.0 - decay), 0.0)
         missed = missed + size * torch.minimum(time.unsqueeze(-1), self.delay) + then * stood
         sign = difference.sign()
-        settling = torch.where(size > STILL, ramp + SETTLED * lag + stands + self.delay, 0.0)
+        settling = torch.where(size > ALIKE, ramp + SETTLED * lag + stands + self.delay, 0.0)
         return Approach(sign * left, sign * missed, settling)
 
     def reached(self, before: Tensor, told: Tensor, time: Tensor) -> Tensor:
         """Return the speeds [B, C] after ``time`` [B] s."""
         speed = told - self.approach(before, told, time).left
-        return torch.where(speed.abs() < STILL, 0.0, speed)
+        # What rounding leaves of the two is no motion; in float64 it is below STILL.
+        rounding = 8.0 * torch.finfo(speed.dtype).eps * told.abs()
+        return torch.where(speed.abs() < rounding.clamp(min=STILL), 0.0, speed)
 
     def pieces(self, before: Tensor, told: Tensor, time: Tensor) -> list[Tensor]:
         """Return what each piece of constant twist is linear in, PHASES + 1 tensors [B, F]."""

@@ -15,7 +15,14 @@ from numba import njit
 
 from neurosim.base.se2 import compiled as se2
 from neurosim.simulators.motion.derived import SAME
-from neurosim.simulators.motion.drive import MOVING, PHASES, SETTLED, SHORTEST, STILL
+from neurosim.simulators.motion.drive import (
+    ALIKE,
+    MOVING,
+    PHASES,
+    SETTLED,
+    SHORTEST,
+    STILL,
+)
 from neurosim.simulators.motion.noise import HEAVIEST
 
 #: Numbers that the size of the noise is, see :func:`spread`.
@@ -84,7 +91,7 @@ def _approach(a, c, before, told, time):
     lag = a.lag[c]
     if speed <= STILL:
         lag *= a.braking[c]
-    elif speed < abs(before):
+    elif speed < abs(before) - ALIKE:
         lag *= a.slowing[c]
     rate = a.rate[c]
     linear = rate * lag
@@ -108,7 +115,7 @@ def _approach(a, c, before, told, time):
         missed += fading * lag * (1.0 - decay)
     missed += size * min(time, a.delay[0]) + then * stood
     sign = math.copysign(1.0, difference)
-    settling = ramp + SETTLED * lag + stands + a.delay[0] if size > STILL else 0.0
+    settling = ramp + SETTLED * lag + stands + a.delay[0] if size > ALIKE else 0.0
     return sign * left, sign * missed, settling
 
 

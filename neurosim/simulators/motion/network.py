@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import asdict, astuple
 from typing import Any
 
@@ -79,6 +80,7 @@ class MotionNetwork(Simulator):
         correction: of drive model and networks, all members alike, where another floor or robot
             is to be simulated than was learned from.
         meta: what else simulator.json says: training, test errors, source.
+        longest: the longest command that it has learned from, s; infinite without a duration.
     """
 
     kind = "motion-network"
@@ -157,6 +159,8 @@ class MotionNetwork(Simulator):
         self.correction = correction
         self._corrected = None if drive is None else correction.of_drive(drive)
         self.columns = columns
+        place = columns.duration
+        self.longest = math.inf if place < 0 else float(self.input_scale[place])
         if drive is None:
             self.state_names: tuple[str, ...] = ("x", "y", "theta", *remembered)
         else:
@@ -314,7 +318,7 @@ class MotionNetwork(Simulator):
         elapsed = torch.where(same, elapsed, 0.0) + step
         done = torch.where(same, done, 0.0)
         noise = torch.where(same, noise, 0.0 if z is None else z.to(noise))
-        x = state.new_zeros(len(state), len(self.inputs))
+        x = state.new_zeros(state.shape[0], len(self.inputs))
         x[:, list(self.columns.before)] = speed
         x[:, self._driven] = self._speeds(driven)
         x[:, self.columns.duration] = elapsed.squeeze(1) / longest
@@ -378,12 +382,6 @@ class MotionNetwork(Simulator):
         if self.drive is None:
             return x
         return chain(self.drive, self.columns, x, follows(self.input_names, inputs), self.longest)
-
-    @property
-    def longest(self) -> float:
-        """The longest command that it has learned from, s; infinite without a duration."""
-        place = self.columns.duration
-        return math.inf if place < 0 else float(self.input_scale[place])
 
     def outputs(self, inputs: Tensor) -> Tensor:
         """Return what every member's networks say [B, M, O] (SI units) of ``inputs`` [B, I]."""
@@ -474,6 +472,10 @@ class MotionNetwork(Simulator):
         """Return its correction, where there is one."""
         none = self.correction == Correction()
         return {} if none else {"correction": asdict(self.correction)}
+
+    def for_export(self, dtype: torch.dtype) -> MotionNetwork:
+        """Return this simulator computing in ``dtype``."""
+        return _in(dtype, self)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts where the units are linear and the commands are these."""
@@ -608,13 +610,24 @@ def chain(
     return x
 
 
+def _in(dtype: torch.dtype, thing: Any) -> Any:
+    """Return a copy of one of our objects, all its numbers in another precision."""
+    if isinstance(thing, Tensor):
+        return thing.to(dtype) if thing.is_floating_point() else thing
+    if not type(thing).__module__.startswith("neurosim.") or not hasattr(thing, "__dict__"):
+        return thing
+    found = copy(thing)
+    for name, value in vars(thing).items():
+        object.__setattr__(found, name, _in(dtype, value))
+    return found
+
+
 def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:
     """Return the outputs [N, O] of a member, of outputs [N, M, O], or [N, 1 + M, O] if central."""
     if isinstance(member, int):
         return outputs.mean(1) if member < 0 else outputs[:, member + central]
     place = (member + central).clamp(min=0)[:, None, None]
-    own = torch.take_along_dim(outputs, place, 1).squeeze(1)
-    average = member < 0
-    if central or not average.any():  # the mean's own network is the one before the first
+    own = outputs.gather(1, place.expand(-1, 1, outputs.shape[2])).squeeze(1)
+    if central:  # the mean's own network is the one before the first
         return own
-    return torch.where(average.unsqueeze(-1), outputs.mean(1), own)
+    return torch.where(member.unsqueeze(-1) < 0, outputs.mean(1), own)

@@ -159,7 +159,7 @@ def features(
     """
     one = torch.ones_like(mean[:, 0])
     duration = inputs[:, columns.duration].clamp(min=0) if columns.duration >= 0 else one
-    travel, jump, reversal, speed = torch.zeros(4, len(one)).to(one)
+    travel = jump = reversal = speed = torch.zeros_like(one)
     for now, before in zip(columns.driven, columns.before, strict=True):
         u = inputs[:, now]
         v = inputs[:, before] if before >= 0 else u
@@ -169,6 +169,7 @@ def features(
         speed = speed + v.abs() / len(columns.driven)
     turn, forward, _ = (components(mean) / unit).unbind(-1)
     log_travel = (travel + 0.01).log()
+    reverses = reversal > 0.0  # the square root has no gradient at 0
     scale = [
         one,
         log_travel,
@@ -176,7 +177,7 @@ def features(
         (turn.abs() + 0.02).log(),
         (forward.abs() + 0.02).log(),
         (jump + 0.02).log(),
-        reversal.sqrt(),
+        torch.where(reverses, torch.where(reverses, reversal, 1.0).sqrt(), 0.0),
         (duration + 0.02).log(),
         (speed + 0.02).log(),
     ]

@@ -1,0 +1,173 @@
+"""A simulator's step as a program of PyTorch, and in float32, against ours."""
+
+import json
+
+import pytest
+import torch
+from click.testing import CliRunner
+from exported import drive, printed_by_page, random_plans
+from motion_networks import random_motion_network
+from simulators_of_tests import tables
+
+from neurosim.base.errors import UserError
+from neurosim.cli.main import cli
+from neurosim.networks import Perceptron
+from neurosim.simulators import MotionNetwork
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.export import export
+
+
+def perceptrons():
+    """Return one perceptron of each output, of whole commands, without noise."""
+    network = Perceptron(5, 6, 4)
+    names = ("prev_left", "prev_right", "left", "right", "duration")
+    return MotionNetwork(
+        [{"name": name, "unit": "%"} for name in names],
+        network,
+        network.initial(3, torch.Generator().manual_seed(2)),
+        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
+        torch.tensor([0.3, 0.2, 2.0]),
+    )
+
+
+def given(simulator, commands, seed=3):
+    """Return states at the start, every member in turn, and noise [B, T, Z] or None."""
+    count = len(commands)
+    pose = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)).double()
+    member = torch.arange(count) % (simulator.members + 1) - 1
+    state = simulator.start(pose, member=member if simulator.members > 1 else None)
+    if not simulator.noise_width:
+        return state, None
+    generator = torch.Generator().manual_seed(seed)
+    noise = simulator.draw_noise(count, commands.shape[1], generator).float().double()
+    return state, noise * (torch.arange(count) % 2)[:, None, None]
+
+
+def ours(simulator):
+    return lambda state, command, noise: simulator.step(state, command, z=noise)
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """Export an ensemble with everything, once."""
+    simulator = random_motion_network(4, central=True)
+    folder = tmp_path_factory.mktemp("made") / "program"
+    export(simulator, folder, "torch")
+    return simulator, folder
+
+
+@pytest.mark.parametrize("rows", [1, 2, 5, 64])
+def test_the_program_is_the_step(exported, rows):
+    simulator, folder = exported
+    program = torch.export.load(folder / "step.pt2").module()
+    commands = random_plans(simulator, rows)
+    state, noise = given(simulator, commands)
+    for parts in (1, 3):
+        expected = drive(ours(simulator), state, commands, noise, parts)
+        found = drive(program, state, commands, noise, parts)
+        torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+
+
+def test_gradients_flow_through_the_program(exported):
+    simulator, folder = exported
+    program = torch.export.load(folder / "step.pt2").module()
+    commands = random_plans(simulator, 4)
+    state, noise = given(simulator, commands)
+    slopes = []
+    for step in (ours(simulator), program):
+        free = commands.clone().requires_grad_()
+        drive(step, state, free, noise)[:, -1].square().sum().backward()
+        slopes.append(free.grad)
+    assert slopes[0].abs().max() > 1e-4
+    torch.testing.assert_close(*slopes)
+
+
+def test_the_page_runs_without_neurosim(exported):
+    simulator, folder = exported
+    about = json.loads((folder / "export.json").read_text())
+    assert about["state"] == list(simulator.state_names)
+    assert [one["name"] for one in about["command"]] == list(simulator.command_names)
+    highest = torch.tensor([one["highest"] for one in about["command"]], dtype=torch.float64)
+    commands = torch.stack([0.5 * highest, 0.5 * highest, 0.25 * highest])
+    start = simulator.start(torch.zeros(1, 3))
+    found = printed_by_page(folder)
+    expected = drive(ours(simulator), start, commands[None])[0]
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-9)
+
+
+def test_one_network_of_whole_commands(tmp_path):
+    simulator = perceptrons()
+    export(simulator, tmp_path / "program", "torch")
+    program = torch.export.load(tmp_path / "program" / "step.pt2").module()
+    commands = random_plans(simulator, 7)
+    state, _ = given(simulator, commands)
+    found = drive(lambda state, command, _: program(state, command), state, commands)
+    expected = drive(ours(simulator), state, commands)
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
+    assert "noise" not in (tmp_path / "program" / "README.md").read_text().split("```")[0]
+
+
+@pytest.mark.parametrize("parts", [1, 2, 7, 20])
+@pytest.mark.parametrize(
+    "simulator",
+    [
+        random_motion_network(1),
+        random_motion_network(2, central=False, swing=None),
+        random_motion_network(3, drives=False, members=1, central=False, noise=False),
+        random_motion_network(5, products=10, units=40),
+        perceptrons(),
+    ],
+    ids=["all", "average", "whole commands", "large", "perceptrons"],
+)
+def test_float32_is_near(simulator, parts):
+    if simulator.drive is None and parts > 1:
+        parts = 1  # a step is a whole command
+    commands = random_plans(simulator, 300, steps=10, like=0.6)
+    state, noise = given(simulator, commands)
+    single = simulator.for_export(torch.float32)
+    expected = drive(ours(simulator), state, commands, noise, parts)
+    found = drive(ours(single), state.float(), commands, noise, parts)
+    assert torch.linalg.norm((found - expected)[..., :2], dim=-1).max() < 1e-4
+    assert (found - expected)[..., 2].abs().max() < 1e-3
+    assert simulator.genes.dtype == torch.float64  # ours stays what it was
+
+
+def test_a_step_of_ones_own(tmp_path):
+    class Ideal(Simulator):
+        kind, state_names, command_names = "ideal", ("x", "y", "theta"), ("v", "w")
+
+        def start(self, pose, generator=None):
+            return pose.to(torch.float64)
+
+        def step(self, state, command, generator=None):
+            x, y, theta = state.unbind(1)
+            v, w = command.unbind(1)
+            return torch.stack([x + v * theta.cos(), y + v * theta.sin(), theta + w], 1)
+
+    with pytest.raises(UserError, match="kind ideal cannot be exported"):
+        export(Ideal(), tmp_path / "no", "torch")
+
+    class Traced(Ideal):
+        def for_export(self, dtype):
+            return self
+
+    about = export(Traced(), tmp_path / "program", "torch")
+    assert about["command"][0] == {"name": "v", "lowest": None, "highest": None}
+    found = printed_by_page(tmp_path / "program")
+    assert found[0].tolist() == [0.5, 0.0, 0.5]
+
+
+def test_refusals_are_one_sentence(tmp_path):
+    folder = tmp_path / "tables"
+    folder.mkdir()
+    tables().write(folder)
+    out = tmp_path / "out"
+    done = CliRunner().invoke(cli, ["export", str(folder), "--to", "torch", "-o", str(out)])
+    assert isinstance(done.exception, UserError)
+    assert "tables cannot be exported" in str(done.exception)
+    assert not out.exists()
+    with pytest.raises(UserError, match="no such simulator"):
+        export(tmp_path / "nothing", out, "torch")
+    (out / "something").mkdir(parents=True)
+    with pytest.raises(UserError, match=r"out"):
+        export(random_motion_network(1), out, "torch")

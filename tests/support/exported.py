@@ -1,0 +1,65 @@
+"""Random plans, driven in a simulator and in what was exported of it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import torch
+
+from neurosim.simulators import MotionNetwork
+
+
+def random_plans(simulator: MotionNetwork, count, steps=8, seed=0, like=0.3):
+    """Return commands [count, steps, C] of float32 numbers, many as those that people write.
+
+    Args:
+        simulator: within whose domain they are.
+        count: plans.
+        steps: commands in each.
+        seed: of all numbers.
+        like: so many of them are in whole tenths of the largest, where speeds and directions
+            often are exactly those of the command before, or their opposites.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    ends = torch.tensor(list(simulator.domain.values()), dtype=torch.float64)
+    low = torch.where(torch.tensor([n == "duration" for n in simulator.command_names]), 0.1, 0.0)
+    low = torch.maximum(ends[:, 0], torch.where(low > 0, low, ends[:, 0]))
+    shape = (count, steps, len(ends))
+    drawn = torch.rand(shape, generator=generator, dtype=torch.float64)
+    whole = torch.rand(shape[:2], generator=generator) < like
+    drawn = torch.where(whole[..., None], (10.0 * drawn).round().clamp(min=1.0) / 10.0, drawn)
+    return (low + drawn * (ends[:, 1] - low)).float().double()
+
+
+def drive(step, state, commands, noise=None, parts=1):
+    """Return poses [B, T, 3] after each of the commands [B, T, C], cut into so many steps.
+
+    Args:
+        step: (state, command, noise) -> state.
+        state: at the start, [B, S]; its type is that of everything.
+        commands: the last column is the duration where there are parts.
+        noise: [B, T, Z], or None.
+        parts: steps of a command.
+    """
+    poses = []
+    for number in range(commands.shape[1]):
+        command = commands[:, number].clone()
+        if parts > 1:
+            command[:, -1] /= parts
+        z = None if noise is None else noise[:, number].to(state)
+        for _ in range(parts):
+            state = step(state, command.to(state), z)
+        poses.append(state[:, :3])
+    return torch.stack(poses, 1).double()
+
+
+def printed_by_page(folder: Path):
+    """Run the block of Python on an export's page without neurosim; return the poses [T, 3]."""
+    _, block = (folder / "README.md").read_text(encoding="utf-8").split("```python\n")
+    program = block.split("```")[0] + "\nimport sys\nassert 'neurosim' not in sys.modules\n"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    rows = [line.strip("[]").replace(",", " ").split() for line in done.stdout.splitlines()]
+    return torch.tensor([[float(each) for each in row] for row in rows], dtype=torch.float64)
