@@ -10,6 +10,9 @@ from typing import Any
 
 from neurosim.base.errors import UserError
 
+#: The names of modules that are files named on the command line begin with this.
+PLUGIN = "neurosim_plugin_"
+
 
 class Registry:
     """The things of one kind that can be named, such as tasks.

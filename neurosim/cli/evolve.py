@@ -182,6 +182,7 @@ def changed(
     default=0,
     help="Generations on a robot after those in the simulator; nobody puts it in place.",
 )
+@settings_options("judges", "neurosim.loop.evolve:evolve", only=("workers",))
 @robot_option_of("virtual-khepera", "The robot of --robot-generations.")
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
 @resume_option
@@ -205,6 +206,7 @@ def evolve(
     real_generations: int,
     robot: str,
     robot_options: dict[str, Any],
+    judges: dict[str, Any],
     keep_all: bool,
     resume: bool,
     seed: int,
@@ -255,6 +257,7 @@ def evolve(
             options=given_options(),
             reality=real,
             real_generations=real_generations,
+            **judges,
         )
     _say(controllers, out, simulator, made, keep_all, as_json)
 

@@ -13,6 +13,7 @@ import click
 import neurosim
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.interrupts import answer_signals, exit_code, interruption_in
+from neurosim.base.registry import PLUGIN
 from neurosim.cli._types import PATH
 from neurosim.cli.back_to_reality import back_to_reality
 from neurosim.cli.build_tables import build_tables
@@ -77,7 +78,7 @@ def run_plugin(path: Path) -> None:
     if not path.is_file():
         raise FileError(path, "no such file; --plugin takes a Python file")
     # Its name is no other module's: a file may be called random.py.
-    spec = importlib.util.spec_from_file_location(f"neurosim_plugin_{path.stem}", path)
+    spec = importlib.util.spec_from_file_location(f"{PLUGIN}{path.stem}", path)
     if spec is None or spec.loader is None:
         raise FileError(path, "is no Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)

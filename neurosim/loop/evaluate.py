@@ -25,6 +25,7 @@ from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
+from neurosim.loop.workers import Name, workers_named
 from neurosim.simulators.base import PLACING, Rollouts, Simulator
 from neurosim.tasks.base import Judgement, Task
 
@@ -44,6 +45,7 @@ class Evaluator:
         placing: how exactly the robot is put down where a trial starts at a mark: standard
             deviations in x and y (m) and in heading (rad); for drawn outcomes alone.
         rollouts: what drives them: the simulator's own compiled ones, or step by step.
+        workers: who judges the parts of a population.
     """
 
     def __init__(
@@ -54,15 +56,18 @@ class Evaluator:
         *,
         placing: tuple[float, float] = PLACING,
         stepped: bool = False,
+        workers: Name = "local",
     ):
         """Join the three.
 
         Args:
             simulator, task, controller, placing: see the class.
             stepped: whether to go step by step though there are compiled rollouts.
+            workers: see :func:`neurosim.loop.workers.workers_named`.
 
         Raises:
-            UserError: if one needs what another does not offer: commands, sensors, goals.
+            UserError: if one needs what another does not offer: commands, sensors, goals; or
+                there are no such workers.
         """
         self.simulator, self.task, self.controller = simulator, task, controller
         self.placing, self.episode = placing, task.episode
@@ -75,6 +80,7 @@ class Evaluator:
                 f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
             )
         self.rollouts = rollouts_of(simulator, controller, self.episode, stepped=stepped)
+        self.workers = workers_named(workers)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
         """Return start poses [count, 3], and whether they were drawn by the task."""
@@ -133,19 +139,28 @@ class Evaluator:
                 that the simulator was made from ranks behind all others, as far as the simulator
                 knows of gaps; None: nobody does.
         """
-        measure, parts, told = objective_named(objective), [], []
-        for part in self._parts(len(genes), len(draws)):
-            with uninterrupted():
-                trajectory = self.run(genes[part], draws, reuse=True)
-                part_merit = measure(self.task, trajectory, self.task.judge(trajectory))
-                if unsupported is not None and self.simulator.knows_gaps:
-                    share = self.unsupported(trajectory)
-                    part_merit = put_behind(part_merit, share, unsupported)
-                parts.append(part_merit)
-                told.append([getattr(self, f"_{name}")(trajectory) for name in hints])
+        how = objective, tuple(hints), unsupported
+        cut = (genes[part] for part in self._parts(len(genes), len(draws)))
+        parts, told = zip(*self.workers(self, cut, draws, how), strict=True)
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         columns = [np.concatenate(part) for part in zip(*told, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))
+
+    @uninterrupted()
+    def merit_of(
+        self,
+        genes: NDArray[np.float64],
+        draws: Draws,
+        objective: str,
+        hints: Sequence[str],
+        unsupported: float | None,
+    ) -> tuple[Merit, list[NDArray]]:
+        """Return what one part of a population is worth, and its hints; see :meth:`merit`."""
+        trajectory = self.run(genes, draws, reuse=True)
+        merit = objective_named(objective)(self.task, trajectory, self.task.judge(trajectory))
+        if unsupported is not None and self.simulator.knows_gaps:
+            merit = put_behind(merit, self.unsupported(trajectory), unsupported)
+        return merit, [getattr(self, f"_{name}")(trajectory) for name in hints]
 
     @uninterrupted()
     def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
@@ -308,6 +323,7 @@ def evaluate(
     objective: str = "fitness",
     placing: tuple[float, float] = PLACING,
     seed: int = 0,
+    workers: Name = "local",
 ) -> Evaluate:
     """Return the function that gives the fitness of genes: what any optimiser needs.
 
@@ -321,12 +337,14 @@ def evaluate(
             steps.
         placing: how exactly the robot is put down: standard deviations, m and rad.
         seed: of the draws.
+        workers: who judges: local, this process; or ray, the workers of a Ray cluster. The
+            fitness is the same.
 
     Raises:
         UserError: if one of the three needs what another does not offer, or outcomes are asked
             of a simulator in which nothing is uncertain.
     """
-    evaluator = Evaluator(simulator, task, controller, placing=placing)
+    evaluator = Evaluator(simulator, task, controller, placing=placing, workers=workers)
     if outcomes < 0:
         raise UserError(f"outcomes must not be negative, not {outcomes}")
     repeats = repeats_of(objective)

@@ -32,6 +32,7 @@ from neurosim.loop.optimisers import make_optimiser
 from neurosim.loop.reality import TRIALS_AGAIN, RealRobot, RealSearch
 from neurosim.loop.search import Search
 from neurosim.loop.settings import EvolveSettings, default_settings
+from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import named
@@ -506,6 +507,7 @@ def evolve(
     reality: RealRobot | None = None,
     real_generations: int = 0,
     progress: bool = True,
+    workers: Name = "local",
     **changes: Any,
 ) -> list[SavedController]:
     """Evolve controllers for a task in a simulator, and write the best.
@@ -526,6 +528,8 @@ def evolve(
         reality: the robot, for generations on it after those in the simulator.
         real_generations: how many.
         progress: whether to show progress on stderr.
+        workers: Who judges: local, this process; or ray, the workers of a Ray cluster. The result
+            is the same.
         **changes: of the settings: ``generations=50``, ``objective="progress"`` ...
 
     Returns:
@@ -547,7 +551,7 @@ def evolve(
     if settings is None:
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)
-    evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
+    evaluator = Evaluator(simulator, task, controller, placing=settings.placing, workers=workers)
     with uninterrupted():
         evolution = Evolution(evaluator, settings, seed, reality, real_generations)
     robot = None if reality is None else reality.describe()

@@ -259,7 +259,8 @@ def _page(about: dict[str, Any]) -> str:
         "# The step of a robot's simulator",
         "",
         f"`{about['program']}` predicts the state that a command leads to, in "
-        f"{about['precision']}, for a batch of B robots. It needs `pip install {packages[about['form']]}`, not neurosim.",
+        f"{about['precision']}, for a batch of B robots. "
+        f"It needs `pip install {packages[about['form']]}`, not neurosim.",
         "",
         "| input or output | shape | what |",
         "|---|---|---|",

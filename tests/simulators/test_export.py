@@ -5,46 +5,14 @@ import json
 import pytest
 import torch
 from click.testing import CliRunner
-from exported import drive, printed_by_page, random_plans
-from motion_networks import random_motion_network
+from exported import drive, given, ours, perceptrons, printed_by_page, random_plans
+from motion_networks import noise_model, random_motion_network
 from simulators_of_tests import tables
 
 from neurosim.base.errors import UserError
 from neurosim.cli.main import cli
-from neurosim.networks import Perceptron
-from neurosim.simulators import MotionNetwork
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.export import export
-
-
-def perceptrons():
-    """Return one perceptron of each output, of whole commands, without noise."""
-    network = Perceptron(5, 6, 4)
-    names = ("prev_left", "prev_right", "left", "right", "duration")
-    return MotionNetwork(
-        [{"name": name, "unit": "%"} for name in names],
-        network,
-        network.initial(3, torch.Generator().manual_seed(2)),
-        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
-        torch.tensor([0.3, 0.2, 2.0]),
-    )
-
-
-def given(simulator, commands, seed=3):
-    """Return states at the start, every member in turn, and noise [B, T, Z] or None."""
-    count = len(commands)
-    pose = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)).double()
-    member = torch.arange(count) % (simulator.members + 1) - 1
-    state = simulator.start(pose, member=member if simulator.members > 1 else None)
-    if not simulator.noise_width:
-        return state, None
-    generator = torch.Generator().manual_seed(seed)
-    noise = simulator.draw_noise(count, commands.shape[1], generator).float().double()
-    return state, noise * (torch.arange(count) % 2)[:, None, None]
-
-
-def ours(simulator):
-    return lambda state, command, noise: simulator.step(state, command, z=noise)
 
 
 @pytest.fixture(scope="module")
@@ -111,10 +79,10 @@ def test_one_network_of_whole_commands(tmp_path):
 @pytest.mark.parametrize(
     "simulator",
     [
-        random_motion_network(1),
-        random_motion_network(2, central=False, swing=None),
+        random_motion_network(1, noise=noise_model(1, size=-6.0)),
+        random_motion_network(2, central=False, swing=None, noise=noise_model(2, size=-6.0)),
         random_motion_network(3, drives=False, members=1, central=False, noise=False),
-        random_motion_network(5, products=10, units=40),
+        random_motion_network(5, products=10, units=40, noise=False),
         perceptrons(),
     ],
     ids=["all", "average", "whole commands", "large", "perceptrons"],
@@ -122,7 +90,7 @@ def test_one_network_of_whole_commands(tmp_path):
 def test_float32_is_near(simulator, parts):
     if simulator.drive is None and parts > 1:
         parts = 1  # a step is a whole command
-    commands = random_plans(simulator, 300, steps=10, like=0.6)
+    commands = random_plans(simulator, 200, steps=10, like=0.6)
     state, noise = given(simulator, commands)
     single = simulator.for_export(torch.float32)
     expected = drive(ours(simulator), state, commands, noise, parts)

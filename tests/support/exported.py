@@ -6,7 +6,39 @@ from pathlib import Path
 
 import torch
 
+from neurosim.networks import Perceptron
 from neurosim.simulators import MotionNetwork
+
+
+def perceptrons():
+    """Return one perceptron of each output, of whole commands, without noise."""
+    network = Perceptron(5, 6, 4)
+    names = ("prev_left", "prev_right", "left", "right", "duration")
+    return MotionNetwork(
+        [{"name": name, "unit": "%"} for name in names],
+        network,
+        network.initial(3, torch.Generator().manual_seed(2)),
+        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
+        torch.tensor([0.3, 0.2, 2.0]),
+    )
+
+
+def given(simulator, commands, seed=3):
+    """Return states at the start, every member in turn, and noise [B, T, Z] or None."""
+    count = len(commands)
+    pose = torch.rand(count, 3, generator=torch.Generator().manual_seed(seed)).double()
+    member = torch.arange(count) % (simulator.members + 1) - 1
+    state = simulator.start(pose, member=member if simulator.members > 1 else None)
+    if not simulator.noise_width:
+        return state, None
+    generator = torch.Generator().manual_seed(seed)
+    noise = simulator.draw_noise(count, commands.shape[1], generator).float().double()
+    return state, noise * (torch.arange(count) % 2)[:, None, None]
+
+
+def ours(simulator):
+    """Return its step, as :func:`drive` takes it."""
+    return lambda state, command, noise: simulator.step(state, command, z=noise)
 
 
 def random_plans(simulator: MotionNetwork, count, steps=8, seed=0, like=0.3):

@@ -1,0 +1,118 @@
+"""Who judges the parts of a population: this process, or the workers of a Ray cluster.
+
+A population is cut into the same parts whoever judges them, and a part depends on nothing but its
+genes and the outcomes that were drawn. So the result is the same for any number of workers, and a
+part whose worker was lost is judged again by another.
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from copy import copy
+from typing import Any, Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import PLUGIN
+from neurosim.base.threads import one_thread
+
+#: Names of workers.
+Name = Literal["local", "ray"]
+
+#: (evaluator, parts of a population, draws, how they are judged) -> what each part is worth, in
+#: their order; see :meth:`neurosim.loop.evaluate.Evaluator.merit_of`.
+Workers = Callable[[Any, Iterable[NDArray], Any, tuple[Any, ...]], Iterator[Any]]
+
+
+def workers_named(name: Name) -> Workers:
+    """Return workers.
+
+    Args:
+        name: local, this process; or ray, those of the Ray cluster that ``RAY_ADDRESS`` names or
+            that runs on this computer, else of one that is started on it.
+
+    Raises:
+        UserError: if there are none of this name, or Ray is not installed or cannot be reached.
+    """
+    if name == "local":
+        return local
+    if name == "ray":
+        return Ray()
+    raise UserError(f"there are no workers {name!r}; there are local and ray")
+
+
+def local(
+    evaluator: Any, parts: Iterable[NDArray], draws: Any, how: tuple[Any, ...]
+) -> Iterator[Any]:
+    """Judge parts one after the other, in this process."""
+    return (evaluator.merit_of(part, draws, *how) for part in parts)
+
+
+class Ray:
+    """Workers of a Ray cluster, each a process on one core."""
+
+    def __init__(self) -> None:
+        """Connect to a cluster, or start one on this computer.
+
+        Raises:
+            UserError: if Ray is not installed or its cluster cannot be reached.
+        """
+        try:
+            import ray
+        except ImportError:
+            raise UserError(
+                "the workers ray need the package Ray: pip install 'neurosim[ray]'"
+            ) from None
+        if not ray.is_initialized():
+            try:
+                ray.init(log_to_driver=False, logging_level=logging.ERROR)
+            except (ConnectionError, RuntimeError, ValueError) as error:
+                why = (str(error).strip() or type(error).__name__).splitlines()[0]
+                raise UserError(
+                    f"no Ray cluster can be reached or started ({why}); see RAY_ADDRESS"
+                ) from None
+        self._ray = ray
+        self._judge = ray.remote(max_retries=-1)(_judge)
+
+    def __call__(
+        self, evaluator: Any, parts: Iterable[NDArray], draws: Any, how: tuple[Any, ...]
+    ) -> Iterator[Any]:
+        """Judge parts on all workers; only as many are on their way as keep these busy."""
+        ray = self._ray
+        for name, module in list(sys.modules.items()):
+            if name.startswith(PLUGIN):  # a worker could not import it
+                ray.cloudpickle.register_pickle_by_value(module)
+        alone = copy(evaluator)
+        alone.workers = local
+        # As bytes: arrays that Ray shares between workers cannot be written to.
+        job = ray.put(ray.cloudpickle.dumps((alone, draws, how)))
+        most = 2 * max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        waiting: deque[Any] = deque()
+        for part in parts:
+            if len(waiting) >= most:
+                yield self._result(waiting.popleft())
+            waiting.append(self._judge.remote(job, part))
+        while waiting:
+            yield self._result(waiting.popleft())
+
+    def _result(self, reference: Any) -> Any:
+        try:
+            return self._ray.get(reference)
+        except self._ray.exceptions.RayTaskError as error:
+            raise error.cause from None
+
+
+def _judge(job: bytes, genes: NDArray[np.float64]) -> Any:
+    """Judge one part in a worker."""
+    import ray
+
+    evaluator, draws, how = ray.cloudpickle.loads(job)
+    numba.set_num_threads(1)
+    with one_thread():
+        return evaluator.merit_of(np.array(genes), draws, *how)

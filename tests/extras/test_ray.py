@@ -1,0 +1,108 @@
+"""Populations judged by a local Ray cluster of several processes (``make test-extras``)."""
+
+import json
+import os
+import signal
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from motion_networks import noise_model, random_motion_network
+
+from neurosim.base.errors import UserError
+from neurosim.cli.main import cli
+from neurosim.controllers import Function, Plan
+from neurosim.loop.evaluate import evaluate
+from neurosim.simulators.registry import write_simulator
+from neurosim.tasks.nine_rectangles import NineRectangles
+
+pytestmark = pytest.mark.skipif(
+    not os.environ.get("NEUROSIM_EXTRAS"), reason="run by make test-extras, which installs Ray"
+)
+
+OUTCOMES = 64
+
+
+@pytest.fixture(scope="module")
+def simulator():
+    return random_motion_network(1, noise=noise_model(1, size=-6.0))
+
+
+@pytest.fixture
+def cluster(request):
+    """Start a cluster of so many workers; it ends with the test."""
+    import ray
+
+    ray.init(num_cpus=request.param, include_dashboard=False, log_to_driver=False)
+    yield request.param
+    ray.shutdown()
+
+
+def genes_of(plan, count):
+    return np.random.default_rng(0).random((count, plan.genes))
+
+
+@pytest.mark.parametrize("cluster", [1, 3], indirect=True)
+def test_a_worker_is_killed_in_the_middle(cluster, simulator, tmp_path):
+    folder, driver = str(tmp_path), os.getpid()
+
+    @dataclass(frozen=True)
+    class Deadly(NineRectangles):
+        """Kills the process that judges the third part, once."""
+
+        def judge(self, trajectory):
+            if os.getpid() != driver:
+                number = len(os.listdir(folder))
+                with open(
+                    os.path.join(folder, f"{number}-{os.getpid()}-{os.urandom(4).hex()}"), "w"
+                ):
+                    pass
+                if number >= 2:
+                    try:
+                        os.close(os.open(os.path.join(folder, "killed"), os.O_CREAT | os.O_EXCL))
+                    except FileExistsError:
+                        pass
+                    else:
+                        os.kill(os.getpid(), signal.SIGKILL)
+            return super().judge(trajectory)
+
+    plan = Plan(slots=10)
+    genes = genes_of(plan, 4500)  # seven parts
+    expected = evaluate(simulator, NineRectangles(), plan, outcomes=OUTCOMES)(genes)
+    given = {"outcomes": OUTCOMES, "workers": "ray"}
+    found = evaluate(simulator, Deadly(), plan, **given)(genes)
+    np.testing.assert_array_equal(found, expected)
+    judged = [name.split("-")[1] for name in os.listdir(folder) if name != "killed"]
+    assert (tmp_path / "killed").exists()
+    assert len(judged) >= 8  # one of the seven twice
+    assert len(set(judged)) >= 2  # another process went on
+
+
+@pytest.mark.parametrize("cluster", [2], indirect=True)
+def test_runs_of_an_evolution_by_the_command(cluster, simulator, tmp_path):
+    write_simulator(simulator, tmp_path / "simulator")
+    words = ["evolve", str(tmp_path / "simulator"), "--generations", "3", "--runs", "2"]
+    words += ["--population", "2000", "--robust", "--robust-generations", "2", "--draws", "32"]
+    found = []
+    for workers in ("local", "ray"):
+        out = tmp_path / workers
+        done = CliRunner().invoke(
+            cli, [*words, "--extrapolate", "--workers", workers, "-o", str(out)]
+        )
+        assert done.exception is None, done.exception
+        found.append(json.loads((out / "controller.json").read_text()))
+    for one in found:
+        one.pop("created", None)
+    assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("cluster", [2], indirect=True)
+def test_what_a_worker_refuses_is_one_sentence(cluster, simulator):
+    def refuses(seen, genes):
+        raise UserError("this controller refuses")
+
+    family = Function(refuses, inputs=("x",), genes=1, name="refuses")
+    fitness = evaluate(simulator, NineRectangles(), family, workers="ray")
+    with pytest.raises(UserError, match=r"^this controller refuses$"):
+        fitness(np.zeros((3, 1)))
