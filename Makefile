@@ -20,7 +20,7 @@ test: .venv/installed-dev
 test-fast: TIER = -m "not slow"
 test-fast: test
 
-# The peers of the benchmarks, which are large: 2 GB in all.
+# The peers of the benchmarks, Ray and onnxruntime, which are large: 2.5 GB in all.
 test-extras: .venv/installed-extras
 	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
 
@@ -42,7 +42,7 @@ format: .venv/installed-dev
 	touch $@ .venv/installed
 
 .venv/installed-extras: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench,onnx,ray]'
 	touch $@ .venv/installed-dev .venv/installed
 
 clean:

@@ -66,7 +66,8 @@ def export(
     """
     source: dict[str, Any] = {}
     if isinstance(simulator, str | Path):
-        source, simulator = named(simulator), read_simulator(simulator)
+        folder, simulator = simulator, read_simulator(simulator)
+        source = named(folder)
     if to == "onnx":
         _check_installed()
     files.check_new_folder(out)

@@ -75,7 +75,6 @@ def test_one_network_of_whole_commands(tmp_path):
     assert "noise" not in (tmp_path / "program" / "README.md").read_text().split("```")[0]
 
 
-@pytest.mark.parametrize("parts", [1, 2, 7, 20])
 @pytest.mark.parametrize(
     "simulator",
     [
@@ -87,16 +86,16 @@ def test_one_network_of_whole_commands(tmp_path):
     ],
     ids=["all", "average", "whole commands", "large", "perceptrons"],
 )
-def test_float32_is_near(simulator, parts):
-    if simulator.drive is None and parts > 1:
-        parts = 1  # a step is a whole command
-    commands = random_plans(simulator, 200, steps=10, like=0.6)
+@torch.no_grad()
+def test_float32_is_near(simulator):
+    commands = random_plans(simulator, 100, steps=10, like=0.6)
     state, noise = given(simulator, commands)
     single = simulator.for_export(torch.float32)
-    expected = drive(ours(simulator), state, commands, noise, parts)
-    found = drive(ours(single), state.float(), commands, noise, parts)
-    assert torch.linalg.norm((found - expected)[..., :2], dim=-1).max() < 1e-4
-    assert (found - expected)[..., 2].abs().max() < 1e-3
+    for parts in (1,) if simulator.drive is None else (1, 2, 7):  # or a step is a whole command
+        expected = drive(ours(simulator), state, commands, noise, parts)
+        found = drive(ours(single), state.float(), commands, noise, parts)
+        assert torch.linalg.norm((found - expected)[..., :2], dim=-1).max() < 1e-4
+        assert (found - expected)[..., 2].abs().max() < 1e-3
     assert simulator.genes.dtype == torch.float64  # ours stays what it was
 
 
