@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import sys
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from click.testing import CliRunner
 from motion_networks import noise_model, random_motion_network
 
 from neurosim.base.errors import UserError
-from neurosim.cli.main import cli
+from neurosim.cli.main import cli, run_plugin
 from neurosim.controllers import Function, Plan
 from neurosim.loop.evaluate import evaluate
 from neurosim.simulators.registry import write_simulator
@@ -95,6 +96,30 @@ def test_runs_of_an_evolution_by_the_command(cluster, simulator, tmp_path):
     for one in found:
         one.pop("created", None)
     assert found[0] == found[1]
+
+
+MINE = """
+from dataclasses import dataclass
+from neurosim.tasks.nine_rectangles import NineRectangles
+
+@dataclass(frozen=True)
+class Mine(NineRectangles):
+    def judge(self, trajectory):
+        return helper(super().judge(trajectory))
+
+def helper(judgement):
+    return judgement
+"""
+
+
+@pytest.mark.parametrize("cluster", [2], indirect=True)
+def test_what_a_file_registers_is_sent_along(cluster, simulator, tmp_path):
+    (tmp_path / "mine.py").write_text(MINE)
+    run_plugin(tmp_path / "mine.py")
+    task, plan = sys.modules["neurosim_plugin_mine"].Mine(), Plan(slots=3)
+    genes = genes_of(plan, 50)
+    found = evaluate(simulator, task, plan, workers="ray")(genes)
+    np.testing.assert_array_equal(found, evaluate(simulator, task, plan)(genes))
 
 
 @pytest.mark.parametrize("cluster", [2], indirect=True)
