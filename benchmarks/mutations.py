@@ -19,7 +19,8 @@ import numpy as np
 #: What stands in the place of any value of a JSON document. Text in ``<>`` is written as it is.
 VALUES: tuple[Any, ...] = (
     None, True, False, 0, 1, -1, 0.5, -0.0, 1e-300, 1e300, -1e300, 1e6, 10**9, 2**31, 2**63, 2**64,
-    "", "x", "0", "é\u202e\ud7ff", "../../../etc/passwd", "/etc/passwd", "..", "a\0b", "x" * 100_000,
+    "", "x", "0", "é\u202e\ud7ff", "../../../etc/passwd", "/etc/passwd", "..", "a\0b",
+    "x" * 100_000,
     [], [[]], {}, [1], [None], [1, 2, 3], [[1, 2], [3]], [["x"]] * 3, {"a": 1}, {"": None},
     [0.0] * 10_000, [[0.0, 0.0, 0.0]] * 3_000,
     "<NaN>", "<Infinity>", "<-Infinity>", "<1e999>", "<-1e999>", "<1e400000>",

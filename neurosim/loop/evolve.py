@@ -574,59 +574,60 @@ def evolve(
         "simulator_sha256": made_in.get("sha256"),
         **({} if robot is None else {"real_generations": real_generations, **_same_robot(robot)}),
     }
-    for folder in folders:
-        check_new_folder(folder, overwrite=resume and _unfinished(folder))
-    if resume:
-        if not evolution.resumable:
-            raise UserError(
-                f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has no "
-                "state(); start the evolution anew"
-            )
-        state = checkpoint.resume(begun)
-        if state is not None:
-            try:
-                evolution.load(state)
-            except (KeyError, ValueError, RuntimeError, TypeError):
-                raise checkpoint.damaged() from None
-    elif evolution.resumable:
-        checkpoint.begin(begun, options)
+    with checkpoint.held():
+        for folder in folders:
+            check_new_folder(folder, overwrite=resume and _unfinished(folder))
+        if resume:
+            if not evolution.resumable:
+                raise UserError(
+                    f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has "
+                    "no state(); start the evolution anew"
+                )
+            state = checkpoint.resume(begun)
+            if state is not None:
+                try:
+                    evolution.load(state)
+                except (KeyError, ValueError, RuntimeError, TypeError):
+                    raise checkpoint.damaged() from None
+        elif evolution.resumable:
+            checkpoint.begin(begun, options)
 
-    def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
-        if controller.blind and not found[0].given:
-            if interrupted:
-                raise UserError("so far no plan gives any command; continue with --resume")
-            checkpoint.remove()
-            raise UserError("no plan that gives any command came of this; use more generations")
-        for folder, one in zip(folders, found, strict=False):
-            one.write(folder, overwrite=resume)
-        if not interrupted:
-            checkpoint.remove()
-        return found
+        def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
+            if controller.blind and not found[0].given:
+                if interrupted:
+                    raise UserError("so far no plan gives any command; continue with --resume")
+                checkpoint.remove()
+                raise UserError("no plan that gives any command came of this; use more generations")
+            for folder, one in zip(folders, found, strict=False):
+                one.write(folder, overwrite=resume)
+            if not interrupted:
+                checkpoint.remove()
+            return found
 
-    interrupted = False
-    try:
-        interrupted = evolution.run(checkpoint, progress)
-        if evolution.real is None:
-            # What was found is judged and written before Ctrl-C is answered.
-            with uninterrupted():
-                return written(saved(evolution.results(interrupted)), interrupted)
-        found = saved(evolution.results(interrupted))
-    except RobotError as error:
-        if not evolution.stages[0].done:
-            raise
-        saved(evolution.results(True))[0].write(out, overwrite=resume)
-        raise type(error)(
-            f"{error}; the best controller so far is in {out}, go on with --resume"
-        ) from None
-    except KeyboardInterrupt:
-        if evolution.real is None:
-            raise
-        # While the simulator and the robot were compared: all else is done.
-        interrupted, found = True, saved(evolution.results(True))
-    finally:
-        if not evolution.stages[0].done and not resume:
-            checkpoint.remove()  # nothing came of it
-    return written(found, interrupted)
+        interrupted = False
+        try:
+            interrupted = evolution.run(checkpoint, progress)
+            if evolution.real is None:
+                # What was found is judged and written before Ctrl-C is answered.
+                with uninterrupted():
+                    return written(saved(evolution.results(interrupted)), interrupted)
+            found = saved(evolution.results(interrupted))
+        except RobotError as error:
+            if not evolution.stages[0].done:
+                raise
+            saved(evolution.results(True))[0].write(out, overwrite=resume)
+            raise type(error)(
+                f"{error}; the best controller so far is in {out}, go on with --resume"
+            ) from None
+        except KeyboardInterrupt:
+            if evolution.real is None:
+                raise
+            # While the simulator and the robot were compared: all else is done.
+            interrupted, found = True, saved(evolution.results(True))
+        finally:
+            if not evolution.stages[0].done and not resume:
+                checkpoint.remove()  # nothing came of it
+        return written(found, interrupted)
 
 
 def _same_robot(robot: Mapping[str, Any]) -> dict[str, Any]:
