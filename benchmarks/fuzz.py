@@ -75,8 +75,7 @@ TARGETS = (
     Target("plan-check plan simulator --draws 20", ("plan", "simulator"), weight=2),
     Target("evolve simulator -o out --generations 1 --runs 1 --population 40 --commands 3 "
            "--final-draws 4 --robust --robust-generations 1 --draws 2", ("simulator",)),
-    Target("evolve perceptron --task go-to -o out --generations 1 --population 4 "
-           "--final-draws 4 --controller network", ("perceptron",)),
+    Target("plan-check plan perceptron --draws 20", ("perceptron",), ("plan",)),
     Target("evolve simulator --task task.json -o out --generations 1 --runs 1 --population 4 "
            "--final-draws 4", ("task.json",), ("simulator",)),
     Target("evolve tables --task obstacle-avoidance -o out --generations 1 --population 4 "
@@ -111,9 +110,8 @@ TARGETS = (
     Target("build-tables sampled/wall.sample sampled/cylinder.sample --motors sampled/motors.csv "
            "-o out", ("sampled",), lab=True, weight=2),
     Target("back-to-reality -o walked --resume", ("walked.checkpoint",), lab=True, weight=0.3),
-    Target("back-to-reality -o out --start start.json --seconds 1 --budget 2 --generations 2 "
-           "--candidates 1",
-           ("start.json",), lab=True, weight=0.3),
+    Target("back-to-reality -o out --start start.json --seconds 1 --budget 2 --generations 1 "
+           "--candidates 1 --adapt none", ("start.json",), lab=True, weight=0.1),
 )  # fmt: skip
 
 

@@ -127,9 +127,17 @@ class Evolution:
         if not settings.extrapolate:
             _check_reach(evaluator)
         optimiser = make_optimiser(settings.optimiser, evaluator.controller, settings, seed)
+        self._searched = evaluator
+        if settings.arenas:
+            self._searched = Evaluator(
+                evaluator.simulator.elsewhere(settings.arenas, seed),
+                evaluator.task,
+                evaluator.controller,
+                placing=settings.placing,
+            )
         self.stages = [
             Search(
-                evaluator,
+                self._searched,
                 optimiser,
                 objective=settings.objective,
                 outcomes=settings.outcomes,
@@ -232,7 +240,7 @@ class Evolution:
             settings.optimiser, self.evaluator.controller, settings, self._seed + 1, genes
         )
         return Search(
-            self.evaluator,
+            self._searched,
             optimiser,
             objective=robust.objective,
             outcomes=robust.draws,
@@ -246,7 +254,7 @@ class Evolution:
         """Return the best individual of each run, [N, G]: of drawn outcomes, on fresh ones."""
         stage, settings, evaluator = self.stages[-1], self.settings, self.evaluator
         if self.real is not None and self.real.done:
-            draws, candidates = self._selection()[0], self.real.candidates()
+            draws, candidates = self._selection(evaluator)[0], self.real.candidates()
             limit = settings.most_unsupported
             merit, _ = evaluator.merit(candidates, draws, settings.objective, unsupported=limit)
             return candidates[[merit.merit.argmax()]]
@@ -255,14 +263,14 @@ class Evolution:
             assert robust is not None
             if not stage.done:
                 return self.stages[0].top
-            return stage.choose(evaluator.draw(robust.selection_draws, stage.rng))
+            return stage.choose(self._searched.draw(robust.selection_draws, stage.rng))
         if not settings.outcomes:
             return stage.top
-        return stage.choose(self._selection()[0])
+        return stage.choose(self._selection(self._searched)[0])
 
-    def _selection(self) -> tuple[Any, Any]:
+    def _selection(self, evaluator: Evaluator) -> tuple[Any, Any]:
         """Return outcomes on which the best is chosen, and others from the same starts."""
-        evaluator, rng = self.evaluator, np.random.default_rng([self._seed, 1])
+        rng = np.random.default_rng([self._seed, 1])
         each = evaluator.task.trial_starts
         count = -(-self.settings.selection // each) * each  # of whole trials
         starts, drawn = evaluator.starts(count, rng)
@@ -331,7 +339,7 @@ class Evolution:
         if not evaluator.simulator.uncertain:
             return None
         if settings.outcomes and evaluator.task.trial_starts > 1:
-            draws = self._selection()[1]
+            draws = self._selection(evaluator)[1]
         else:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
         found = []

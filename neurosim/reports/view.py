@@ -22,7 +22,7 @@ from neurosim.base.files import atomic_path
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.controllers.plan import COMMAND_NAMES
-from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evaluate import Evaluator, with_contacts
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.reports.artefacts import task_of
 from neurosim.reports.course import Scene, bounds, draw_scene, planned_path, unit_of
@@ -99,6 +99,8 @@ def draw_view(
             episode = replace(episode, steps=max(round(seconds / episode.step), 1))
         trajectory = _drive(found, saved, episode, start, rng if noise else None)
         path, stops = _path(found, saved, episode, trajectory, noise)
+        if episode.contacts:
+            trajectory = with_contacts(found, trajectory)
         result = {"path": path, "steps": trajectory.commands.shape[-2]}
         if note is None:
             judged = evaluator.task.judge(trajectory)

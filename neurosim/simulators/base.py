@@ -186,6 +186,16 @@ class Simulator:
         """Return what a picture of the place shows, shapes as of a task's outline; [] for none."""
         return []
 
+    def elsewhere(self, count: int, seed: int) -> Simulator:
+        """Return this simulator in ``count`` other places, drawn from a seed.
+
+        Raises:
+            UserError: if it knows of no places.
+        """
+        raise UserError(
+            f"a simulator of the kind {self.kind} has no arena, so there are no others to draw"
+        )
+
     def conditions(self) -> dict[str, Any]:
         """Return what may have been changed since the simulator was read, such as its noise.
 

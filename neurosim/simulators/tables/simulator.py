@@ -39,6 +39,7 @@ from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
 from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
 from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
@@ -155,6 +156,10 @@ class TableSimulator(Simulator):
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return random poses [count, 3] where the robot touches nothing."""
         return self.arena.free_poses(count, self.radius, rng)
+
+    def elsewhere(self, count: int, seed: int) -> Simulator:
+        """Return this simulator in ``count`` other arenas, drawn from a seed."""
+        return ManyArenas(self, count, seed)
 
     def touching(self, poses: np.ndarray) -> np.ndarray:
         """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
