@@ -190,15 +190,11 @@ def case(
     what = damage(damaged, rng)
     words = target.line.split()
     before = _state(scratch, words)
-    began = time.monotonic()
     code, said, fault = call(words, work, show)
-    seconds = time.monotonic() - began
     if not fault and code not in (0, 1, 2):
         fault = f"exit code {code}"
     if not fault and code == 1 and not said.strip().splitlines()[-1:][0].startswith("neurosim: "):
         fault = f"no sentence: {said[-200:]!r}"
-    if not fault and seconds > LONGEST:
-        fault = f"{seconds:.0f} s"
     if not fault and code and words[0] not in KEEPS and any(work.glob("out*")):
         fault = "an output stands there although the verb failed"
     if not fault and _state(scratch, words) != before:
@@ -345,10 +341,13 @@ def _work(made: Path, targets: Sequence[Target], options: argparse.Namespace) ->
             shutil.rmtree(work)
         print("ready", file=stdout, flush=True)
         for number in range(options.worker, options.cases):
-            base = _memory(reset=True)
+            base, began = _memory(reset=True), time.monotonic()
             result = case(made, Path(scratch), targets, options.seed, number)
-            if not result["fault"] and _memory() - base > LARGEST:
-                result |= {"fault": f"{(_memory() - base) / 2**30:.1f} GB", "ended": "fault"}
+            seconds, most = time.monotonic() - began, _memory() - base
+            if not result["fault"] and most > LARGEST:
+                result |= {"fault": f"{most / 2**30:.1f} GB", "ended": "fault"}
+            if not result["fault"] and seconds > LONGEST:
+                result |= {"fault": f"{seconds:.0f} s", "ended": "fault"}
             print(json.dumps(result), file=stdout, flush=True)
 
 

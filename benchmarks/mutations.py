@@ -121,7 +121,9 @@ def _json(data: bytes, rng: random.Random) -> tuple[bytes, str]:
             for key in path[:-1]:
                 place = place[key]
             now = place[path[-1]]
-        except (KeyError, IndexError, TypeError):  # changed already
+        except (KeyError, IndexError, TypeError):
+            continue  # something above it was changed already
+        if not isinstance(place, dict | list):
             continue
         done.append(f"{_named(path)} {_change(place, path[-1], now, rng)}")
     text = json.dumps(document)

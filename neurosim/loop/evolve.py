@@ -335,7 +335,7 @@ class Evolution:
 
     def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
         """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
-        evaluator, settings = self.evaluator, self.settings
+        evaluator, settings = self._searched, self.settings
         if not evaluator.simulator.uncertain:
             return None
         if settings.outcomes and evaluator.task.trial_starts > 1:
