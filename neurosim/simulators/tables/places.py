@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
@@ -20,9 +20,6 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.base import Rollouts, Simulator
 from neurosim.simulators.tables.arena import Arena
-
-if TYPE_CHECKING:
-    from neurosim.simulators.tables.simulator import TableSimulator
 
 #: From the middle of one arena to that of the next, m.
 PITCH = 100.0
@@ -105,8 +102,8 @@ class ManyArenas(Simulator):
 
     kind = "tables"
 
-    def __init__(self, own: TableSimulator, count: int, seed: int):
-        """Draw ``count`` arenas from a seed."""
+    def __init__(self, own: Any, count: int, seed: int):
+        """Draw ``count`` arenas from a seed; ``own`` is a table simulator."""
         rng = np.random.default_rng([seed, count])
         self.own = own
         self.state_names, self.command_names = own.state_names, own.command_names
@@ -117,12 +114,14 @@ class ManyArenas(Simulator):
     @property
     def bearings(self) -> NDArray[np.float64]:
         """Where the sensors look, [S] rad to the left."""
-        return self.own.bearings
+        bearings: NDArray[np.float64] = self.own.bearings
+        return bearings
 
     @property
     def domain(self) -> Mapping[str, tuple[float, float]]:
         """The limits of commands."""
-        return self.own.domain
+        domain: Mapping[str, tuple[float, float]] = self.own.domain
+        return domain
 
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
         """Return random poses [count, 3] where the robot touches nothing, each in any arena."""
