@@ -150,39 +150,40 @@ def back_to_reality(
     }
     files.check_new_folder(out)
     checkpoint = Checkpoint(out, "run")
-    state = None
-    if resume:
-        state = checkpoint.resume(begun)
-    else:
-        checkpoint.begin(begun, options)
-    trials = Trials(
-        reality, checkpoint.folder / TRIALS, each=settings.trials, patience=patience, ask=ask
-    )
-    try:
-        alternation = Alternation(
-            simulated, trials, shares, settings, seed=seed, state=state, save=checkpoint.save,
-            progress=progress,
-        )  # fmt: skip
-        try:
-            found = alternation.run()
-        except ValueError as error:
-            if "another search" in str(error):
-                raise checkpoint.damaged() from None
-            raise
-    finally:
-        trials.close()
-        if not (trials.made or resume or checkpoint.saved):
-            checkpoint.remove()  # nothing came of it
-    content = _content(found, simulated, begun, task, controller)
-    with files.new_folder(out) as partial:
-        shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
-        saved_in = _simulators(found, simulated, partial)
-        _controller(found, simulated, task, controller, content, saved_in).write(
-            partial / "controller"
+    with checkpoint.held():
+        state = None
+        if resume:
+            state = checkpoint.resume(begun)
+        else:
+            checkpoint.begin(begun, options)
+        trials = Trials(
+            reality, checkpoint.folder / TRIALS, each=settings.trials, patience=patience, ask=ask
         )
-        files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
-    checkpoint.remove()
-    return content
+        try:
+            alternation = Alternation(
+                simulated, trials, shares, settings, seed=seed, state=state, save=checkpoint.save,
+                progress=progress,
+            )  # fmt: skip
+            try:
+                found = alternation.run()
+            except ValueError as error:
+                if "another search" in str(error):
+                    raise checkpoint.damaged() from None
+                raise
+        finally:
+            trials.close()
+            if not (trials.made or resume or checkpoint.saved):
+                checkpoint.remove()  # nothing came of it
+        content = _content(found, simulated, begun, task, controller)
+        with files.new_folder(out) as partial:
+            shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
+            saved_in = _simulators(found, simulated, partial)
+            _controller(found, simulated, task, controller, content, saved_in).write(
+                partial / "controller"
+            )
+            files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
+        checkpoint.remove()
+        return content
 
 
 def _content(

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +15,12 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import Shape
 
 FORMAT, VERSION = "neurosim-checkpoint", 1
+_FIELDS: dict[str, Shape] = {"settings": dict, "options?": dict}
+#: The name of the digest among a state's arrays.
+_DIGEST = "digest"
 
 
 class Checkpoint:
@@ -22,7 +28,8 @@ class Checkpoint:
 
     ``checkpoint.json`` holds the settings and is written once, before the first generation;
     ``state.safetensors`` holds all the rest and is replaced whole, so that a kill at any moment
-    leaves one that can be gone on from.
+    leaves one that can be gone on from. A digest of them stands among the arrays: what loads them
+    meets nothing but what was saved.
 
     Args:
         out: the output's place.
@@ -35,6 +42,21 @@ class Checkpoint:
         self.folder = out.with_name(out.name + ".checkpoint")
         self._settings = self.folder / "checkpoint.json"
         self._state = self.folder / "state.safetensors"
+
+    @contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep the folder for this process alone while the block runs; see :func:`files.locked`.
+
+        Raises:
+            UserError: if another process has it.
+        """
+        files.make_folder(self.folder)
+        try:
+            with files.locked(self.folder, "used"):
+                yield
+        finally:
+            with suppress(OSError):
+                self.folder.rmdir()  # nothing came of it
 
     def begin(self, settings: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> None:
         """Start anew.
@@ -74,8 +96,7 @@ class Checkpoint:
         """
         if not self.begun:
             return {}
-        options = files.read_json(self._settings, FORMAT, VERSION).get("options")
-        return options if isinstance(options, dict) else {}
+        return files.read_json(self._settings, FORMAT, VERSION, _FIELDS).get("options", {})
 
     def resume(self, settings: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
         """Return the saved state, None if nothing had been saved yet.
@@ -86,8 +107,7 @@ class Checkpoint:
         """
         if not self._settings.exists():
             raise UserError(f"there is no interrupted {self._what} at {self.folder}; start it anew")
-        fields = {"settings": dict}
-        begun = files.read_json(self._settings, FORMAT, VERSION, fields)["settings"]
+        begun = files.read_json(self._settings, FORMAT, VERSION, _FIELDS)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
         for name in [*settings, *(name for name in begun if name not in settings)]:
             if begun.get(name) != settings.get(name):
@@ -95,11 +115,18 @@ class Checkpoint:
                     f"{self.folder} was begun with {name} = {begun.get(name)!r}, not "
                     f"{settings.get(name)!r}; resume it with the same, or remove it yourself"
                 )
-        return files.read_tensors(self._state) if self._state.exists() else None
+        if not self.saved:
+            return None
+        state = files.read_tensors(self._state)
+        said = state.pop(_DIGEST, np.empty(0))
+        if not np.array_equal(said, _digest(state)):
+            raise self.damaged()
+        return state
 
     def save(self, state: Mapping[str, Any]) -> None:
         """Replace the saved state."""
-        files.write_tensors(self._state, state)
+        arrays = {name: np.ascontiguousarray(value) for name, value in state.items()}
+        files.write_tensors(self._state, {**arrays, _DIGEST: _digest(arrays)})
 
     def damaged(self) -> FileError:
         """Return the error to raise where the saved state does not fit its settings."""
@@ -110,6 +137,16 @@ class Checkpoint:
     def remove(self) -> None:
         """Remove the folder: all is done."""
         shutil.rmtree(self.folder, ignore_errors=True)
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
+    """Return the SHA-256 [32] of arrays: their names, kinds, shapes and numbers."""
+    found = hashlib.sha256()
+    for name in sorted(arrays):
+        array = arrays[name]
+        found.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        found.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(found.digest(), np.uint8)
 
 
 def random_state(rng: np.random.Generator) -> NDArray[np.uint64]:

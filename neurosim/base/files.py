@@ -427,6 +427,26 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return found
 
 
+def parse_json(text: str) -> Any:
+    """Return what a JSON text says; its numbers are such as a float or 64 bits hold.
+
+    Raises:
+        json.JSONDecodeError: if it is not JSON.
+        ValueError: if it is one that nothing here can work with: a number that is too large, a
+            key that stands twice, brackets within brackets beyond measure.
+    """
+    try:
+        return json.loads(
+            text,
+            parse_int=_json_integer,
+            parse_float=_json_number,
+            parse_constant=_json_number,
+            object_pairs_hook=_json_object,
+        )
+    except RecursionError:
+        raise ValueError("is nested too deeply") from None
+
+
 def read_json(
     path: str | Path, format: str, version: int, fields: Mapping[str, Shape] | None = None
 ) -> dict[str, Any]:
@@ -446,21 +466,13 @@ def read_json(
     path = Path(path)
     text = read_text(path, f"a {format} file, JSON in UTF-8", most=MOST_JSON)
     try:
-        document = json.loads(
-            text,
-            parse_int=_json_integer,
-            parse_float=_json_number,
-            parse_constant=_json_number,
-            object_pairs_hook=_json_object,
-        )
+        document = parse_json(text)
     except json.JSONDecodeError as error:
         raise FileError(
             path, f"is not whole JSON ({error.msg}); it may have been cut short", line=error.lineno
         ) from None
-    except RecursionError:
-        raise FileError(path, f"is nested too deeply; expected a {format} file") from None
     except ValueError as error:
-        raise FileError(path, str(error)) from None
+        raise FileError(path, f"{error}; expected a {format} file") from None
     if not isinstance(document, dict):
         raise FileError(path, f"expected a JSON object of format {format!r}")
     if document.get("format") != format:
@@ -475,14 +487,31 @@ def read_json(
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
-    for name, shape in (fields or {}).items():
+    check_fields(path, document, fields or {})
+    return document
+
+
+def check_fields(
+    path: str | Path, document: dict[str, Any], fields: Mapping[str, Shape], within: str = ""
+) -> None:
+    """Check what a JSON file holds against declared shapes.
+
+    Args:
+        path: the file, for the message.
+        document: an object in it.
+        fields: as of :func:`read_json`.
+        within: where in the file it stands, for the message.
+
+    Raises:
+        FileError: naming the first field that is missing or of another shape.
+    """
+    for name, shape in fields.items():
         if isinstance(name, str) and not name.endswith("?") and name not in document:
-            raise FileError(path, "is missing", field=name)
+            raise FileError(path, "is missing", field=f"{within}.{name}" if within else name)
         try:
-            check(document, {name: shape})
+            check(document, {name: shape}, within)
         except Mismatch as error:
             raise FileError(path, error.what, field=error.field) from None
-    return document
 
 
 Column = Callable[[str], Any]
@@ -740,21 +769,18 @@ def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
         FileError: if the file is missing, or a line is no JSON object.
     """
     path = Path(path)
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise FileError(path, f"cannot be read: {error.strerror}") from None
-    whole = text[: text.rfind(b"\n") + 1]
+    text = read_text(path, "a file of JSON lines in UTF-8")
+    whole = text[: text.rfind("\n") + 1]
     found = []
-    for line, part in enumerate(whole.splitlines(), 1):
+    for line, part in enumerate(whole.removesuffix("\n").split("\n") if whole else (), 1):
         try:
-            row = json.loads(part)
+            row = parse_json(part)
         except ValueError:
             row = None
         if not isinstance(row, dict):
             raise FileError(path, "expected a JSON object", line=line)
         found.append(row)
-    return found, len(whole)
+    return found, len(whole.encode())
 
 
 class JsonLines:

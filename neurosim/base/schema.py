@@ -3,18 +3,24 @@
 A shape is one of:
 
 - a type: ``str``, ``bool``, ``int``, ``float`` (any finite number), ``list``, ``dict``, ``object``;
-- a tuple of types: one of them;
+- a tuple of shapes: one of them;
 - ``[shape]``: a list of that;
 - ``{"key": shape, "perhaps?": shape}``: an object with these keys; one with a question mark may be
   missing, or null, which is then left out. Other keys are passed over;
 - ``{str: shape}``: an object of any keys, each with that;
-- :class:`Maybe`: that, or null; :class:`Rows`: numbers in rows and columns.
+- :class:`Maybe`: that, or null; :class:`Rows`: numbers in rows and columns; :class:`Number`: one
+  within bounds; :class:`OneOf`: one of some values.
+
+:func:`fields_of` gives the shape of what a dataclass takes as keywords, from its annotations.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping
+import types
+import typing
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -47,6 +53,48 @@ class Rows:
             object.__setattr__(self, name, value)
 
 
+@dataclass(frozen=True)
+class Number:
+    """A finite number within bounds, which count as within.
+
+    Attributes:
+        low, high: the bounds.
+        above: what it must be above, where that is no number of the range itself.
+        whole: whether it has no fraction.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    above: float = -math.inf
+    whole: bool = False
+
+    def __str__(self) -> str:
+        words = ["a whole number" if self.whole else "a number"]
+        if self.above > -math.inf:
+            words.append(f"above {self.above:g}")
+        if self.low > -math.inf:
+            words.append(f"from {self.low:g}")
+        if self.high < math.inf:
+            words.append(f"up to {self.high:g}")
+        return " ".join(words)
+
+    def holds(self, value: Any) -> bool:
+        """Return whether a value is such a number."""
+        if not _is(value, int if self.whole else float):
+            return False
+        return bool(self.low <= value <= self.high and value > self.above)
+
+
+@dataclass(frozen=True)
+class OneOf:
+    """One of some values, such as the names of kinds."""
+
+    values: tuple[Any, ...]
+
+    def __init__(self, *values: Any):
+        object.__setattr__(self, "values", values)
+
+
 class Mismatch(Exception):
     """A value has another shape.
 
@@ -71,6 +119,13 @@ def check(value: Any, shape: Shape, field: str = "") -> None:
             check(value, shape.shape, field)
     elif isinstance(shape, Rows):
         _check_rows(value, shape, shape.sizes, field)
+    elif isinstance(shape, Number):
+        if not shape.holds(value):
+            raise Mismatch(field, str(shape), value)
+    elif isinstance(shape, OneOf):
+        if not any(type(value) is type(one) and value == one for one in shape.values):
+            what = "one of " if len(shape.values) > 1 else ""
+            raise Mismatch(field, what + ", ".join(map(repr, shape.values)), value)
     elif isinstance(shape, list):
         if not isinstance(value, list):
             raise Mismatch(field, "a list", value)
@@ -78,10 +133,55 @@ def check(value: Any, shape: Shape, field: str = "") -> None:
             check(each, shape[0], f"{field}[{index}]")
     elif isinstance(shape, Mapping):
         _check_object(value, shape, field)
-    else:
-        kinds = shape if isinstance(shape, tuple) else (shape,)
-        if not any(_is(value, kind) for kind in kinds):
-            raise Mismatch(field, " or ".join(_name(kind) for kind in kinds), value)
+    elif isinstance(shape, tuple):
+        _check_either(value, shape, field)
+    elif not _is(value, shape):
+        raise Mismatch(field, _name(shape), value)
+
+
+def _check_either(value: Any, shapes: Sequence[Shape], field: str) -> None:
+    for shape in shapes:
+        try:
+            return check(value, shape, field)
+        except Mismatch as error:
+            last = error
+    if all(isinstance(shape, type) for shape in shapes):
+        raise Mismatch(field, " or ".join(_name(kind) for kind in shapes), value)
+    raise last
+
+
+def fields_of(kind: Any) -> dict[str, Shape]:
+    """Return the shape of the JSON object that holds the keywords of a dataclass.
+
+    Every field may be missing; one of a type that JSON does not have may be anything. What is no
+    dataclass may be anything, too: no fields.
+    """
+    if not (isinstance(kind, type) and dataclasses.is_dataclass(kind)):
+        return {}
+    try:
+        hints = typing.get_type_hints(kind)
+    except (NameError, TypeError):  # names that only its own module knows
+        return {}
+    return {
+        f"{one.name}?": _shape_of(hints[one.name]) for one in dataclasses.fields(kind) if one.init
+    }
+
+
+def _shape_of(hint: Any) -> Shape:
+    origin, parts = typing.get_origin(hint), typing.get_args(hint)
+    if hint in (str, bool, int, float):
+        return hint
+    if origin is typing.Literal:
+        return OneOf(*parts)
+    if origin in (typing.Union, types.UnionType):
+        shapes = tuple(_shape_of(part) for part in parts if part is not type(None))
+        shape = shapes[0] if len(shapes) == 1 else shapes
+        return Maybe(shape) if type(None) in parts else shape
+    if origin is tuple and parts[1:] == (...,):
+        return [_shape_of(parts[0])]
+    if origin is tuple and len(set(parts)) == 1 and parts[0] in (int, float):
+        return Rows(len(parts))
+    return object
 
 
 def _check_object(value: Any, shape: Mapping[Any, Shape], field: str) -> None:
@@ -131,4 +231,14 @@ def _is(value: Any, kind: type) -> bool:
 
 
 def _name(kind: type) -> str:
-    return {float: "a number", dict: "an object", list: "a list"}.get(kind, kind.__name__)
+    return _NAMES.get(kind, kind.__name__)
+
+
+_NAMES = {
+    float: "a number",
+    int: "a whole number",
+    str: "text",
+    bool: "true or false",
+    dict: "an object",
+    list: "a list",
+}

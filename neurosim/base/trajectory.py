@@ -30,6 +30,8 @@ class Trajectory:
             null command, nor the motors running down at the end. None: all do.
         segment: [T] the index of the command that each interval belongs to, never decreasing;
             None: each is a command of its own.
+        touching: [..., T] bool, whether the robot touches something after each interval; None:
+            nobody knows.
 
     Raises:
         ValueError: if the shapes do not fit each other.
@@ -41,6 +43,7 @@ class Trajectory:
     readings: NDArray | None = None
     active: NDArray[np.bool_] | None = None
     segment: NDArray[np.int64] | None = None
+    touching: NDArray[np.bool_] | None = None
 
     def __post_init__(self) -> None:
         *shape, intervals, _ = self.commands.shape
@@ -48,6 +51,7 @@ class Trajectory:
         if self.readings is not None:
             self._check("readings", (*shape, intervals, self.readings.shape[-1]))
         self._check("active", (*shape, intervals))
+        self._check("touching", (*shape, intervals))
         self._check("segment", (intervals,))
 
     def _check(self, name: str, expected: tuple[int, ...]) -> None:
@@ -137,6 +141,7 @@ class Episode:
             next one is. None: there are none.
         reach: a goal is reached, and the next one comes, within this distance of it, m.
         readings: whether the fitness needs the sensors' readings.
+        contacts: whether it is to be known when the robot touches something.
     """
 
     step: float = 0.1
@@ -145,6 +150,7 @@ class Episode:
     goals: NDArray[np.float64] | None = None
     reach: float = 0.05
     readings: bool = False
+    contacts: bool = False
 
 
 @dataclass(frozen=True, eq=False)

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from neurosim.base.errors import FileError
-from neurosim.base.files import read_json
+from neurosim.base.files import check_fields, read_json
+from neurosim.base.schema import fields_of
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS
 
@@ -48,4 +49,5 @@ def read_task(text: str) -> tuple[str, dict[str, Any]]:
     if content["name"] not in TASKS.names():
         known = ", ".join(TASKS.names())
         raise FileError(path, f"expected one of {known}, found {content['name']!r}", field="name")
+    check_fields(path, content["settings"], fields_of(TASKS.get(content["name"])), "settings")
     return content["name"], content["settings"]

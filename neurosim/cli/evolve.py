@@ -78,7 +78,7 @@ def _not_settings(chosen: Chosen) -> Sequence[str]:
     return (
         *("optimiser", "genetic", "robust", "insertion"),
         *(() if scattered else ("placing",)),
-        *(("outcomes", "selection") if _is_blind(chosen) else ("runs",)),
+        *(("outcomes", "selection", "arenas") if _is_blind(chosen) else ()),
     )
 
 

@@ -68,8 +68,16 @@ def train(
     )
     errors = simulator.meta["test_errors"]
     coverage = simulator.meta["test_coverage"]
+    repeated = simulator.meta["training"]["repeated_rows"]
+    if repeated:
+        click.echo(
+            f"neurosim: {repeated} of the rows of {dataset} are copies of others, to the last "
+            "digit: they count once; look whether something was recorded or imported twice",
+            err=True,
+        )
     result = {
         "simulator": str(out),
+        "repeated_rows": repeated,
         "test_errors": errors,
         "test_coverage": coverage,
         **simulator.meta["wall_clock"],

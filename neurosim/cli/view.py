@@ -47,7 +47,7 @@ def view(
     With a controller the robot drives through its task in the simulator; it is drawn where it
     ends, with what its sensors read there.
     """
-    from neurosim.reports.view import draw_view
+    from neurosim.reports.view import contacts_in_words, draw_view
 
     result = draw_view(
         place,
@@ -63,7 +63,9 @@ def view(
     text = str(out)
     if "fitness" in result:
         why = "completes the task" if result["completes"] else f"the robot {result['reason']}"
-        text += f": fitness {result['fitness']:.4g}, {why}"
+        text += f": fitness {result['fitness']:z.4g}, {why}"
+        if "contacts" in result:
+            text += f", {contacts_in_words(result['contacts'])}"
     emit({"picture": str(out), **result}, as_json, text)
     if result["note"]:
         click.echo(f"neurosim: {result['note']}", err=True)

@@ -7,7 +7,6 @@ the pose at rest, once the motors have run down after the last.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import Maybe, Number, Rows, Shape, fields_of
 from neurosim.controllers.base import Controller
 from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan
 from neurosim.controllers.registry import CONTROLLERS
@@ -27,6 +27,47 @@ FORMAT, VERSION = "neurosim-controller", 1
 LONGEST = 3600.0
 
 _PARTS = ("task", "simulator", "predicted", "evolution")
+#: Poses are no farther away, m, and turn no more, rad: pictures of them are drawn.
+FARTHEST = 1e5
+POSE = Rows(3, most=FARTHEST)
+#: What is predicted of a controller, or came of a trial.
+OUTCOME: dict[str, Shape] = {
+    "poses?": [Maybe(POSE)],
+    "rest?": POSE,
+    "fitness?": float,
+    "spread?": float,
+    "expected_fitness?": float,
+    "draws?": float,
+    "probability?": Number(0.0, 1.0),
+    "completes?": bool,
+    "unsupported?": float,
+}
+#: What controller.json says of any kind.
+FIELDS: dict[str, Shape] = {
+    "kind": str,
+    "inputs": [{"name": str, "unit?": str}],
+    "start?": POSE,
+    "task": {"name": str, "settings?": dict},
+    "predicted": {**OUTCOME, "poses?": Rows(None, 3, most=FARTHEST)},
+    "simulator": {"path?": str, "name?": str, "sha256?": str, "virtual?": bool},
+    "evolution": {
+        "settings?": dict,
+        "interrupted?": bool,
+        "history?": {"best?": Rows(None), "mean?": Rows(None), "transfer?": int},
+        "robot_fitness?": {"mean": float, "spread": float, "trials?": int},
+        "trajectories?": [
+            {
+                "simulated": Rows(None, 3, most=FARTHEST),
+                "robot": Rows(None, 3, most=FARTHEST),
+            }
+        ],
+        "robot?": {"kind?": str, "virtual?": bool},
+        "arena?": dict,
+    },
+}
+#: What it says beside of a plan, and of a kind that has genes.
+_OF_A_PLAN: dict[str, Shape] = {"commands": [Maybe(Rows(3))]}
+_OF_GENES: dict[str, Shape] = {"settings?": dict}
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,15 +166,14 @@ def read_controller(folder: str | Path) -> SavedController:
     path = Path(folder) / "controller.json"
     if not Path(folder).is_dir():
         raise FileError(folder, "no such controller; expected a folder with controller.json")
-    fields = {"kind": str, "inputs": list, **dict.fromkeys(_PARTS, dict)}
-    content = files.read_json(path, FORMAT, VERSION, fields)
+    content = files.read_json(path, FORMAT, VERSION, FIELDS)
     kind = content["kind"]
     if kind not in CONTROLLERS.names():
         known = ", ".join(CONTROLLERS.names())
-        raise FileError(path, f"expected one of {known}, found {kind!r}", field="kind")
-    if not isinstance(content["task"].get("name"), str):
-        raise FileError(path, "expected the name of a task", field="task.name")
-    start = _numbers(path, "start", content.get("start", [0.0, 0.0, 0.0]))
+        raise FileError(path, f"expected one of {known}, found {kind!r:.60}", field="kind")
+    files.check_fields(path, content, _OF_A_PLAN if kind == "plan" else _OF_GENES)
+    x, y, heading = content.get("start", (0.0, 0.0, 0.0))
+    start = float(x), float(y), float(heading)
     family, genes = _plan(path, content) if kind == "plan" else _network(path, content)
     found = SavedController(family, genes, start=start, **{name: content[name] for name in _PARTS})
     _check_prediction(path, found)
@@ -141,13 +181,10 @@ def read_controller(folder: str | Path) -> SavedController:
 
 
 def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
-    names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
-    if tuple(names) != COMMAND_NAMES:
+    if tuple(entry["name"] for entry in content["inputs"]) != COMMAND_NAMES:
         raise FileError(path, f"expected the names {', '.join(COMMAND_NAMES)}", field="inputs")
-    if not isinstance(content.get("commands"), list):
-        raise FileError(path, "expected a list", field="commands")
     commands = tuple(
-        _command(path, f"commands[{index}]", value)
+        None if value is None else _command(path, f"commands[{index}]", value)
         for index, value in enumerate(content["commands"])
     )
     if all(command is None for command in commands):
@@ -156,9 +193,7 @@ def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.f
 
 
 def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
-    names = [entry.get("name") for entry in content["inputs"] if isinstance(entry, dict)]
-    if not all(isinstance(name, str) for name in names) or len(names) != len(content["inputs"]):
-        raise FileError(path, "expected a list of {name, unit}", field="inputs")
+    names = [entry["name"] for entry in content["inputs"]]
     weights = path.with_name("weights.safetensors")
     settings, shape, name = content.get("settings"), None, "genes"
     if settings is None:
@@ -168,8 +203,7 @@ def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[n
                 path, f"expected 'tanh', found {content.get('activation')!r}", field="activation"
             )
         settings, name, shape = {"inputs": names}, "weights", (2, len(names) + 1)
-    if not isinstance(settings, dict):
-        raise FileError(path, "expected settings by name", field="settings")
+    files.check_fields(path, settings, fields_of(CONTROLLERS.get(content["kind"])), "settings")
     try:
         family = CONTROLLERS.make(content["kind"], settings)
     except (UserError, TypeError, ValueError) as error:
@@ -182,32 +216,22 @@ def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[n
 
 def _check_prediction(path: Path, found: SavedController) -> None:
     predicted = found.predicted
-    poses = predicted.get("poses")
-    if found.commands or poses is not None:
-        expected = len(found.given) + 1
-        if not isinstance(poses, list) or (found.commands and len(poses) != expected):
-            raise FileError(
-                path,
-                f"expected {expected} poses, the start and one for each given command",
-                field="predicted.poses",
-            )
-        for index, pose in enumerate(poses):
-            _numbers(path, f"predicted.poses[{index}]", pose)
-        _numbers(path, "predicted.rest", predicted.get("rest"))
-    if found.commands:
-        if not _is_number(predicted.get("fitness")):
-            raise FileError(path, "expected a number", field="predicted.fitness")
-        if not isinstance(predicted.get("completes"), bool):
-            raise FileError(path, "expected true or false", field="predicted.completes")
-    probability = predicted.get("probability", 0.0)
-    if not _is_number(probability) or not 0 <= probability <= 1:
-        raise FileError(path, "expected a number in 0 to 1", field="predicted.probability")
+    if not found.commands:
+        return
+    expected, poses = len(found.given) + 1, predicted.get("poses")
+    if poses is None or len(poses) != expected:
+        raise FileError(
+            path,
+            f"expected {expected} poses, the start and one for each given command",
+            field="predicted.poses",
+        )
+    for name in ("rest", "fitness", "completes"):
+        if name not in predicted:
+            raise FileError(path, "is missing", field=f"predicted.{name}")
 
 
-def _command(path: Path, field: str, value: Any) -> Command | None:
-    if value is None:
-        return None
-    left, right, duration = _numbers(path, field, value)
+def _command(path: Path, field: str, value: list[float]) -> Command:
+    left, right, duration = map(float, value)
     if max(abs(left), abs(right)) > 100 or not 0 < duration <= LONGEST:
         raise FileError(
             path,
@@ -216,14 +240,3 @@ def _command(path: Path, field: str, value: Any) -> Command | None:
             field=field,
         )
     return left, right, duration
-
-
-def _numbers(path: Path, field: str, value: Any) -> tuple[float, float, float]:
-    if not isinstance(value, list) or len(value) != 3 or not all(map(_is_number, value)):
-        raise FileError(path, f"expected three numbers, found {value!r:.60}", field=field)
-    x, y, z = map(float, value)
-    return x, y, z
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)

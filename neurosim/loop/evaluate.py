@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -111,7 +112,8 @@ class Evaluator:
     @uninterrupted()
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
-        return self.rollouts.run(genes, draws, reuse=reuse)
+        trajectory = self.rollouts.run(genes, draws, reuse=reuse)
+        return with_contacts(self.simulator, trajectory) if self.episode.contacts else trajectory
 
     @uninterrupted()
     def judge(self, genes: NDArray[np.float64], draws: Draws) -> tuple[Judgement, Trajectory]:
@@ -239,6 +241,12 @@ def _share(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
         if spent > 0.0:
             found[p] = off / spent
     return found
+
+
+def with_contacts(simulator: Simulator, trajectory: Trajectory) -> Trajectory:
+    """Return a simulated trajectory that says when the robot touched something."""
+    assert trajectory.poses is not None
+    return replace(trajectory, touching=simulator.touching(trajectory.poses[..., 1:, :]))
 
 
 def rollouts_of(

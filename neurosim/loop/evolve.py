@@ -128,9 +128,17 @@ class Evolution:
         if not settings.extrapolate:
             _check_reach(evaluator)
         optimiser = make_optimiser(settings.optimiser, evaluator.controller, settings, seed)
+        self._searched = evaluator
+        if settings.arenas:
+            self._searched = Evaluator(
+                evaluator.simulator.elsewhere(settings.arenas, seed),
+                evaluator.task,
+                evaluator.controller,
+                placing=settings.placing,
+            )
         self.stages = [
             Search(
-                evaluator,
+                self._searched,
                 optimiser,
                 objective=settings.objective,
                 outcomes=settings.outcomes,
@@ -233,7 +241,7 @@ class Evolution:
             settings.optimiser, self.evaluator.controller, settings, self._seed + 1, genes
         )
         return Search(
-            self.evaluator,
+            self._searched,
             optimiser,
             objective=robust.objective,
             outcomes=robust.draws,
@@ -247,7 +255,7 @@ class Evolution:
         """Return the best individual of each run, [N, G]: of drawn outcomes, on fresh ones."""
         stage, settings, evaluator = self.stages[-1], self.settings, self.evaluator
         if self.real is not None and self.real.done:
-            draws, candidates = self._selection()[0], self.real.candidates()
+            draws, candidates = self._selection(evaluator)[0], self.real.candidates()
             limit = settings.most_unsupported
             merit, _ = evaluator.merit(candidates, draws, settings.objective, unsupported=limit)
             return candidates[[merit.merit.argmax()]]
@@ -256,14 +264,14 @@ class Evolution:
             assert robust is not None
             if not stage.done:
                 return self.stages[0].top
-            return stage.choose(evaluator.draw(robust.selection_draws, stage.rng))
+            return stage.choose(self._searched.draw(robust.selection_draws, stage.rng))
         if not settings.outcomes:
             return stage.top
-        return stage.choose(self._selection()[0])
+        return stage.choose(self._selection(self._searched)[0])
 
-    def _selection(self) -> tuple[Any, Any]:
+    def _selection(self, evaluator: Evaluator) -> tuple[Any, Any]:
         """Return outcomes on which the best is chosen, and others from the same starts."""
-        evaluator, rng = self.evaluator, np.random.default_rng([self._seed, 1])
+        rng = np.random.default_rng([self._seed, 1])
         each = evaluator.task.trial_starts
         count = -(-self.settings.selection // each) * each  # of whole trials
         starts, drawn = evaluator.starts(count, rng)
@@ -328,11 +336,11 @@ class Evolution:
 
     def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
         """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
-        evaluator, settings = self.evaluator, self.settings
+        evaluator, settings = self._searched, self.settings
         if not evaluator.simulator.uncertain:
             return None
         if settings.outcomes and evaluator.task.trial_starts > 1:
-            draws = self._selection()[1]
+            draws = self._selection(evaluator)[1]
         else:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
         found = []
@@ -578,59 +586,60 @@ def evolve(
         "simulator_sha256": made_in.get("sha256"),
         **({} if robot is None else {"real_generations": real_generations, **_same_robot(robot)}),
     }
-    for folder in folders:
-        check_new_folder(folder, overwrite=resume and _unfinished(folder))
-    if resume:
-        if not evolution.resumable:
-            raise UserError(
-                f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has no "
-                "state(); start the evolution anew"
-            )
-        state = checkpoint.resume(begun)
-        if state is not None:
-            try:
-                evolution.load(state)
-            except (KeyError, ValueError, RuntimeError, TypeError):
-                raise checkpoint.damaged() from None
-    elif evolution.resumable:
-        checkpoint.begin(begun, options)
+    with checkpoint.held():
+        for folder in folders:
+            check_new_folder(folder, overwrite=resume and _unfinished(folder))
+        if resume:
+            if not evolution.resumable:
+                raise UserError(
+                    f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has "
+                    "no state(); start the evolution anew"
+                )
+            state = checkpoint.resume(begun)
+            if state is not None:
+                try:
+                    evolution.load(state)
+                except (KeyError, ValueError, RuntimeError, TypeError):
+                    raise checkpoint.damaged() from None
+        elif evolution.resumable:
+            checkpoint.begin(begun, options)
 
-    def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
-        if controller.blind and not found[0].given:
-            if interrupted:
-                raise UserError("so far no plan gives any command; continue with --resume")
-            checkpoint.remove()
-            raise UserError("no plan that gives any command came of this; use more generations")
-        for folder, one in zip(folders, found, strict=False):
-            one.write(folder, overwrite=resume)
-        if not interrupted:
-            checkpoint.remove()
-        return found
+        def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
+            if controller.blind and not found[0].given:
+                if interrupted:
+                    raise UserError("so far no plan gives any command; continue with --resume")
+                checkpoint.remove()
+                raise UserError("no plan that gives any command came of this; use more generations")
+            for folder, one in zip(folders, found, strict=False):
+                one.write(folder, overwrite=resume)
+            if not interrupted:
+                checkpoint.remove()
+            return found
 
-    interrupted = False
-    try:
-        interrupted = evolution.run(checkpoint, progress)
-        if evolution.real is None:
-            # What was found is judged and written before Ctrl-C is answered.
-            with uninterrupted():
-                return written(saved(evolution.results(interrupted)), interrupted)
-        found = saved(evolution.results(interrupted))
-    except RobotError as error:
-        if not evolution.stages[0].done:
-            raise
-        saved(evolution.results(True))[0].write(out, overwrite=resume)
-        raise type(error)(
-            f"{error}; the best controller so far is in {out}, go on with --resume"
-        ) from None
-    except KeyboardInterrupt:
-        if evolution.real is None:
-            raise
-        # While the simulator and the robot were compared: all else is done.
-        interrupted, found = True, saved(evolution.results(True))
-    finally:
-        if not evolution.stages[0].done and not resume:
-            checkpoint.remove()  # nothing came of it
-    return written(found, interrupted)
+        interrupted = False
+        try:
+            interrupted = evolution.run(checkpoint, progress)
+            if evolution.real is None:
+                # What was found is judged and written before Ctrl-C is answered.
+                with uninterrupted():
+                    return written(saved(evolution.results(interrupted)), interrupted)
+            found = saved(evolution.results(interrupted))
+        except RobotError as error:
+            if not evolution.stages[0].done:
+                raise
+            saved(evolution.results(True))[0].write(out, overwrite=resume)
+            raise type(error)(
+                f"{error}; the best controller so far is in {out}, go on with --resume"
+            ) from None
+        except KeyboardInterrupt:
+            if evolution.real is None:
+                raise
+            # While the simulator and the robot were compared: all else is done.
+            interrupted, found = True, saved(evolution.results(True))
+        finally:
+            if not evolution.stages[0].done and not resume:
+                checkpoint.remove()  # nothing came of it
+        return written(found, interrupted)
 
 
 def _same_robot(robot: Mapping[str, Any]) -> dict[str, Any]:

@@ -73,6 +73,8 @@ class EvolveSettings:
         robust: how to make the result robust, or None.
         placing: How exactly the robot is put down, for drawn outcomes: standard deviations of its
             position (x and y) and of its heading, m and rad.
+        arenas: Arenas, drawn at random, in which individuals are tried in place of the
+            simulator's own, a start in any of them; 0: in its own.
         selection: Start poses from which the best of the last population is chosen, where outcomes
             are drawn.
         final_draws: Fresh outcomes from which the probability of success is estimated.
@@ -90,6 +92,7 @@ class EvolveSettings:
     objective: str = "fitness"
     robust: RobustSettings | None = None
     placing: tuple[float, float] = field(default=PLACING)
+    arenas: int = 0
     selection: int = 50
     final_draws: int = 4096
     unsupported: float = 0.1
@@ -103,8 +106,9 @@ class EvolveSettings:
     def __post_init__(self) -> None:
         _at_least_one(self, "generations", "runs", "selection", "final_draws")
         objective_named(self.objective)
-        if self.outcomes < 0:
-            raise UserError(f"outcomes must not be negative, not {self.outcomes}")
+        for name in ("outcomes", "arenas"):
+            if getattr(self, name) < 0:
+                raise UserError(f"{name} must not be negative, not {getattr(self, name)}")
         if not 0 <= self.unsupported <= 1:
             raise UserError(f"unsupported is a share of the time, 0 to 1, not {self.unsupported}")
         if min(self.placing) < 0:

@@ -17,34 +17,20 @@ from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.base.schema import Maybe, Rows, Shape
 from neurosim.controllers import read_controller
+from neurosim.controllers.files import FARTHEST, OUTCOME, POSE
+from neurosim.controllers.files import FIELDS as CONTROLLER
 from neurosim.simulators import read_simulator
+from neurosim.simulators.base import ABOUT
 from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
+from tracking.datasets.dataset import FIELDS as DATASET
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
 KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-reality")
 
-#: Poses are no farther away, m, and turn no more, rad: a picture of them is drawn.
-_FARTHEST = 1e5
-_POSE = Rows(3, most=_FARTHEST)
-_SESSION = {"recording": str, "session": int}
-_SENT = {"sent": int, "cut": int, "completed": int}
 _ROBOT = {"kind?": str, "virtual?": bool}
-_SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str}
-_MARKER = {"colour?": str, "rgb?": object, "sure?": float, "doubt?": str}
-_PREDICTED = {
-    "poses?": [Maybe(_POSE)],
-    "rest?": _POSE,
-    "fitness?": float,
-    "spread?": float,
-    "expected_fitness?": float,
-    "draws?": float,
-    "probability?": float,
-    "completes?": bool,
-    "unsupported?": float,
-}
 _RUN = {"best": Rows(None), "mean": Rows(None)}
 _DIFFERENCES = {"norm": float, "median": float, "rank": Maybe(float)}
 _COMPARED = {"individuals": int, "before": _DIFFERENCES, "after": _DIFFERENCES}
@@ -57,12 +43,12 @@ _FIELDS: dict[str, dict[str, Shape]] = {
         "task": {"name": str, "settings?": dict},
         "commands": Rows(None, 3),
         "plan_length?": int,
-        "start?": {"planned?": _POSE, "actual?": _POSE},
-        "predicted": _PREDICTED,
+        "start?": {"planned?": POSE, "actual?": POSE},
+        "predicted": OUTCOME,
         "actual": {
-            **_PREDICTED,
-            "path?": Rows(None, 4, most=_FARTHEST),
-            "cut?": _POSE,
+            **OUTCOME,
+            "path?": Rows(None, 4, most=FARTHEST),
+            "cut?": POSE,
             "reason?": str,
             "seen_by?": str,
         },
@@ -77,66 +63,9 @@ _FIELDS: dict[str, dict[str, Shape]] = {
         "board?": {"length": float, "width": float},
         "settings?": dict,
     },
-    "dataset": {
-        "rows": int,
-        "sources": [_SOURCE],
-        "left_out": {str: int},
-        "reasons?": {str: str},
-        "warnings?": [str],
-        "robots?": [_ROBOT],
-        "virtual?": bool,
-        "clocks?": [
-            {**_SESSION, "flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float}
-        ],
-        "motor_delays?": [
-            {**_SESSION, "delay": float, "sd": float, "lag": float, "corrected": bool}
-        ],
-        "markers?": [{**_SESSION, "front?": _MARKER, "rear?": _MARKER}],
-        "cutting?": {
-            "by_class": {str: _SENT},
-            "by_duration?": [{"from": float, "to": float, **_SENT}],
-            "equal_reach?": {"ratio?": float, "ratio_first?": float},
-        },
-        "settings?": dict,
-    },
-    "simulator": {
-        "kind": str,
-        "inputs?": [{"name": str, "unit?": str}],
-        "outputs?": [{"name": str, "unit?": str}],
-        "training?": {"held_out?": float},
-        "history?": [{"generation": float, "mse": Rows(None)}],
-        "test_errors?": {key: {"mse": float, "mean_absolute_error": float} for key in OUTPUTS},
-        "source?": (dict, list),
-        "sources?": [_SOURCE],
-        "wall_clock?": {"training_seconds?": float},
-        "composition?": {
-            "actuators": {str: {str: float}},
-            "delay": float,
-            "product_units": Rows(3),
-            "kernel_units": int,
-            "shares": {key: {"product_units": float, "process": float} for key in OUTPUTS},
-        },
-        "robots?": [_ROBOT],
-        "virtual?": bool,
-    },
-    "controller": {
-        "kind": str,
-        "task": {"name": str, "settings?": dict},
-        "predicted": _PREDICTED,
-        "simulator": _SOURCE,
-        "evolution": {
-            "settings?": dict,
-            "history?": {"best?": Rows(None), "mean?": Rows(None), "transfer?": int},
-            "robot_fitness?": {"mean": float, "spread": float, "trials?": int},
-            "trajectories?": [
-                {
-                    "simulated": Rows(None, 3, most=_FARTHEST),
-                    "robot": Rows(None, 3, most=_FARTHEST),
-                }
-            ],
-            "robot?": _ROBOT,
-        },
-    },
+    "dataset": DATASET,
+    "simulator": ABOUT,
+    "controller": CONTROLLER,
     "back-to-reality": {
         "controller": {"named?": {str: float}},
         "reality": dict,

@@ -51,7 +51,8 @@ def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, 
     """
     names = [column["name"] for column in simulator.meta["inputs"]]
     fitting = [one for one in datasets if list(one.content.inputs) == names]
-    source = simulator.meta.get("source", {}).get("sha256")
+    told = simulator.meta.get("source", {})
+    source = told.get("sha256") if isinstance(told, dict) else None
     for artefact in fitting:
         if source == sha256(artefact.path / "dataset.csv"):
             return artefact.content, True

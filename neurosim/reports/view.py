@@ -22,7 +22,7 @@ from neurosim.base.files import atomic_path
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.controllers.plan import COMMAND_NAMES
-from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evaluate import Evaluator, with_contacts
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.reports.artefacts import task_of
 from neurosim.reports.course import Scene, bounds, draw_scene, planned_path, unit_of
@@ -70,7 +70,8 @@ def draw_view(
     Returns:
         ``pose`` (m, m, rad) at the end; ``readings`` where there are sensors; of a controller the
         ``path`` [N, 3], its ``steps``, and by its task's judgement of this one drive ``fitness``,
-        ``completes`` and ``reason``; ``note``, a sentence on what could not be done, or None.
+        ``completes`` and ``reason``; where the simulator knows of walls ``contacts``, how often it
+        ran into something; ``note``, a sentence on what could not be done, or None.
 
     Raises:
         UserError: if a file is not what it should be, the robot does not fit where it is to
@@ -98,6 +99,8 @@ def draw_view(
             episode = replace(episode, steps=max(round(seconds / episode.step), 1))
         trajectory = _drive(found, saved, episode, start, rng if noise else None)
         path, stops = _path(found, saved, episode, trajectory, noise)
+        if episode.contacts:
+            trajectory = with_contacts(found, trajectory)
         result = {"path": path, "steps": trajectory.commands.shape[-2]}
         if note is None:
             judged = evaluator.task.judge(trajectory)
@@ -107,6 +110,9 @@ def draw_view(
                 "completes": completes,
                 "reason": None if completes else task.reasons[reason],
             }
+        touching = found.touching(path)
+        if touching is not None:
+            result["contacts"] = int((touching & ~np.roll(touching, 1))[1:].sum())
     result["pose"], result["note"] = path[-1], note
     place_shapes = [] if arena is None else arena.shapes()
     if found is not None:
@@ -116,8 +122,9 @@ def draw_view(
             standing = found.start(torch.from_numpy(path[-1:]))
             result["readings"] = found.sense(standing, generator)[0].numpy()
     figure = picture(
-        Scene.of(task, place_shapes), path, stops, simulator=found, readings=result.get("readings")
-    )
+        Scene.of(task, place_shapes), path, stops, simulator=found, readings=result.get("readings"),
+        title=_title(place, simulator, controller, result),
+    )  # fmt: skip
     with atomic_path(out) as partial:
         figure.savefig(partial, dpi=160)
     return result
@@ -130,6 +137,7 @@ def picture(
     *,
     simulator: Simulator | None = None,
     readings: NDArray | None = None,
+    title: str = "",
 ) -> Figure:
     """Return the picture; the robot stands at the end of its path [N, 3] (m, m, rad).
 
@@ -139,6 +147,7 @@ def picture(
         stops: [K, 3] where commands of a plan ended, or None.
         simulator: knows the robot's size and where its sensors look; None: an arena alone.
         readings: [S] of the sensors at the end, or None.
+        title: stands above.
     """
     low, high = bounds(scene, [path[:, :2]])
     scale, unit = unit_of(low, high)
@@ -155,7 +164,12 @@ def picture(
     draw_scene(axes, scene, scale)
     (x1, y1), (x2, y2) = scale * low, scale * high
     axes.set(xlim=(x1, x2), ylim=(y1, y2), aspect="equal")
+    axes.set_title(title, fontsize=10, color=INK["ink"], loc="left")
     _draw_path(axes, path, stops, scale)
+    touching = None if simulator is None else simulator.touching(path)
+    if touching is not None and touching.any():
+        x, y = scale * path[touching, :2].T
+        axes.plot(x, y, "x", ms=5, mew=1.4, color=INK["actual"], zorder=4)
     radius = RADIUS if simulator is None else simulator.radius
     bearings = None if simulator is None else simulator.bearings
     if radius is not None and readings is not None and bearings is not None:
@@ -165,6 +179,31 @@ def picture(
     if readings is not None and simulator is not None:
         _bars(figure.add_subplot(grid[1]), readings, simulator.reading_names, bearings)
     return figure
+
+
+def _title(
+    place: str | Path,
+    simulator: str | Path | None,
+    controller: str | Path | None,
+    result: dict[str, Any],
+) -> str:
+    """Return what stands above the picture: who drives where, and what came of it."""
+    where = Path(place).resolve().name
+    if controller is None:
+        return where
+    words = [f"{Path(controller).resolve().name} in {where}"]
+    if simulator is not None:
+        words[0] += f" ({Path(simulator).resolve().name})"
+    if "fitness" in result:
+        words.append(f"fitness {result['fitness']:z.4g}")
+    if "contacts" in result:
+        words.append(contacts_in_words(result["contacts"]))
+    return ", ".join(words)
+
+
+def contacts_in_words(count: int) -> str:
+    """Return how often a robot touched something, in words."""
+    return "no contact" if not count else f"{count} contact{'s' * (count > 1)} (x)"
 
 
 def _place(

@@ -9,7 +9,7 @@ from typing import Literal
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.robots.khepera.dialects import DIALECTS
-from neurosim.sampling.sampler import FORMAT, VERSION
+from neurosim.sampling.sampler import FIELDS, FORMAT, VERSION
 from neurosim.simulators.sources import sources
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
@@ -34,6 +34,7 @@ def build_tables(
     radius: float | None = None,
     arena: Arena | str | Path | None = None,
     noise: Literal["none", "uniform", "samples"] = "uniform",
+    convention: Literal["neurosim", "evorobotpy2"] = "neurosim",
 ) -> TableSimulator:
     """Make a table simulator of samples.
 
@@ -57,6 +58,9 @@ def build_tables(
             x 35 cm with three obstacles.
         noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
             as the samples' own.
+        convention: How the samples are read: neurosim, where an object is further to the robot's
+            right from row to row; or as evorobotpy2 does, rows the other way round and cylinders
+            twice the first distance nearer.
 
     Raises:
         UserError: if ``out`` is taken, an object has no samples, the ideal robot is described
@@ -89,7 +93,7 @@ def build_tables(
         used = [*used, Path(motors)]
     if not isinstance(arena, Arena):
         arena = paper_arena() if arena is None else Arena.read(arena)
-    sensors = SensorTable.from_files([Path(path) for path in samples])
+    sensors = SensorTable.from_files([Path(path) for path in samples], convention)
     count = sensors.mean.shape[-1]
     if radius is None and count != KHEPERA_SENSORS:
         raise UserError(
@@ -103,7 +107,11 @@ def build_tables(
         noise=noise,
         radius=RADIUS if radius is None else radius,
         reaction=sampled_reaction(sampling),
-        meta={**sources(used), **({} if baud is None else {"baud": baud})},
+        meta={
+            **sources(used),
+            "convention": convention,
+            **({} if baud is None else {"baud": baud}),
+        },
     )
     if out is not None:
         with files.new_folder(out) as partial:
@@ -120,11 +128,13 @@ def sampled_reaction(folder: str | Path) -> Reaction:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return Reaction()
-    result = files.read_json(path, FORMAT, VERSION).get("result")
+    result = files.read_json(path, FORMAT, VERSION, FIELDS).get("result")
+    if not result:
+        return Reaction()
     try:
-        return Reaction.from_json(result["reaction"]) if result else Reaction()
-    except (UserError, KeyError, TypeError, AttributeError) as error:
-        raise FileError(path, f"expected times ({error})", field="result.reaction") from None
+        return Reaction.from_json(result["reaction"])
+    except UserError as error:
+        raise FileError(path, str(error), field="result.reaction") from None
 
 
 def sampled_baud(folder: str | Path) -> int | None:
@@ -136,10 +146,7 @@ def sampled_baud(folder: str | Path) -> int | None:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return None
-    baud = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"].get("baud")
-    if baud is not None and (isinstance(baud, bool) or not isinstance(baud, int) or baud <= 0):
-        raise FileError(path, f"expected a baud rate, found {baud!r:.60}", field="robot.baud")
-    return baud
+    return files.read_json(path, FORMAT, VERSION, FIELDS)["robot"].get("baud")
 
 
 def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
@@ -153,11 +160,6 @@ def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return None, None
-    robot = files.read_json(path, FORMAT, VERSION, {"robot": dict})["robot"]
-    full = robot.get("full_speed")
-    if full is not None and (isinstance(full, bool) or not isinstance(full, int) or full < 1):
-        raise FileError(
-            path, f"expected whole speeds, found {full!r:.60}", field="robot.full_speed"
-        )
-    dialect = DIALECTS.get(str(robot.get("dialect")))
-    return full, None if dialect is None else dialect.geometry.radius
+    robot = files.read_json(path, FORMAT, VERSION, FIELDS)["robot"]
+    dialect = DIALECTS.get(robot.get("dialect", ""))
+    return robot.get("full_speed"), None if dialect is None else dialect.geometry.radius

@@ -11,9 +11,33 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.schema import Rows, Shape
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 
 FORMAT, VERSION = "neurosim-simulator", 2
+_SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str, "virtual?": bool}
+_OUTPUTS = ("dx", "dy", "dtheta")
+#: What simulator.json of any kind may say of where the simulator is from and how good it is.
+ABOUT: dict[str, Shape] = {
+    "kind": str,
+    "inputs?": [{"name": str, "unit?": str}],
+    "outputs?": [{"name": str, "unit?": str}],
+    "training?": {"held_out?": float},
+    "history?": [{"generation": float, "mse": Rows(None)}],
+    "test_errors?": {key: {"mse": float, "mean_absolute_error": float} for key in _OUTPUTS},
+    "source?": (_SOURCE, [_SOURCE]),
+    "sources?": [_SOURCE],
+    "wall_clock?": {"training_seconds?": float},
+    "composition?": {
+        "actuators": {str: {str: float}},
+        "delay": float,
+        "product_units": Rows(3),
+        "kernel_units": int,
+        "shares": {key: {"product_units": float, "process": float} for key in _OUTPUTS},
+    },
+    "robots?": [{"kind?": str, "virtual?": bool}],
+    "virtual?": bool,
+}
 
 #: How well a person puts a robot down at a mark: standard deviations in x and y (m), heading (rad).
 PLACING = (0.003, float(np.radians(0.5)))
@@ -151,9 +175,26 @@ class Simulator:
         """Return random poses [count, 3] where the robot fits; None: it knows of no place."""
         return None
 
+    def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_] | None:
+        """Return whether a robot at poses [..., 3] touches something, [...].
+
+        None: it knows of nothing that could be touched.
+        """
+        return None
+
     def outline(self) -> list[dict[str, Any]]:
         """Return what a picture of the place shows, shapes as of a task's outline; [] for none."""
         return []
+
+    def elsewhere(self, count: int, seed: int) -> Simulator:
+        """Return this simulator in ``count`` other places, drawn from a seed.
+
+        Raises:
+            UserError: if it knows of no places.
+        """
+        raise UserError(
+            f"a simulator of the kind {self.kind} has no arena, so there are no others to draw"
+        )
 
     def conditions(self) -> dict[str, Any]:
         """Return what may have been changed since the simulator was read, such as its noise.

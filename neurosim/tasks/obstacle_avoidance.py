@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import ClassVar, Literal
 
 import numpy as np
 from numba import njit, prange
@@ -26,7 +26,8 @@ def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
     V is the mean of the wheels' absolute speeds over full speed, DV half the difference of the
     signed ones over full speed, I the highest sensor: all in 0..1 (DV in -1..1). To drive fast,
     straight and far from everything is best; a step is worth at most 1. An interval of another
-    duration than ``step`` (s) counts as so many steps.
+    duration than ``step`` (s) counts as so many steps. Where it is known when the robot touches
+    something, what comes after the first contact counts nothing.
     """
     if trajectory.readings is None:
         raise UserError("obstacle avoidance can only be judged where the sensors were read")
@@ -37,6 +38,9 @@ def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
     if np.ndim(trajectory.durations):
         durations = np.asarray(trajectory.durations) / step
         weight = np.broadcast_to(durations, readings.shape[:-1]).reshape(rows, -1)
+    if trajectory.touching is not None:
+        free = ~np.logical_or.accumulate(trajectory.touching, axis=-1).reshape(rows, -1)
+        weight = free if weight.size == 0 else weight * free
     found = _avoidance(
         np.ascontiguousarray(readings).reshape(rows, *readings.shape[-2:]),
         np.ascontiguousarray(commands[..., :2]).reshape(rows, commands.shape[-2], 2),
@@ -75,6 +79,8 @@ class ObstacleAvoidance(Task):
         steps: Steps of a trial, over all its starts together.
         starts: Random poses from which a trial starts, each for an equal share of the steps.
         duration: Duration of a step, s.
+        contacts: What touching something costs: free, nothing, as in the paper; or end: what comes
+            after the first contact counts nothing. On a robot nobody knows of contacts.
         enough: Fitness from one start that counts as success; by default, for avoidance, half of
             its steps, and 0 for other fitness.
     """
@@ -86,6 +92,7 @@ class ObstacleAvoidance(Task):
     steps: int = 500
     starts: int = 5
     duration: float = 0.1
+    contacts: Literal["free", "end"] = "free"
     enough: float | None = None
 
     def __post_init__(self) -> None:
@@ -95,6 +102,10 @@ class ObstacleAvoidance(Task):
             raise UserError(
                 f"{self.steps} steps cannot be shared out evenly among {self.starts} starts"
             )
+        if self.contacts not in ("free", "end"):
+            raise UserError(f"contacts are free or end, not {self.contacts!r}")
+        if self.contacts == "end" and FITNESS[self.fitness] is not avoidance:
+            raise UserError("contacts that end a drive are those of the fitness avoidance")
         if not 0.001 <= self.duration <= 10:
             raise UserError(f"a step lasts 0.001 to 10 s, not {self.duration:g}")
 
@@ -111,7 +122,8 @@ class ObstacleAvoidance(Task):
     @property
     def episode(self) -> Episode:
         """From each start an equal share of the steps; the robot is not stopped at the end."""
-        return Episode(self.duration, self.steps // self.starts, readings=True)
+        steps = self.steps // self.starts
+        return Episode(self.duration, steps, readings=True, contacts=self.contacts == "end")
 
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator

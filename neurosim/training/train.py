@@ -103,10 +103,12 @@ def train(
         raise UserError(f"the number of generations must be at least 1, not {generations}")
     _check_device(device)
     rows = Dataset.read(dataset)
-    if len(rows) < MIN_ROWS:
+    repeated = rows.repeated
+    different = len(rows) - repeated
+    if different < MIN_ROWS:
         raise UserError(
-            f"{dataset} has {len(rows)} rows, of which the last fifth is held out; training needs "
-            f"at least {MIN_ROWS}: record more commands"
+            f"{dataset} has {different} different rows, of which the last fifth is held out; "
+            f"training needs at least {MIN_ROWS}: record more commands"
         )
     earlier, later = rows.split(HELD_OUT)
     data = training_data(earlier)
@@ -147,38 +149,44 @@ def train(
     settings_now = {**begun, "dataset_sha256": source["sha256"]}
     settings_now["within_sha256"] = source.get("within_sha256")
     run = _Training(learner)
-    if resume:
-        run.resume(checkpoint, settings_now)
-    else:
-        checkpoint.begin(settings_now, options)
-    if run_generations(
-        run,
-        learner.generations,
-        "training",
-        save=checkpoint.save,
-        every=checkpoint_every,
-        progress=progress,
-    ):
-        raise KeyboardInterrupt
-    began = time.monotonic()
-    simulator = learner.result()
-    simulator.known = domain_of(simulator, data, chosen)
-    run.seconds += time.monotonic() - began
-    simulator.meta = {
-        **simulator.meta,
-        "training": {**begun, "rows": len(earlier), "held_out_rows": len(later)},
-        "history": [
-            {"generation": int(generation), "mse": mse} for generation, *mse in run.history
-        ],
-        "test_errors": table_of_errors(simulator, later),
-        "test_coverage": coverage(simulator, later, seed),
-        "source": source,
-        "wall_clock": {"training_seconds": round(run.seconds, 1)},
-    }
-    with files.new_folder(out) as folder:
-        write_motion(simulator, folder)
-    checkpoint.remove()
-    return simulator
+    with checkpoint.held():
+        if resume:
+            run.resume(checkpoint, settings_now)
+        else:
+            checkpoint.begin(settings_now, options)
+        if run_generations(
+            run,
+            learner.generations,
+            "training",
+            save=checkpoint.save,
+            every=checkpoint_every,
+            progress=progress,
+        ):
+            raise KeyboardInterrupt
+        began = time.monotonic()
+        simulator = learner.result()
+        simulator.known = domain_of(simulator, data, chosen)
+        run.seconds += time.monotonic() - began
+        simulator.meta = {
+            **simulator.meta,
+            "training": {
+                **begun,
+                "rows": len(earlier),
+                "held_out_rows": len(later),
+                "repeated_rows": repeated,
+            },
+            "history": [
+                {"generation": int(generation), "mse": mse} for generation, *mse in run.history
+            ],
+            "test_errors": table_of_errors(simulator, later),
+            "test_coverage": coverage(simulator, later, seed),
+            "source": source,
+            "wall_clock": {"training_seconds": round(run.seconds, 1)},
+        }
+        with files.new_folder(out) as folder:
+            write_motion(simulator, folder)
+        checkpoint.remove()
+        return simulator
 
 
 def training_data(dataset: Dataset) -> TrainingData:

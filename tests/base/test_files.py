@@ -108,8 +108,14 @@ def test_json_has_no_word_for_nan(tmp_path):
         ('{"format": "thing", "version": 9, "x": 1}', "reads version 1, found 9"),
         ('{"format": "thing", "version": true, "x": 1}', "reads version 1, found True"),
         ('{"format": "thing", "version": 1}', "field 'x': is missing"),
-        ('{"format": "thing", "version": 1, "x": "1"}', "field 'x': expected int, found '1'"),
-        ('{"format": "thing", "version": 1, "x": true}', "field 'x': expected int, found True"),
+        (
+            '{"format": "thing", "version": 1, "x": "1"}',
+            "field 'x': expected a whole number, found '1'",
+        ),
+        (
+            '{"format": "thing", "version": 1, "x": true}',
+            "field 'x': expected a whole number, found True",
+        ),
         ("[]", "expected a JSON object"),
     ],
 )

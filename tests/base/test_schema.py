@@ -33,7 +33,7 @@ def test_what_has_its_shape_passes():
 @pytest.mark.parametrize(
     ("changes", "field", "says"),
     [
-        ({"name": 3}, "name", "expected str, found 3"),
+        ({"name": 3}, "name", "expected text, found 3"),
         ({"size": "2"}, "size", "expected a number, found '2'"),
         ({"size": True}, "size", "expected a number, found True"),
         ({"size": float("nan")}, "size", "expected a number, found nan"),
@@ -42,10 +42,10 @@ def test_what_has_its_shape_passes():
         ({"poses": [None, [1, 2, "3"]]}, "poses[1][2]", "expected a number, found '3'"),
         ({"table": [[1, 2], 3]}, "table[1]", "expected a list of 2 numbers, found 3"),
         ({"table": 3}, "table", "expected a list of lists, found 3"),
-        ({"counts": {"x": 1.5}}, "counts.x", "expected int, found 1.5"),
+        ({"counts": {"x": 1.5}}, "counts.x", "expected a whole number, found 1.5"),
         ({"counts": []}, "counts", "expected an object, found []"),
-        ({"either": None, "any": None, "name": None}, "name", "expected str, found None"),
-        ({"either": 1.5}, "either", "expected str or int, found 1.5"),
+        ({"either": None, "any": None, "name": None}, "name", "expected text, found None"),
+        ({"either": 1.5}, "either", "expected text or a whole number, found 1.5"),
     ],
 )
 def test_what_has_not_is_named(changes, field, says):

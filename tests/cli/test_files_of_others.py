@@ -105,7 +105,7 @@ def test_a_video_stands_in_its_recording(tmp_path, name):
     made = recording(tmp_path / "r", {})
     made.meta["videos"] = [name]
     made.save_meta()
-    with pytest.raises(FileError, match=r"json, field 'videos.*': expected (the name|str)"):
+    with pytest.raises(FileError, match=r"json, field 'videos.*': expected (the name|text)"):
         Recording(tmp_path / "r")
 
 

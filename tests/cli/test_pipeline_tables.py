@@ -260,6 +260,36 @@ def test_view_of_a_plan(folder):
     result = json.loads(done.stdout)
     assert result["pose"] == pytest.approx([0.15, 0.1, 0])
     assert "the task x is not registered on this computer" in result["note"]
+    assert result["contacts"] == 0
+
+
+def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, monkeypatch):
+    from neurosim.reports import view
+
+    figures, make = [], view.picture
+    monkeypatch.setattr(
+        view, "picture", lambda *a, **b: figures.append(make(*a, **b)) or figures[-1]
+    )
+    test_view_of_a_plan(folder)  # it ends 7 cm from the wall
+    words = ["view", folder / "sim", "--controller", folder / "plan", "--overwrite"]
+    out = folder / "plan.png"
+    # The arena of the simulator is 60 x 35 cm: 1 cm before the wall on the right.
+    result = json.loads(call(*words, "--pose", 26, 10, 0, "-o", out, "--json").stdout)
+    assert result["contacts"] == 1
+    assert result["pose"][0] == pytest.approx(0.3 - 0.0275, abs=1e-3)
+    free, hit = (figure.axes[0] for figure in figures)
+    assert free.get_title("left") == "plan in sim, no contact"
+    assert hit.get_title("left") == "plan in sim, 1 contact (x)"
+    crosses = [[line for line in axes.lines if line.get_marker() == "x"] for axes in (free, hit)]
+    assert (len(crosses[0]), len(crosses[1])) == (0, 1)
+    said = call(
+        "view", folder / "sim", "--controller", folder / "net", "--pose", 15, 10, 90,
+        "--seconds", 2, "-o", out, "--overwrite",
+    ).stdout  # fmt: skip
+    fitness = f"fitness {float(said.split('fitness ')[1].split(',')[0]):z.4g}"
+    title = figures[-1].axes[0].get_title("left")
+    assert title.startswith(f"net in sim, {fitness}, ")
+    assert title.endswith(said.strip().split(", ")[-1])
 
 
 @pytest.mark.parametrize(

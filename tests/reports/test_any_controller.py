@@ -224,7 +224,7 @@ def test_a_robot_that_nobody_saw(tmp_path):
 @pytest.mark.parametrize(
     ("field", "value", "message"),
     [
-        ("task", {"name": 3}, r"'task\.name': expected str, found 3"),
+        ("task", {"name": 3}, r"'task\.name': expected text, found 3"),
         ("task", {"name": "go-to", "settings": {"goals": []}}, r"'task\.settings'"),
         ("task", {"name": "go-to", "settings": {"colour": 1}}, r"'task\.settings'.*colour"),
         ("commands", [[1, 2]], r"'commands\[0\]': expected a list of 3 numbers"),

@@ -41,3 +41,15 @@ def test_samples_keep_their_line_ends(tmp_path, end):
     path.write_bytes(before)
     Samples.read(path).write(tmp_path / "again.sample")
     assert (tmp_path / "again.sample").read_bytes() == before
+
+
+def test_tables_in_the_convention_of_evorobotpy2(tmp_path):
+    paths = samples(tmp_path, 8)
+    own, other = build_tables(paths), build_tables(paths, convention="evorobotpy2")
+    # The same files, read with rows the other way round: sensors look to the other side.
+    assert other.bearings == pytest.approx(-own.bearings, abs=1e-9)
+    assert other.meta["convention"] == "evorobotpy2"
+    # Samples are 5 mm apart and begin at 5 mm: a cylinder is seen as two rows farther away.
+    wall, cylinder = own.sensors.mean[:, :, 0], other.sensors.mean[1, :, 0]
+    assert other.sensors.mean[0, :, 0] == pytest.approx(wall[0])
+    assert cylinder[:-2] == pytest.approx(wall[1, 2:])

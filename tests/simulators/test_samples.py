@@ -8,7 +8,7 @@ from hypothesis.extra.numpy import arrays
 from khepera_data import made_up
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.samples import Samples, as_evorobotpy2
 from neurosim.simulators.tables.sensor_table import SensorTable
 
 TEXT = (
@@ -140,3 +140,18 @@ def test_tables_refuse_what_does_not_fit(tmp_path):
     one.write(tmp_path / "a.sample")
     with pytest.raises(UserError, match="name must contain wall or cylinder"):
         SensorTable.from_files([tmp_path / "a.sample"])
+
+
+def test_samples_as_evorobotpy2_reads_them():
+    """Worked by hand from its updateInfraredSensor: rows mirrored, cylinders 2 x first nearer."""
+    rows = np.arange(2 * 6 * 4).reshape(6, 4, 2) / 100
+    given = Samples(rows, 0.005, 0.002)
+    wall, cylinder = (as_evorobotpy2(given, cylinder=which) for which in (False, True))
+    # Row 0 stays straight ahead; 1 and 3 change places.
+    assert wall.activations == pytest.approx(rows[:, [0, 3, 2, 1]])
+    # At 5 mm from the rim it looks up (5 + 5) / 2 = row 5, which is the last.
+    assert cylinder.activations[0] == pytest.approx(rows[5, [0, 3, 2, 1]])
+    assert cylinder.activations[3] == pytest.approx(rows[5, [0, 3, 2, 1]])
+    # Where the distances do not fall on rows, between them: (1 + 1) / 4 = row 0.5.
+    between = as_evorobotpy2(Samples(rows, 0.001, 0.004), cylinder=True)
+    assert between.activations[0] == pytest.approx((rows[0] + rows[1])[[0, 3, 2, 1]] / 2)

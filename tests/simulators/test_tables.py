@@ -266,7 +266,7 @@ def test_folder(simulator, tmp_path):
     document = json.loads((tmp_path / "simulator.json").read_text())
     for change, message in (
         ({"radius": -1}, "field 'radius'"),
-        ({"noise": {"kind": "loud", "level": 0.05}}, "noise is one of"),
+        ({"noise": {"kind": "loud", "level": 0.05}}, "noise.kind.*one of .none"),
         ({"arena": {"outline": []}}, "do not close"),
         ({"sensors": {}}, "sensors.objects"),
     ):

@@ -49,6 +49,22 @@ def test_equation_1_by_hand():
         avoidance(Trajectory(None, commands, 0.1))
 
 
+def test_what_comes_after_a_contact_counts_nothing_where_it_is_known():
+    readings, commands = np.zeros((2, 4, 8)), np.full((2, 4, 2), 100.0)
+    touching = np.array([[False, True, False, False], [False] * 4])
+    driven = Trajectory(None, commands, 0.1, readings, touching=touching)
+    assert avoidance(driven).tolist() == [1.0, 4.0]
+    each = np.full((2, 4), 0.2)  # of steps twice as long
+    uneven = Trajectory(None, commands, each, readings, touching=touching)
+    assert avoidance(uneven, 0.1).tolist() == [2.0, 8.0]
+    assert ObstacleAvoidance(steps=20, contacts="end").episode.contacts
+    assert not ObstacleAvoidance(steps=20).episode.contacts
+    with pytest.raises(UserError, match="contacts are free or end, not 'soft'"):
+        ObstacleAvoidance(contacts="soft")
+    with pytest.raises(UserError, match="of the fitness avoidance"):
+        ObstacleAvoidance(fitness="cells", contacts="end")
+
+
 def test_cells_visited_by_hand():
     poses = np.array([[0.01, 0.01, 0], [0.04, 0.02, 0], [0.06, 0.02, 0], [-0.01, 0.01, 0]])
     still = np.zeros((4, 3))

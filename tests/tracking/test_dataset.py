@@ -447,12 +447,12 @@ def test_poses_within_that_are_gone(seen):
     [
         ("version", 2, "reads version 1, found 2"),
         ("format", "neurosim-simulator", "expected 'neurosim-dataset'"),
-        ("inputs", ["left"], "expected a list of {name, unit}"),
+        ("inputs", ["left"], r"field 'inputs\[0\]': expected an object"),
         ("inputs", [], "expected a list of {name, unit}"),
         ("inputs", [{"name": "v"}, {"name": "v"}], "names a column twice"),
         ("outputs", [{"name": "dx"}], "expected dx, dy, dtheta"),
-        ("within", "many", "field 'within': expected a number of poses, found 'many'"),
-        ("within", -1, "field 'within': expected a number of poses"),
+        ("within", "many", "field 'within': expected a whole number from 0, found 'many'"),
+        ("within", -1, "field 'within': expected a whole number from 0"),
     ],
 )
 def test_bad_json_is_named_by_field(folder, key, value, message):

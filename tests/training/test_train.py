@@ -5,11 +5,13 @@ import subprocess
 import sys
 from itertools import pairwise
 
+import numpy as np
 import pytest
 import torch
 from patience import wait_until
 
 from neurosim.base import files
+from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
 from neurosim.simulators import read_simulator
 from neurosim.training import evaluate, train
@@ -256,3 +258,38 @@ def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
         threads(count)
         train(tmp_path / "data", tmp_path / str(count), generations=8, seed=1, **options)
     assert outcome(tmp_path / "1") == outcome(tmp_path / "2")
+
+
+@pytest.mark.parametrize("way", ["each three times in a row", "all three times"])
+def test_copies_of_rows_change_nothing_and_are_counted(tmp_path, dataset, way):
+    """They would be in both parts of every split: in the folds, and held out."""
+    whole = Dataset.read(dataset)
+    rows = np.repeat(np.arange(len(whole)), 3)
+    if way == "all three times":
+        rows = np.tile(np.arange(len(whole)), 3)
+    table = whole.table.iloc[rows].reset_index(drop=True)
+    meta = {**whole.meta, "rows": len(table), "within": 0}
+    Dataset(table, whole.inputs, whole.outputs, meta).write(tmp_path / "copied")
+    plain = Dataset(whole.table, whole.inputs, whole.outputs, {**whole.meta, "within": 0})
+    plain.write(tmp_path / "plain")
+    found = {
+        name: train(tmp_path / name, tmp_path / f"of-{name}", **QUICK_ENSEMBLE, generations=3)
+        for name in ("plain", "copied")
+    }
+    said = [one.meta["training"].pop("repeated_rows") for one in found.values()]
+    assert said == [0, 2 * len(whole)]
+    assert torch.equal(found["plain"].genes, found["copied"].genes)
+    for name in ("training", "test_errors", "test_coverage"):
+        assert found["plain"].meta[name] == found["copied"].meta[name]
+    again = [evaluate(tmp_path / f"of-{name}", tmp_path / name) for name in found]
+    assert again[0] == again[1]
+
+
+def test_a_checkpoint_is_of_one_process_at_a_time(tmp_path, dataset):
+    checkpoint = Checkpoint(tmp_path / "s", "training")
+    said = rf"being used by process {os.getpid()} on "
+    with checkpoint.held(), pytest.raises(UserError, match=said):
+        train(dataset, tmp_path / "s", **QUICK, generations=2)
+    assert not checkpoint.folder.exists()
+    train(dataset, tmp_path / "s", **QUICK, generations=2)
+    assert not checkpoint.folder.exists()

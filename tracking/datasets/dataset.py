@@ -27,11 +27,39 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
+from neurosim.base.schema import Number, Rows, Shape
 from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
 
 FORMAT, VERSION = "neurosim-dataset", 1
+_COLUMN = {"name": str, "unit?": str}
+_SESSION = {"recording": str, "session": int}
+_SENT = {"sent": int, "cut": int, "completed": int}
+_MARKER = {"colour?": str, "rgb?": object, "sure?": float, "doubt?": str}
+_CLOCK = {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float}
+#: What dataset.json says.
+FIELDS: dict[str, Shape] = {
+    "inputs": [_COLUMN],
+    "outputs": [_COLUMN],
+    "rows": int,
+    "within?": Number(0, whole=True),
+    "sources": [{"path?": str, "name?": str, "sha256?": str}],
+    "left_out": {str: int},
+    "reasons?": {str: str},
+    "warnings?": [str],
+    "robots?": [{"kind?": str, "virtual?": bool}],
+    "virtual?": bool,
+    "clocks?": [{**_SESSION, **_CLOCK}],
+    "motor_delays?": [{**_SESSION, "delay": float, "sd": float, "lag": float, "corrected": bool}],
+    "markers?": [{**_SESSION, "front?": _MARKER, "rear?": _MARKER}],
+    "cutting?": {
+        "by_class": {str: _SENT},
+        "by_duration?": [{"from": float, "to": float, **_SENT}],
+        "equal_reach?": {"ratio?": float, "ratio_first?": float},
+    },
+    "settings?": dict,
+}
 
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
@@ -76,21 +104,45 @@ class Dataset:
     def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
         """Split by time into the earlier rows and the last ``held_out`` share of them.
 
-        The first part has floor((1 - held_out) N) rows.
+        Of equal rows only the first counts (:meth:`once`), so that none is in both parts. The first
+        part has floor((1 - held_out) N) of the N rows that are left.
 
         Raises:
             UserError: if either part would be empty.
         """
         if not 0 < held_out < 1:
             raise UserError(f"the share to hold out must be between 0 and 1, not {held_out:g}")
+        rows = self.once()
         # The small amount keeps 0.8 * 5 from being 3.9999.
-        earlier = int(len(self) * (1 - held_out) + 1e-9)
-        if not 0 < earlier < len(self):
+        earlier = int(len(rows) * (1 - held_out) + 1e-9)
+        if not 0 < earlier < len(rows):
             raise UserError(
-                f"the dataset has {len(self)} row{'s' * (len(self) != 1)}, too few to hold out "
+                f"the dataset has {len(rows)} row{'s' * (len(rows) != 1)}, too few to hold out "
                 f"{held_out:.0%} of them; record more commands"
             )
-        return self.part(slice(None, earlier)), self.part(slice(earlier, None))
+        return rows.part(slice(None, earlier)), rows.part(slice(earlier, None))
+
+    @property
+    def repeated(self) -> int:
+        """How many rows have the inputs and outputs of an earlier one, to the last digit.
+
+        No robot does the same twice as exactly as that: such rows are copies.
+        """
+        return int(self._is_repeated().sum())
+
+    def once(self) -> Dataset:
+        """Return the dataset without the rows that :attr:`repeated` counts."""
+        kept = ~self._is_repeated()
+        if kept.all():
+            return self
+        within = within_commands.rows_of(self.within, kept)
+        table = self.table[kept].reset_index(drop=True)
+        meta = {**self.meta, "rows": len(table), "within": len(within)}
+        return Dataset(table, self.inputs, self.outputs, meta, within)
+
+    def _is_repeated(self) -> NDArray[np.bool_]:
+        columns = [*self.inputs, *self.outputs]
+        return self.table[columns].duplicated().to_numpy(np.bool_)
 
     def part(self, rows: slice) -> Dataset:
         """Return a run of rows, a slice with step 1, with the poses within them."""
@@ -129,8 +181,7 @@ class Dataset:
         if not folder.is_dir():
             raise FileError(folder, "no such dataset; expected a folder with dataset.json")
         json_path, csv_path = folder / "dataset.json", folder / "dataset.csv"
-        fields = {"inputs": list, "outputs": list, "sources": list, "rows": int, "left_out": dict}
-        meta = files.read_json(json_path, FORMAT, VERSION, fields)
+        meta = files.read_json(json_path, FORMAT, VERSION, FIELDS)
         inputs, outputs = (_names(json_path, field, meta[field]) for field in ("inputs", "outputs"))
         if outputs != tuple(OUTPUTS):
             raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")
@@ -150,16 +201,13 @@ class Dataset:
             raise FileError(csv_path, "expected a number above 0", line=line, field="duration")
         meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
         expected = meta.get("within")
-        if expected is not None and (type(expected) is not int or expected < 0):
-            what = f"expected a number of poses, found {expected!r:.60}"
-            raise FileError(json_path, what, field="within")
         within = within_commands.read(folder / "within.csv", expected, table)
         return cls(table, inputs, outputs, {**meta, "within": len(within)}, within)
 
 
-def _names(path: Path, field: str, columns: list) -> tuple[str, ...]:
-    names = [column.get("name") if isinstance(column, dict) else None for column in columns]
-    if not names or not all(isinstance(name, str) and name for name in names):
+def _names(path: Path, field: str, columns: list[dict[str, str]]) -> tuple[str, ...]:
+    names = [column["name"] for column in columns]
+    if not all(names) or not names:
         raise FileError(path, "expected a list of {name, unit}", field=field)
     if len(set(names)) != len(names):
         raise FileError(path, "names a column twice", field=field)

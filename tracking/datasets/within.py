@@ -100,6 +100,19 @@ def part_of(within: pd.DataFrame, first: int, last: int) -> pd.DataFrame:
     return kept.assign(row=kept["row"] - first).reset_index(drop=True)
 
 
+def rows_of(within: pd.DataFrame, kept: NDArray[np.bool_]) -> pd.DataFrame:
+    """Return the poses of the rows of a dataset that are kept, numbered anew from 0.
+
+    Args:
+        within: the poses of the whole dataset.
+        kept: (N,) which of its rows are.
+    """
+    place = np.cumsum(kept) - 1
+    row = within["row"].to_numpy()
+    found = within[kept[row]]
+    return found.assign(row=place[found["row"].to_numpy()]).reset_index(drop=True)
+
+
 def write(path: Path, within: pd.DataFrame) -> None:
     """Write within.csv."""
     files.write_csv(path, {name: within[name].to_numpy() for name in COLUMNS})

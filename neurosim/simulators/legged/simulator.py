@@ -26,10 +26,11 @@ from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import fields_of
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.robots.quadruped import FRAME, JOINTS
 from neurosim.simulators.adjustable import Adjustable, adjustables
-from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, draw_outcomes
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, draw_outcomes
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
 
@@ -159,7 +160,8 @@ class LeggedSimulator(Simulator):
             FileError: if the file is missing or wrong.
         """
         path = Path(folder) / "simulator.json"
-        given = files.read_json(path, FORMAT, VERSION, {"parameters": dict})["parameters"]
+        fields = {**ABOUT, "parameters": fields_of(Build)}
+        given = files.read_json(path, FORMAT, VERSION, fields)["parameters"]
         try:
             return cls(Build(**{name: _fixed(value) for name, value in given.items()}))
         except (TypeError, UserError) as error:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError
+from neurosim.base.schema import Maybe, Number, OneOf, Rows, Shape, fields_of
 from neurosim.networks import Perceptron, ProductSummationNetwork
-from neurosim.simulators.base import FORMAT, VERSION
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
@@ -42,6 +43,24 @@ NOISE = {
     "coupling_features": list(COUPLING_FEATURES),
     "tail_features": list(TAIL_FEATURES),
     "motion_features": list(MOTION_FEATURES),
+}
+#: Networks by the name of their kind.
+NETWORKS = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
+_COUNT = Number(0, 10**6, whole=True)
+#: What simulator.json says of a motion network, beside :data:`ABOUT`.
+FIELDS: dict[str, Shape] = {
+    "kind": OneOf(MotionNetwork.kind),
+    "inputs": [{"name": str, "unit?": str}],
+    "network": dict,
+    "coordinates": str,
+    "derived?": {"swing?": Number(above=-1.0, high=1.0 - 1e-12)},
+    "drive?": Maybe([str]),
+    "kernel_units?": _COUNT,
+    "members?": Number(1, 10**6, whole=True),
+    "central?": bool,
+    "noise?": dict,
+    "domain?": {"commands": {str: Rows(2)}, "rows": _COUNT, "reach": float},
+    "correction?": {one.name: float for one in fields(Correction)},
 }
 
 
@@ -105,22 +124,10 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             version, of the wrong shape, or not a number.
     """
     path = Path(folder) / "simulator.json"
-    kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
-    if kind != MotionNetwork.kind:
-        raise FileError(path, f"expected {MotionNetwork.kind!r}, found {kind!r}", field="kind")
-    fields = {"kind": str, "inputs": list, "network": dict, "coordinates": str}
-    content = files.read_json(path, FORMAT, VERSION, fields)
+    content = files.read_json(path, FORMAT, VERSION, {**FIELDS, **ABOUT})
     inputs = content["inputs"]
-    if not all(isinstance(i, dict) and isinstance(i.get("name"), str) for i in inputs):
-        raise FileError(path, "expected a list of {name, unit}", field="inputs")
-    derived = _derived(path, content)
-    try:
-        shape = dict(content["network"])
-        kinds = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
-        make = kinds[shape.pop("kind", "product-summation")]
-        network = make(len(inputs) + len(derived), **shape)
-    except (KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"is no network ({error})", field="network") from None
+    derived = Derived(content.get("derived", {}).get("swing"))
+    network = _network(path, content["network"], len(inputs) + len(derived))
     members, noisy = _members_and_noise(path, content)
     if content["coordinates"] not in COORDINATES:
         raise FileError(
@@ -129,12 +136,12 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             "the simulator anew",
             field="coordinates",
         )
-    central = content.get("central", False) is True
+    central = content.get("central", False)
     expected: dict[str, tuple[int | None, ...]] = dict(
         _tensors(network, len(inputs), members + central)
     )
     actuators = len(CommandFeatures.of(tuple(i["name"] for i in inputs)).driven)
-    drives, units = content["coordinates"] == "residual-twist", _units(path, content)
+    drives, units = content["coordinates"] == "residual-twist", content.get("kernel_units", 0)
     if drives:
         if content.get("drive") != list(DriveModel.NAMES):
             raise FileError(
@@ -161,8 +168,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         raise FileError(weights, "expected numbers above 0", field="input_scale")
     known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-    others = ("format", "version", "outputs", "members", "central", "noise", "derived")
-    described = (*others, "drive", "kernel_units", "domain", "correction", *fields)
+    described = {"format", "version", "outputs", *(name.removesuffix("?") for name in FIELDS)}
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(
@@ -186,54 +192,56 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         raise FileError(path, f"is no motion network ({error})") from None
 
 
+def _network(
+    path: Path, about: Mapping[str, Any], inputs: int
+) -> ProductSummationNetwork | Perceptron:
+    kind = about.get("kind", "product-summation")
+    if kind not in NETWORKS:
+        raise FileError(
+            path, f"expected one of {', '.join(NETWORKS)}, found {kind!r:.60}", field="network.kind"
+        )
+    shape = {name: value for name, value in about.items() if name != "kind"}
+    files.check_fields(path, shape, fields_of(NETWORKS[kind]), "network")
+    try:
+        return NETWORKS[kind](inputs, **shape)
+    except (TypeError, ValueError) as error:
+        raise FileError(path, f"is no network ({error})", field="network") from None
+
+
 def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:
     if content["version"] == 1:
         return 1, False
-    members, noise = content.get("members"), content.get("noise")
-    if isinstance(members, bool) or not isinstance(members, int) or members < 1:
-        raise FileError(path, f"expected a number from 1, found {members!r}", field="members")
-    if noise is not None and noise != NOISE:
+    if "members" not in content:
+        raise FileError(path, "is missing", field="members")
+    noise = content.get("noise")
+    if noise is None:
+        return content["members"], False
+    if noise.get("kind") != NOISE["kind"]:
         raise FileError(
             path,
-            "is no noise model that this version reads: train the simulator anew",
-            field="noise",
+            f"{noise.get('kind')!r:.60} is no noise model that this version reads, which is "
+            f"{NOISE['kind']!r}: train the simulator anew",
+            field="noise.kind",
         )
-    return members, noise is not None
-
-
-def _derived(path: Path, content: Mapping[str, Any]) -> Derived:
-    found = content.get("derived", {})
-    if isinstance(found, dict) and set(found) <= {"swing"}:
-        swing = found.get("swing")
-        number = isinstance(swing, int | float) and not isinstance(swing, bool) and abs(swing) < 1
-        if swing is None or number:
-            return Derived(swing)
-    raise FileError(
-        path, "expected swing (a number, or null): train the simulator anew", field="derived"
-    )
+    for name, known in NOISE.items():
+        if noise.get(name) != known:
+            raise FileError(
+                path,
+                f"the noise model {NOISE['kind']!r} of this version has {', '.join(known)}, not "
+                f"{noise.get(name)!r:.60}: train the simulator anew",
+                field=f"noise.{name}",
+            )
+    return content["members"], True
 
 
 def _correction(path: Path, content: Mapping[str, Any]) -> Correction:
     found = content.get("correction")
     if found is None:
         return Correction()
-    names = list(asdict(Correction()))
-    numbers = isinstance(found, dict) and all(
-        isinstance(value, int | float) and not isinstance(value, bool) for value in found.values()
-    )
-    if not numbers or list(found) != names:
-        raise FileError(path, f"expected {', '.join(names)}, numbers", field="correction")
     try:
-        return Correction(**{name: float(value) for name, value in found.items()})
+        return Correction(**{one.name: float(found[one.name]) for one in fields(Correction)})
     except ValueError as error:
         raise FileError(path, str(error), field="correction") from None
-
-
-def _units(path: Path, content: Mapping[str, Any]) -> int:
-    units = content.get("kernel_units", 0)
-    if isinstance(units, bool) or not isinstance(units, int) or units < 0:
-        raise FileError(path, f"expected a number from 0, found {units!r}", field="kernel_units")
-    return units
 
 
 def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[np.uint8]) -> Domain:
@@ -242,8 +250,8 @@ def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[n
         if seen.dtype != np.uint8 or (seen > 1).any():
             raise ValueError("domain.seen is of zeros and ones, uint8")
         ranges, rows = said["commands"], said["rows"]
-        if tuple(ranges) != names or isinstance(rows, bool) or not isinstance(rows, int):
-            raise ValueError(f"expected commands ({', '.join(names)}), and a number of rows")
+        if tuple(ranges) != names:
+            raise ValueError(f"expected commands ({', '.join(names)})")
         ends = np.array([ranges[name] for name in names], np.float64).reshape(len(names), 2)
         return Domain(names, ends[:, 0], ends[:, 1], rows, float(said["reach"]), seen)
     except (KeyError, TypeError, ValueError) as error:

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from neurosim.base.errors import UserError
+from neurosim.base.schema import Number, Rows, Shape
 
 #: No robot of this kind is slower, s.
 SLOWEST = 1.0
@@ -30,6 +31,11 @@ class Reaction:
         UserError: if one of them is not a time of 0 to 1 s.
     """
 
+    #: What :meth:`to_json` returns, as it is checked where a file is read.
+    FIELDS: ClassVar[dict[str, Shape]] = {
+        "hold": Number(0.0, SLOWEST), "answer": Number(0.0, SLOWEST), "lag": Rows(2, most=SLOWEST)
+    }  # fmt: skip
+
     hold: float = 0.0
     answer: float = 0.0
     lag: tuple[float, float] = (0.0, 0.0)
@@ -51,18 +57,13 @@ class Reaction:
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Reaction:
-        """Return what :meth:`to_json` gave.
+        """Return what :meth:`to_json` gave, of the shape of :attr:`FIELDS`.
 
         Raises:
-            UserError: if something is missing, or no time.
+            UserError: if something is no time of 0 to 1 s.
         """
-        lag = content.get("lag")
-        if not isinstance(lag, list) or len(lag) != 2:
-            raise UserError("expected the lags of two wheels")
-        # What is missing is refused where every value is checked.
-        hold: Any = content.get("hold")
-        answer: Any = content.get("answer")
-        return cls(hold, answer, (lag[0], lag[1]))
+        left, right = content["lag"]
+        return cls(content["hold"], content["answer"], (left, right))
 
 
 def _wheels(lag: tuple[float, float]) -> list[tuple[str, float]]:

@@ -15,7 +15,7 @@ a Khepera this is what its manual's order of sensors asks for: 0 to 5 from left 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -91,6 +91,29 @@ class Samples:
             lines += ["".join(f"{_activation(value)} " for value in row) for row in turn]
         with files.atomic_path(path) as partial:
             partial.write_bytes("".join(line + self.line_end for line in [*lines, "END"]).encode())
+
+
+def as_evorobotpy2(samples: Samples, *, cylinder: bool) -> Samples:
+    """Return samples as the simulator evorobotpy2 reads them.
+
+    It takes the rows the other way round (an object in row k is further to the robot's left), and
+    it has a cylinder's samples at distances that are twice the first one nearer than the file says:
+    10 mm of the published ones. Beyond the last sampled distance the last row stands.
+
+    Source: S. Nolfi, evorobotpy2, ``updateInfraredSensor`` in lib/robot-env.cpp.
+
+    Args:
+        samples: as they were read.
+        cylinder: whether they are of a cylinder.
+    """
+    rows = np.roll(samples.activations[:, ::-1], 1, axis=1)
+    if cylinder:
+        count = len(rows)
+        places = np.arange(count) + 2.0 * samples.first_distance / samples.distance_step
+        below = np.minimum(places.astype(int), count - 1)
+        above, share = np.minimum(below + 1, count - 1), (places % 1.0)[:, None, None]
+        rows = (1.0 - share) * rows[below] + share * rows[above]
+    return replace(samples, activations=rows)
 
 
 def _is_whole(line: str, sensors: int) -> bool:

@@ -5,15 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.samples import Samples, as_evorobotpy2
 
 #: The classes of objects: straight walls, and round obstacles of the size that was sampled.
 OBJECTS = ("wall", "cylinder")
+#: How the rows and distances of ``.sample`` files are read.
+Convention = Literal["neurosim", "evorobotpy2"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,8 +113,15 @@ class SensorTable:
         )
 
     @classmethod
-    def from_files(cls, paths: Sequence[str | Path]) -> SensorTable:
+    def from_files(
+        cls, paths: Sequence[str | Path], convention: Convention = "neurosim"
+    ) -> SensorTable:
         """Make a table of ``.sample`` files; the object's class is part of each file's name.
+
+        Args:
+            paths: of the files.
+            convention: how their rows and distances are read, see
+                :func:`~neurosim.simulators.tables.samples.as_evorobotpy2`.
 
         Raises:
             FileError: if a file is not what it should be.
@@ -126,6 +136,8 @@ class SensorTable:
                     f"{path}: which object was sampled? The file's name must contain "
                     f"{' or '.join(OBJECTS)}"
                 )
+            if convention == "evorobotpy2":
+                found = as_evorobotpy2(found, cylinder=named[0] == "cylinder")
             samples[named[0]].append(found)
         return cls.from_samples(samples)
 

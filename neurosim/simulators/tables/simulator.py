@@ -31,19 +31,38 @@ from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.schema import Number, OneOf, Shape
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.trajectory import Draws, Episode
-from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
 from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
 from neurosim.simulators.tables.motor_table import MotorTable
+from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
+#: Sizes and noise are within these, m (or m and shares).
+_SIZE, _LARGE = Number(0.0, 10.0), Number(0.0, 100.0)
+#: What simulator.json says of tables, beside :data:`ABOUT`.
+FIELDS: dict[str, Shape] = {
+    "kind": OneOf("tables"),
+    "sensors": {
+        "objects": [str],
+        "first_distance": _SIZE,
+        "distance_step": Number(above=0.0, high=10.0),
+        "repeated?": bool,
+    },
+    "motors": {"resolution": _LARGE, "repeated?": bool},
+    "radius": Number(above=0.0, high=10.0),
+    "noise": {"kind": OneOf(*NOISES), "level": _LARGE},
+    "arena": dict,
+    "reaction?": Reaction.FIELDS,
+}
 #: Radius of a Khepera, m.
 RADIUS = 0.0275
 #: Duration of a step of which uniform noise is a share of the range, s.
@@ -137,6 +156,14 @@ class TableSimulator(Simulator):
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return random poses [count, 3] where the robot touches nothing."""
         return self.arena.free_poses(count, self.radius, rng)
+
+    def elsewhere(self, count: int, seed: int) -> Simulator:
+        """Return this simulator in ``count`` other arenas, drawn from a seed."""
+        return ManyArenas(self, count, seed)
+
+    def touching(self, poses: np.ndarray) -> np.ndarray:
+        """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
+        return self.arena.clearance(poses[..., :2]) < self.radius + SLACK
 
     def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
@@ -454,31 +481,10 @@ class TableSimulator(Simulator):
                 version, of the wrong shape, or not a number.
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
-        fields: dict[str, Any] = {
-            "kind": str,
-            "sensors": dict,
-            "motors": dict,
-            "radius": (int, float),
-            "noise": dict,
-            "arena": dict,
-        }
-        content = files.read_json(path, FORMAT, VERSION, fields)
-        if content["kind"] != cls.kind:
-            raise FileError(path, f"expected {cls.kind!r}, found {content['kind']!r}", field="kind")
+        content = files.read_json(path, FORMAT, VERSION, {**FIELDS, **ABOUT})
         about, motors, noise = content["sensors"], content["motors"], content["noise"]
-        if about.get("objects") != list(OBJECTS):
+        if about["objects"] != list(OBJECTS):
             raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
-        for name, value in (
-            ("sensors.first_distance", about.get("first_distance")),
-            ("sensors.distance_step", about.get("distance_step")),
-            ("motors.resolution", motors.get("resolution")),
-            ("radius", content["radius"]),
-            ("noise.level", noise.get("level")),
-        ):
-            wrong = isinstance(value, bool) or not isinstance(value, int | float)
-            free = name in ("sensors.first_distance", "motors.resolution", "noise.level")
-            if wrong or not math.isfinite(value) or value < 0 or (value == 0 and not free):
-                raise FileError(path, f"expected a length or size, found {value!r:.60}", field=name)
         shapes = {
             "sensor_mean": (len(OBJECTS), None, None, None),
             "motor_levels": (None,),
@@ -489,10 +495,8 @@ class TableSimulator(Simulator):
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
         found = files.read_tensors(tables, shapes)
-        reaction = content.get("reaction", {})
-        if not isinstance(reaction, dict):
-            raise FileError(path, "expected times", field="reaction")
-        described = ("format", "version", "reaction", *fields)
+        reaction = content.get("reaction")
+        described = {"format", "version", *(name.removesuffix("?") for name in FIELDS)}
         try:
             return cls(
                 SensorTable(
@@ -509,7 +513,7 @@ class TableSimulator(Simulator):
                 ),
                 Arena.from_json(path, content["arena"]),
                 content["radius"],
-                noise.get("kind"),
+                noise["kind"],
                 noise["level"],
                 Reaction.from_json(reaction) if reaction else Reaction(),
                 {key: value for key, value in content.items() if key not in described},

@@ -1,0 +1,129 @@
+"""Do networks that were evolved to avoid obstacles avoid them in arenas that they have not met?
+
+Networks are evolved in tables in the paper's way (one arena, contacts are free) and in many arenas
+where a contact ends what counts, several runs of each, of which the evolution keeps the best.
+They are then driven for 60 s from random starts in ten arenas that none was evolved in, beside a
+hand-written Braitenberg vehicle: the share of drives that touch something, and the fitness. With
+--lab-drives so many in each arena are driven by a robot of the virtual lab, too.
+
+    neurosim sample samples --grid 5 --repeats 2
+    neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables
+    python benchmarks/generalisation.py tables             about ten minutes
+    python benchmarks/generalisation.py tables --lab-drives 10
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+from typing import Any
+
+import numpy as np
+
+import neurosim as ns
+from neurosim.base.trajectory import Episode
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.simulators.tables.places import random_arena
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
+from neurosim.trials.reality import in_lab
+
+SECONDS = 60.0
+#: Weights of the vehicle's sensors on the wheel of the other side, from the front to the side.
+CROSSED = (1.0, 0.7, 0.4)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("tables", help="folder of a table simulator of a Khepera")
+    parser.add_argument("--arenas", type=int, default=10, help="to be tried in")
+    parser.add_argument("--drives", type=int, default=50, help="in each of them")
+    parser.add_argument("--generations", type=int, default=150)
+    parser.add_argument("--runs", type=int, default=4)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--lab-drives", type=int, default=0)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    tables = ns.load(options.tables)
+    paper = ns.make_task("obstacle-avoidance")
+    many = ns.make_task("obstacle-avoidance", steps=1500, contacts="end")
+    network = ns.make_controller("network", tables, paper)
+    how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
+    found: dict[str, np.ndarray] = {"Braitenberg vehicle": braitenberg()}
+    seconds = {}
+    for name, task, more in (
+        ("evolved, the paper's way", paper, {}),
+        ("evolved in many arenas", many, {"arenas": 100, "objective": "fitness"}),
+    ):
+        began = time.monotonic()
+        found[name] = ns.evolve(tables, task, network, progress=False, **how, **more)[0].genes
+        seconds[name] = time.monotonic() - began
+    rng = np.random.default_rng(2**31 + options.seed)
+    arenas = [random_arena(rng) for _ in range(options.arenas)]
+    rows = []
+    ways = (("tables", in_tables, options.drives), ("lab", in_the_lab, options.lab_drives))
+    for where, drive, drives in ways:
+        for name, genes in found.items() if drives else ():
+            touched, fitness = drive(tables, network, genes, arenas, drives, options.seed)
+            row = {"where": where, "name": name, "drives": touched.size}
+            row |= {"touched": touched.mean(), "worst": touched.mean(1).max()}
+            row |= {"fitness": fitness.mean(), "seconds": seconds.get(name, 0.0)}
+            rows.append(row)
+            if not options.json:
+                print(
+                    f"{where:6} {name:24} touches in {100 * row['touched']:5.1f} % of "
+                    f"{touched.size} drives, in the worst arena {100 * row['worst']:3.0f} %; "
+                    f"fitness {row['fitness']:5.1f} of {10 * SECONDS:.0f}",
+                    flush=True,
+                )
+    if options.json:
+        print(json.dumps({"rows": rows}))
+
+
+def braitenberg(speed: float = 1.2, gain: float = 4.0) -> np.ndarray:
+    """Return genes [18] of a vehicle whose wheels are slowed by what is near on the other side."""
+    weights = np.zeros((2, 9))
+    weights[0, [3, 4, 5]] = weights[1, [2, 1, 0]] = -gain * np.array(CROSSED)
+    weights[:, 8] = speed
+    return weights.reshape(-1)
+
+
+def in_tables(
+    tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return of drives in each arena whether they touch something, and fitness, [A, D] each."""
+    rng, episode = np.random.default_rng(seed), Episode(0.1, round(10 * SECONDS), readings=True)
+    touched, fitness = [], []
+    for arena in arenas:
+        simulator = tables.changed(arena=arena)
+        rollouts = rollouts_of(simulator, network, episode)
+        draws = rollouts.draw(simulator.free_poses(drives, rng), rng)
+        driven = rollouts.run(genes[None], draws)
+        assert driven.poses is not None
+        touched.append(simulator.touching(driven.poses)[0, :, 1:].any(-1))
+        fitness.append(avoidance(driven)[0])
+    return np.array(touched), np.array(fitness)
+
+
+def in_the_lab(
+    tables: Any, network: Any, genes: np.ndarray, arenas: list[Any], drives: int, seed: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the same of a robot of the virtual lab, that which sampled the tables."""
+    rng = np.random.default_rng(seed)
+    touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
+    for a, arena in enumerate(arenas):
+        simulator = tables.changed(arena=arena)
+        evaluator = Evaluator(simulator, ObstacleAvoidance(), network)
+        with in_lab(evaluator, seed=seed + a) as trials:
+            for d, start in enumerate(simulator.free_poses(drives, rng)):
+                trials.rest()
+                trials._place(start)
+                driven = trials.drive(genes, round(10 * SECONDS), trials._pose(start))
+                assert driven.poses is not None
+                touched[a, d] = simulator.touching(driven.poses[1:]).any()
+                fitness[a, d] = avoidance(driven)
+    return touched, fitness
+
+
+if __name__ == "__main__":
+    main()

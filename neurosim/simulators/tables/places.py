@@ -1,0 +1,250 @@
+"""Many arenas in the place of one: what is evolved in one arena knows that arena, and no other.
+
+Arenas are drawn at random: rectangles, slanted quadrilaterals and L-shapes of 0.4 to 0.9 m, with
+round obstacles and walls inside, wherever a robot can pass between. They stand on one floor,
+:data:`PITCH` apart along x, so that a pose says which of them a robot is in.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.tables.arena import Arena
+
+#: From the middle of one arena to that of the next, m.
+PITCH = 100.0
+#: Sides of an arena, m, and radius of its obstacles: that of the one which robots sample.
+SIDES, OBSTACLE = (0.4, 0.9), 0.0275
+#: Most obstacles and inner walls; lengths of the latter, m.
+MOST, LENGTHS = (4, 2), (0.05, 0.2)
+#: Sizes are for a robot of this radius, m, and grow with it; a passage is so much wider than it.
+_RADIUS, _SPARE = 0.0275, 0.03
+#: Something that finds no room is given up after so many tries.
+_TRIES = 50
+
+
+def random_arena(rng: np.random.Generator, radius: float = _RADIUS) -> Arena:
+    """Return an arena drawn at random, in which a robot of ``radius`` (m) can pass everywhere.
+
+    Raises:
+        UserError: if the radius is none.
+    """
+    if not 0 < radius <= 10:
+        raise UserError(f"a robot's radius lies above 0 and up to 10 m, not {radius:g} m")
+    scale = radius / _RADIUS
+    room = 2.0 * radius + scale * _SPARE
+    outline = _outline(rng, scale)
+    found = Arena(outline)
+    for _ in range(rng.integers(MOST[0] + 1)):
+        place = _free(rng, found, room + OBSTACLE, lambda at: at[None])
+        if place is not None:
+            obstacle = (float(place[0, 0]), float(place[0, 1]), OBSTACLE)
+            found = Arena(outline, (*found.obstacles, obstacle), found.inner)
+    for _ in range(rng.integers(MOST[1] + 1)):
+        turn, length = rng.uniform(0.0, 2.0 * math.pi), scale * rng.uniform(*LENGTHS)
+        along = np.linspace(0.0, length, 21)[:, None] * (math.cos(turn), math.sin(turn))
+        line = _free(rng, found, room, lambda at, along=along: at + along)  # type: ignore[misc]
+        if line is not None:
+            (x1, y1), (x2, y2) = line[[0, -1]].tolist()
+            found = Arena(outline, found.obstacles, (*found.inner, (x1, y1, x2, y2)))
+    return found
+
+
+def _outline(rng: np.random.Generator, scale: float) -> tuple[Any, ...]:
+    width, height = scale * rng.uniform(*SIDES, 2)
+    x, y = width / 2, height / 2
+    corners = np.array([(-x, -y), (x, -y), (x, y), (-x, y)])
+    shape = rng.integers(3)
+    if shape == 1:
+        corners *= rng.uniform(0.75, 1.0, (4, 1))
+    elif shape == 2:
+        a, b = x - rng.uniform(0.25, 0.6) * width, y - rng.uniform(0.25, 0.6) * height
+        corners = np.array([(-x, -y), (x, -y), (x, b), (a, b), (a, y), (-x, y)])
+    turn = rng.uniform(-math.pi, math.pi)
+    cos, sin = math.cos(turn), math.sin(turn)
+    corners = corners @ np.array([(cos, sin), (-sin, cos)])
+    ends = np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
+    return tuple(tuple(wall) for wall in ends.tolist())
+
+
+def _free(
+    rng: np.random.Generator,
+    arena: Arena,
+    room: float,
+    points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+) -> NDArray[np.float64] | None:
+    """Return points [N, 2] of something with so much room around it, m; None: none was found."""
+    x1, y1, x2, y2 = arena.bounds
+    for _ in range(_TRIES):
+        found = points(rng.uniform((x1, y1), (x2, y2)))
+        if (arena.clearance(found) > room).all():
+            return found
+    return None
+
+
+class ManyArenas(Simulator):
+    """A table simulator in many arenas: a trial is in that in which it starts.
+
+    Attributes:
+        own: the simulator, in its own arena.
+        places: the same in each of the others.
+    """
+
+    kind = "tables"
+
+    def __init__(self, own: Any, count: int, seed: int):
+        """Draw ``count`` arenas from a seed; ``own`` is a table simulator."""
+        rng = np.random.default_rng([seed, count])
+        self.own = own
+        self.state_names, self.command_names = own.state_names, own.command_names
+        self.has_noise, self.noise_width = own.has_noise, own.noise_width
+        self.reading_names, self.radius = own.reading_names, own.radius
+        self.places = [own.changed(arena=random_arena(rng, own.radius)) for _ in range(count)]
+
+    @property
+    def bearings(self) -> NDArray[np.float64]:
+        """Where the sensors look, [S] rad to the left."""
+        bearings: NDArray[np.float64] = self.own.bearings
+        return bearings
+
+    @property
+    def domain(self) -> Mapping[str, tuple[float, float]]:
+        """The limits of commands."""
+        domain: Mapping[str, tuple[float, float]] = self.own.domain
+        return domain
+
+    def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+        """Return random poses [count, 3] where the robot touches nothing, each in any arena."""
+        chosen = rng.integers(len(self.places), size=count)
+        poses = np.concatenate([self.places[place].free_poses(1, rng) for place in chosen])
+        return _moved(poses, chosen)
+
+    def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
+        where, found = _place_of(poses), np.zeros(poses.shape[:-1], np.bool_)
+        for place in np.unique(where):
+            here = where == place
+            found[here] = self.places[place].touching(_moved(poses[here], -place))
+        return found
+
+    def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
+        """Return the states [B, 7] of robots that stand at ``pose`` [B, 3]."""
+        return self.own.start(pose, generator)
+
+    def step(
+        self,
+        state: Tensor,
+        command: Tensor,
+        generator: torch.Generator | None = None,
+        z: Tensor | None = None,
+    ) -> Tensor:
+        """Return the states [B, 7] after ``command`` [B, 3]."""
+        found = torch.empty_like(state)
+        for here, local, place in self._split(state):
+            given = None if z is None else z[here]
+            after = self.places[place].step(local, command[here], generator, given)
+            after[:, 0] += PITCH * place
+            found[here] = after
+        return found
+
+    def sense(
+        self, state: Tensor, generator: torch.Generator | None = None, z: Tensor | None = None
+    ) -> Tensor:
+        """Return the readings [B, S] of robots in ``state`` [B, 7]."""
+        found = torch.empty(len(state), len(self.reading_names), dtype=torch.float64)
+        for here, local, place in self._split(state):
+            given = None if z is None else z[here]
+            found[here] = self.places[place].sense(local, generator, given).to(found)
+        return found
+
+    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
+        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
+        return self.own.draw_noise(rows, steps, generator)
+
+    def noise_of(self, draws: Draws, steps: int) -> NDArray[np.float64] | None:
+        """Return the numbers [R, steps, noise_width] of drawn outcomes' noise, or None."""
+        return self.own.noise_of(draws, steps)
+
+    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
+        """Return compiled rollouts, where the tables have them."""
+        if self.own.rollouts(controller, episode) is None:
+            return None
+        return _Rollouts(self, controller, episode)
+
+    def _split(self, state: Tensor) -> list[tuple[Tensor, Tensor, int]]:
+        """Return rows, their states as the arena has them, and the arena, of each arena."""
+        where = torch.from_numpy(_place_of(state[:, :3].numpy()))
+        found = []
+        for place in where.unique().tolist():
+            here = where == place
+            local = state[here].clone()
+            local[:, 0] -= PITCH * place
+            found.append((here, local, place))
+        return found
+
+
+class _Rollouts:
+    """Rollouts in many arenas: those of the tables, arena by arena."""
+
+    def __init__(self, simulator: ManyArenas, controller: Any, episode: Episode):
+        self._simulator, self._controller, self._episode = simulator, controller, episode
+        self._own: Any = simulator.own.rollouts(controller, episode)
+        self._of: dict[int, Any] = {}
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Draw outcomes, as in one arena."""
+        return self._own.draw(starts, rng, placing)
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        where = _place_of(draws.starts)
+        parts = []
+        for place in np.unique(where).tolist():
+            if place not in self._of:
+                local = self._simulator.places[place]
+                self._of[place] = local.rollouts(self._controller, self._episode)
+            here = np.flatnonzero(where == place)
+            some = Draws(
+                _moved(draws.starts[here], -place),
+                None if draws.member is None else draws.member[here],
+                None if draws.noise is None else draws.noise[here],
+                None if draws.seeds is None else draws.seeds[here],
+            )
+            driven = self._of[place].run(genes, some)
+            parts.append((here, driven, _moved(driven.poses, place)))
+        order = np.argsort(np.concatenate([here for here, _, _ in parts]), kind="stable")
+
+        def joined(name: str) -> Any:
+            each = [getattr(driven, name) for _, driven, _ in parts]
+            return np.concatenate(each, axis=1)[:, order] if np.ndim(each[0]) > 1 else each[0]
+
+        poses = np.concatenate([moved for _, _, moved in parts], axis=1)[:, order]
+        names = ("commands", "durations", "readings", "active", "segment")
+        return Trajectory(poses, *(joined(name) for name in names))
+
+
+def _place_of(poses: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Return in which arena each of poses [..., 3] is, [...]."""
+    return np.rint(poses[..., 0] / PITCH).astype(np.int64)
+
+
+def _moved(poses: NDArray[np.float64], places: NDArray[np.int64] | int) -> NDArray[np.float64]:
+    """Return poses [..., 3] so many arenas further on."""
+    found = np.array(poses, np.float64)
+    found[..., 0] += PITCH * np.asarray(places)
+    return found

@@ -1,0 +1,86 @@
+"""Damaged files through the verbs that read them: a few of what benchmarks/fuzz.py does."""
+
+import json
+import random
+import shutil
+
+import pytest
+from fuzz import TARGETS, case, make
+from mutations import damage
+
+#: What learns, evolves or compiles takes seconds, and is left to the benchmark.
+QUICK = ("dataset", "build-tables", "report dataset", "view arena.json", "evaluate perceptron")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("made")
+    make(folder, lab=False)
+    return folder
+
+
+def targets(*lines):
+    return [one for one in TARGETS if not one.lab and one.line.startswith(lines)]
+
+
+def attack(made, scratch, chosen, cases, seed):
+    faults = []
+    for number in range(cases):
+        result = case(made, scratch, chosen, seed, number)
+        if result["fault"]:
+            faults.append((number, result))
+    assert not faults
+
+
+def test_a_few_damaged_files(made, tmp_path):
+    attack(made, tmp_path, targets(*QUICK), 60, seed=1)
+
+
+@pytest.mark.slow
+def test_damaged_files_of_every_kind(made, tmp_path):
+    attack(made, tmp_path, targets(""), 150, seed=2)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '{"a": ' + "9" * 5000 + "}",
+        '{"a": 1e999}',
+        '{"a": NaN}',
+        "[" * 100_000,
+        '{"a":' * 50_000,
+        '{"a": 1, "a": 2}',
+        "\x00",
+        "",
+    ],
+    ids=["digits", "float", "nan", "brackets", "objects", "twice", "zero", "empty"],
+)
+@pytest.mark.parametrize("line", ["evaluate simulator dataset", "view tables --controller net"])
+def test_json_that_nothing_can_work_with(made, tmp_path, text, line):
+    target = targets(line)[0]
+    for name in (*target.reads, *target.beside):
+        shutil.copytree(made / name, tmp_path / name)
+    path = next((tmp_path / target.reads[0]).glob("*.json"))
+    path.write_text(text)
+    from fuzz import call
+
+    code, said, fault = call(target.line.split(), tmp_path)
+    assert (code, fault) == (1, "")
+    assert said.count("\n") == 1
+    assert path.name in said
+
+
+def test_a_mutation_changes_the_file_and_says_how(tmp_path):
+    """Without that the attack would be none."""
+    path = tmp_path / "x.json"
+    whole = json.dumps({"format": "x", "a": [1, 2, 3], "b": {"c": "d"}})
+    changed = 0
+    for seed in range(200):
+        path.write_text(whole)
+        assert damage(path, random.Random(seed)).startswith("x.json: ")
+        there = path.is_file() and not path.is_symlink()
+        changed += not there or path.read_bytes() != whole.encode()
+        if path.is_dir():
+            path.rmdir()
+        path.unlink(missing_ok=True)
+    assert changed > 180
