@@ -38,6 +38,19 @@ def test_a_camera_that_waits_is_tracked_frame_by_frame():
     assert live.passed_over == 0
 
 
+def test_tracking_begins_anew_where_a_video_begins_again():
+    seen = []
+    live = LiveTracker(COLOURS, None, lambda: 0.0, seen.append, waits=True)
+    film = list(frames(20))
+    for when, frame in film + film[5:10]:  # back by 15 frames at the seam: 45 pixels, 0.7 rad
+        live.take(when, frame)
+    live.close()
+    assert all(each.sighting.found for each in seen)
+    anew = Tracker(*COLOURS)
+    again = [anew.update(frame, when) for when, frame in film[5:10]]
+    assert [each.sighting.quality for each in seen[20:]] == [each.quality for each in again]
+
+
 def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
     seen, go, busy = [], threading.Event(), threading.Event()
 

@@ -61,11 +61,15 @@ def state_of(url, after=0):
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
 def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
     with watching("--camera", video.name, cwd=tmp_path) as (child, url):
-        number = 0
-        while number < 30:  # it has 12 frames
-            state = state_of(url, number)
-            number = state["number"]
-        assert state["found"] is True
+        states = [state_of(url)]
+
+        def newer():
+            states.append(state_of(url, states[-1]["number"]))
+            return states[-1]
+
+        for _ in range(2):
+            wait_until(lambda: newer()["time"] < states[-2]["time"], "the video's beginning")
+            wait_until(lambda: newer()["found"], "the robot")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
         assert child.stderr.read() == ""
@@ -155,5 +159,18 @@ def test_a_video_that_goes_away_is_a_camera_that_failed(video):
     camera.stop()
     assert len(seen) == 12
     assert np.all(np.diff(seen) > 0)
+
+
+def test_a_video_that_begins_again_has_its_own_times_again(video):
+    camera = VideoCamera(video)
+    seen = []
+    camera.start(lambda time_, frame: seen.append(time_))
+    wait_until(lambda: len(seen) >= 30, "the third beginning")
+    camera.stop()
+    assert not camera.failed
+    assert seen[12:24] == seen[:12] == sorted(seen[:12])
+
+
+def test_what_is_no_video_is_no_camera(tmp_path):
     with pytest.raises(UserError, match="no such video"):
-        VideoCamera(video)
+        VideoCamera(tmp_path / "absent.avi")

@@ -160,6 +160,8 @@ def open_camera(
 class VideoCamera:
     """A video file as a camera: frames at their own pace, from the beginning again at the end.
 
+    Frames have the times of the file, so that time goes back where it begins again.
+
     Args:
         path: the file.
 
@@ -179,16 +181,14 @@ class VideoCamera:
         """Deliver every frame from a thread, at the times of the file."""
 
         def play() -> None:
-            begun = passed = 0.0
             try:
                 while not self._stopped.is_set():
-                    begun, zero = begun + passed, _time.monotonic()
+                    zero = _time.monotonic()
                     with Video(self._path) as video:
                         for _, time, frame in video:
                             if self._stopped.wait(max(0.0, zero + time - _time.monotonic())):
                                 return
-                            on_frame(begun + time, frame)
-                            passed = time + 1.0 / self.fps
+                            on_frame(time, frame)
             except UserError:
                 self.failed = True
 
