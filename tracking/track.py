@@ -5,21 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import new_folder, write_csv, write_json
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
-from tracking.clock.motion import disagreement, fit_clock_to_motion
+from tracking.clock.motion import disagreement, fit_clock_to_motion, follows_commands
 from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.clock.sync import ClockFit, fit_clock, pulses
-from tracking.datasets.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
+from tracking.datasets.recordings import (
+    TRACKING_FORMAT,
+    VERSION,
+    CommandLine,
+    Poses,
+    Recording,
+)
 from tracking.follow import Track, follow
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import STILL, warning
@@ -58,7 +64,7 @@ def track(
             not looked at again.
         sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
             the robot's answers to its commands.
-        doubtful: whether poses are wanted of a pair that may not be the robot's.
+        doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
@@ -102,24 +108,26 @@ def track(
             )
         tracks.append((path, seen))
         poses = board_poses(seen, markers, camera)
+        certain = np.where(seen.doubtful[:, None], np.nan, poses)
         own = [line for line in lines if line.session == session]
         driven = [line for line in own if line.is_motor]
         problem = None
         try:
             if sync == "motion":
-                clock = fit_clock_to_motion(seen.time, poses, driven)
+                clock = fit_clock_to_motion(seen.time, certain, driven)
             else:
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
-                problem = disagreement(clock, seen.time, poses, driven)
+                problem = disagreement(clock, seen.time, certain, driven)
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
-        delay = motion_delay(clock.to_robot(seen.time), poses, driven)
-        count = len(seen.frame)
-        parts.append(
-            Poses(
-                np.full(count, session), seen.frame, clock.to_robot(seen.time), poses, seen.quality
-            )
-        )
+        at = clock.to_robot(seen.time)
+        unclear = _unclear(seen.doubtful, at, poses, driven)
+        part = Poses(
+            np.full(len(seen.frame), session), seen.frame, at, poses, seen.quality,
+            unclear & seen.found,
+        )  # fmt: skip
+        delay = motion_delay(at, part.certain().pose, driven)
+        parts.append(part)
         sessions.append(
             {
                 **_session_summary(session, path, seen, clock, delay),
@@ -129,13 +137,13 @@ def track(
         )
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
-    if not doubtful:
-        _check_sure(tracks)
+    for (path, seen), part in zip(tracks, parts, strict=True):
+        doubt = _doubt_of(seen, tracks)
+        if doubt and not doubtful:
+            raise UserError(_refusal(path, doubt))
+        part.doubtful[:] |= bool(doubt) & seen.found
     joined = Poses(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("session", "frame", "time", "pose", "quality")
-        )
+        *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Poses))
     )
     found = joined.quality > 0
     summary = {
@@ -144,6 +152,7 @@ def track(
         "found": float(found.mean()),
         "quality": float(np.median(joined.quality[found])),
         "undecided": sum(session.get("undecided", 0) for session in sessions),
+        "doubtful": int(joined.doubtful.sum()),
         "sessions": sessions,
     }
     source.write_poses(joined)
@@ -173,13 +182,13 @@ def track_video(
         path: the video.
         front: the front marker's colour.
         rear: the rear marker's.
-        out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality, front_u,
-            front_v, rear_u, rear_v) and tracking.json; None to write nothing.
+        out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality,
+            doubtful, front_u, front_v, rear_u, rear_v) and tracking.json; None to write nothing.
         calibration: a calibration file or model.
         height: of the markers above the board, in metres; counts with a calibration only.
         overlay: write a video with the markers drawn over it here.
         clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
-        doubtful: whether poses are wanted of a pair that may not be the robot's.
+        doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
@@ -201,8 +210,10 @@ def track_video(
             path, front, rear,
             geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
         )  # fmt: skip
-        if not doubtful:
-            _check_sure([(path, seen)])
+        doubt = _doubt_of(seen, [(path, seen)])
+        if doubt and not doubtful:
+            raise UserError(_refusal(path, doubt))
+        unclear = (seen.doubtful | bool(doubt)) & seen.found
         if camera is None:
             ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
             # v runs down: mirrored, the heading is counter-clockwise as seen.
@@ -219,6 +230,7 @@ def track_video(
             names[1]: np.round(middle[:, 1], 5),
             "theta": np.round(unwrap(np.arctan2(axis[:, 1], axis[:, 0])), 6),
             "quality": np.round(seen.quality, 3),
+            "doubtful": unclear.astype(int),
             "front_u": np.round(seen.front[:, 0], 4),
             "front_v": np.round(seen.front[:, 1], 4),
             "rear_u": np.round(seen.rear[:, 0], 4),
@@ -232,6 +244,7 @@ def track_video(
             "quality": float(np.median(seen.quality[seen.found])),
             "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
             "undecided": seen.undecided,
+            "doubtful": int(unclear.sum()),
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
@@ -272,18 +285,39 @@ def _check_times(source: Recording, session: int, count: int) -> None:
     )
 
 
-def _check_sure(tracks: Sequence[tuple[str | Path, Track]]) -> None:
-    """Refuse a pair that may not be the robot's; in one session of several it may stand still."""
-    moves = any(all(colour.get("doubt") is None for colour in seen.colours) for _, seen in tracks)
-    for path, seen in tracks:
-        doubt = warning({"front": seen.colours[0], "rear": seen.colours[1]})
-        still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
-        if doubt and not (moves and still):
-            raise UserError(
-                f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a "
-                "video file) or in neurosim watch, name others with --colours, or take these with "
-                "--doubtful"
-            )
+def _doubt_of(seen: Track, tracks: Sequence[tuple[str | Path, Track]]) -> str | None:
+    """Return why a pair may not be the robot's; in one session of several it may stand still."""
+    moves = any(all(colour.get("doubt") is None for colour in one.colours) for _, one in tracks)
+    still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
+    if moves and still:
+        return None
+    return warning({"front": seen.colours[0], "rear": seen.colours[1]})
+
+
+def _refusal(path: str | Path, doubt: str) -> str:
+    return (
+        f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a video "
+        "file) or in neurosim watch, name others with --colours, or take these with --doubtful"
+    )
+
+
+def _unclear(
+    doubtful: NDArray, times: NDArray, poses: NDArray, lines: Sequence[CommandLine]
+) -> NDArray:
+    """Return where [N] a pair may not be the robot, less where it moves as the robot was told.
+
+    Args:
+        doubtful: [N] by its place alone.
+        times: [N] on the robot's clock, s.
+        poses: [N, 3].
+        lines: what was sent to the motors.
+    """
+    doubtful = doubtful.copy()
+    edges = np.flatnonzero(np.diff(np.pad(doubtful, 1).astype(int)))
+    for begin, end in edges.reshape(-1, 2):
+        if follows_commands(times[begin:end], poses[begin:end], lines):
+            doubtful[begin:end] = False
+    return doubtful
 
 
 def _camera(source: Recording, calibration: str | Path | CameraModel | None) -> CameraModel:

@@ -44,7 +44,7 @@ from neurosim.cli._types import NUMBER, PATH, PIXEL
 @click.option(
     "--doubtful",
     is_flag=True,
-    help="Write the poses of a pair that may not be the robot's, too.",
+    help="Write the poses of a pair that may not be the robot's, too, marked as doubtful.",
 )
 @click.option("-o", "--out", type=PATH, help="New folder for the poses of a video file.")
 @click.option(
@@ -121,6 +121,13 @@ def track(
             err=True,
         )
     problem = warning(markers)
+    if result["doubtful"] and not problem:
+        click.echo(
+            f"{recording}: {result['doubtful']} poses may be of another pair than the robot's: the "
+            "robot was lost, and one like it was found where it may not have come to by itself; "
+            "they are marked as doubtful, and neurosim dataset leaves them out",
+            err=True,
+        )
     if problem:
         click.echo(f"{recording}: {problem}; {remedy}", err=True)
     emit(

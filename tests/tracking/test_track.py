@@ -306,7 +306,9 @@ def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(reco
     done = CliRunner().invoke(verb, [str(recording.path), "--doubtful"])
     assert done.exit_code == 0, done.exception
     assert "the pair never moves" in done.stderr
-    assert (recording.path / "poses.csv").exists()
+    poses = recording.poses()
+    assert poses.doubtful.tolist() == (poses.quality > 0).tolist()
+    assert poses.doubtful.any()
 
 
 def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):
