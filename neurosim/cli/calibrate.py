@@ -81,6 +81,7 @@ def calibrate(
     """
     from tracking.camera.calibrate import calibrate as calibrate_
     from tracking.camera.calibrate import from_corners
+    from tracking.camera.lens import FEWEST_PHOTOGRAPHS, describe_left_out
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
@@ -102,6 +103,15 @@ def calibrate(
     else:
         model = from_corners(photographs[0], list(corners), board)
     model.write(out)
+    for each in model.left_out:
+        click.echo(describe_left_out(each), err=True)
+    if model.uncertainty is None:
+        click.echo(
+            f"{model.photographs} photographs are too few, or too much alike, to say how uncertain "
+            f"this is: take at least {FEWEST_PHOTOGRAPHS + 1}, better 20, with the chessboard "
+            "tilted in several directions and over the whole image",
+            err=True,
+        )
     matrix = model.camera_matrix
     result = {
         "calibration": str(out),
@@ -113,6 +123,7 @@ def calibrate(
         "cy": matrix[1, 2],
         "distortion": model.distortion,
         "uncertainty": model.uncertainty,
+        "left_out": list(model.left_out),
     }
     deviation = model.uncertainty or {}
     entries = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
@@ -131,4 +142,5 @@ def calibrate(
         if corners is not None
         else f"{model.photographs} photographs, RMS reprojection error {model.rms_px:.3f} px"
     )
-    emit(result, as_json, f"{out}: {how}, {said} px{where} (standard deviations)")
+    meaning = " (standard deviations)" if deviation else ""
+    emit(result, as_json, f"{out}: {how}, {said} px{where}{meaning}")

@@ -22,6 +22,7 @@ class View(NamedTuple):
 
     board: NDArray  # [N, 2] m
     pixels: NDArray  # [N, 2]
+    name: str = ""  # of the picture
 
 
 class Target(Protocol):
