@@ -218,6 +218,34 @@ def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
     assert min(each.confidence for each in noisy.found) > 0.6
 
 
+@pytest.mark.parametrize("colours", [("green", "blue"), ("blue", "pink")])
+@pytest.mark.parametrize(
+    "light",
+    [
+        lambda i: 0.55,
+        lambda i: 0.55 if i >= 30 else 1.0,
+        lambda i: 0.35 if 30 <= i < 60 else 1.0,
+        lambda i: 1.25 if i >= 30 else 1.0,
+        lambda i: max(0.3, 1.0 - 0.015 * i),
+    ],
+    ids=["dim", "dimmed", "dim for a second", "brighter", "ever less"],
+)
+def test_the_light_may_change(shared_data, colours, light):
+    steady, tracker = new_tracker(colours=colours), new_tracker(colours=colours)
+    with Video(shared_data / "footage" / "marker-pushed.avi") as video:
+        for i, (_, time, frame) in enumerate(video):
+            truth = pixels_of(steady.update(frame, time))
+            dimmed = np.clip(np.round(light(i) * frame.astype(float)), 0, 255).astype(np.uint8)
+            sighting = tracker.update(dimmed, time)
+            assert sighting.found, i
+            assert np.abs(pixels_of(sighting) - truth).max() < 1.5
+            if i == 90:
+                break
+    if light(0) < 1:
+        for dim, bright in zip(tracker.found, steady.found, strict=True):
+            assert dim.confidence > 0.8 * bright.confidence
+
+
 def hidden_plate(shared_data, tracker, twin_from=0):
     """Hide the plate that stands still for 3 s of 9 s; return its place before, and all after."""
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:

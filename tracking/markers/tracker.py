@@ -67,6 +67,9 @@ CAST_CADENCE = 8
 #: A picture has a cast worth trying to take out from this factor on.
 CAST_TRIED = 1.06
 
+#: The light has changed from one picture to the next where its level did by this factor.
+LIGHT_CHANGED = 1.1
+
 #: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
 #: many is forgotten, and the whole is begun anew.
 PASSING, DROP_AFTER = 15, 8
@@ -104,6 +107,8 @@ class Tracker:
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
+        # The level of the light in which the looks are as they were learned.
+        self._light = 1.0
         self._passes = 0
         self._scale: tuple[float, float, float] | None = None
         self._apart: tuple[bytes, float] | None = None
@@ -142,9 +147,11 @@ class Tracker:
         found = None
         self._frames += 1
         if self._cast is not None and (self._lost or self._frames % CAST_CADENCE == 0):
-            self._cast.update(frame)
+            self._follow_light(frame)
         if self._motion is not None and self._lost == 0:
             found = self._at_home(frame) or self._follow(frame, time)
+            if found is None:
+                found = self._follow_in_other_light(frame, time)
         if self._lost == 0 and self._motion is not None and found is None:
             self._strangers = Strangers(2.0 * float(np.hypot(*self._motion.axis)))
         if found is None and self._search_now():
@@ -172,6 +179,31 @@ class Tracker:
         rim = max(self._radii(middle_of(pixels)))
         lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
         return Sighting(pixels[0], pixels[1], quality, lamp)
+
+    def _follow_light(self, frame: NDArray, most: float = 1.0) -> bool:
+        """Follow cast and level of the picture's light; return whether the level has changed.
+
+        Up to ``most`` times the light in which the pair was learned: what was bright then may have
+        all the light that a pixel can have, and lose its colour in more.
+        """
+        self._cast.update(frame)
+        share = self._cast.level / self._light
+        share = min(share, max(1.0, most / self._light))
+        self._learned.looks = [look.lit(share) for look in self._learned.looks]
+        self._light *= share
+        return abs(math.log(share)) > math.log(LIGHT_CHANGED)
+
+    def _follow_in_other_light(
+        self, frame: NDArray, time: float
+    ) -> tuple[list[Measurement], float] | None:
+        """Follow the pair into a picture whose light is not as it was."""
+        if self._follow_light(frame) and (found := self._follow(frame, time)) is not None:
+            return found
+        looks, light = self._learned.looks, self._light
+        if self._follow_light(frame, math.inf) and (found := self._follow(frame, time)) is not None:
+            return found
+        self._learned.looks, self._light = looks, light
+        return None
 
     def _is_doubtful(self) -> bool:
         """Return whether the pair may have been two things that passed each other."""
@@ -389,7 +421,7 @@ class Tracker:
         for rating, pair, white in rated[:4]:
             if rating <= 0:
                 break
-            self._cast = Cast(frame, white)
+            self._cast, self._light = Cast(frame, white), 1.0
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
             pixels = np.array([blob.centre for blob in pair])
             self._learn(
