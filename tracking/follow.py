@@ -38,6 +38,7 @@ class Track:
         colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
             what speaks against them where they are not sure.
         undecided: frames in which several pairs could have been the lost one; none was taken.
+        missing: frames that the video should have after these, and has not: it was cut short.
     """
 
     frame: NDArray
@@ -49,6 +50,7 @@ class Track:
     size: tuple[int, int]
     colours: tuple[dict[str, Any], dict[str, Any]]
     undecided: int = 0
+    missing: int = 0
 
     @property
     def found(self) -> NDArray:
@@ -140,6 +142,7 @@ def follow(
         video.size,
         tuple(found.as_dict() for found in founds),
         tracker.undecided,
+        video.missing,
     )
 
 

@@ -39,6 +39,7 @@ def track(
     overlay: str | Path | None = None,
     videos: Sequence[str | Path] = (),
     *,
+    markers: Mapping[str, Any] | None = None,
     partial: bool = False,
     live: Mapping[int, Track] | None = None,
     sync: str = "flash",
@@ -52,12 +53,14 @@ def track(
 
     Args:
         recording: its folder.
-        colours: of front and rear, if other than recording.json says.
+        colours: of front and rear, if other than the markers say.
         calibration: a calibration file or model; default the recording's calibration.json.
         overlay: write a video with the markers drawn over it here; with several sessions, the
             session's number is added to the name.
         videos: filmed with something else, of the sessions that have no video of their own, in
             order.
+        markers: what recording.json says under ``markers``, if other than it says; as
+            :func:`tracking.datasets.recordings.read_markers` returns it.
         partial: use a video that was cut short although its session ended as it should. (That
             of a session that was killed is always used as far as it goes.)
         live: what was seen while it was recorded, by session; the videos of these sessions are
@@ -74,7 +77,7 @@ def track(
             be the robot's.
     """
     source = Recording(recording)
-    markers = source.meta["markers"]
+    markers = markers or source.meta["markers"]
     camera = _camera(source, calibration)
     geometry = marker_geometry(markers, camera)
     names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
@@ -100,12 +103,9 @@ def track(
             overlay=_overlay_of(overlay, session, source.sessions),
             expected_size=camera.image_size,
         )
-        missing = 0 if times is None else len(times) - len(seen.frame)
-        if missing > 0 and ended and not partial:
-            raise UserError(
-                f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
-                "after it was recorded; restore it, or use what there is of it with --partial"
-            )
+        missing = seen.missing if times is None else len(times) - len(seen.frame)
+        if ended and not partial:
+            _check_whole(path, len(seen.frame), missing)
         tracks.append((path, seen))
         poses = board_poses(seen, markers, camera)
         certain = np.where(seen.doubtful[:, None], np.nan, poses)
@@ -166,17 +166,20 @@ def track_video(
     rear: str,
     out: str | Path | None = None,
     *,
+    markers: Mapping[str, Any] | None = None,
     calibration: str | Path | CameraModel | None = None,
-    height: float = 0.0,
+    height: float | None = None,
     overlay: str | Path | None = None,
     clicks: ArrayLike | None = None,
     doubtful: bool = False,
+    partial: bool = False,
 ) -> dict[str, Any]:
     """Track two coloured markers in any video, without a recording.
 
     The pose is of the middle between the two markers, its heading from the rear to the front
     one, counter-clockwise as seen, unwrapped. Without a calibration positions are in pixels,
-    ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board.
+    ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board. With a
+    calibration of the lens alone they are in pixels of a picture without its distortion.
 
     Args:
         path: the video.
@@ -184,44 +187,62 @@ def track_video(
         rear: the rear marker's.
         out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality,
             doubtful, front_u, front_v, rear_u, rear_v) and tracking.json; None to write nothing.
+        markers: where they are on the robot, as recording.json says it: what their distance, size
+            and height are is then known; counts with a calibration over the board only.
         calibration: a calibration file or model.
-        height: of the markers above the board, in metres; counts with a calibration only.
+        height: of the markers above the board, in metres, by default what ``markers`` says, or 0;
+            counts with a calibration over the board only.
         overlay: write a video with the markers drawn over it here.
         clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
         doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
+        partial: use a video that was cut short as far as it goes.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
 
     Raises:
-        UserError: as :func:`follow` does, if the pair may not be the robot's, or if ``out`` is not
-            empty.
+        UserError: as :func:`follow` does, if the pair may not be the robot's, if ``out`` is not
+            empty, or if there is a height and no calibration over the board.
     """
-    if not math.isfinite(height):
+    if height is not None and not math.isfinite(height):
         raise UserError(f"a marker's height of {height} m is not a number")
     camera = _read_camera(calibration)
-    geometry, size = None, None
+    over_board = camera is not None and camera.has_board
+    if height is not None and not over_board:
+        raise UserError(
+            "a height over the board is of use only with a calibration that says where the camera "
+            "is over the board; leave it out, or name such a calibration"
+        )
+    if height is None:
+        height = float((markers or {}).get("height") or 0.0)
+    geometry = None
     if camera is not None:
-        geometry = Geometry(to_plane=lambda pixels: camera.to_board(pixels, height))
-        size = camera.image_size
+
+        def plane(pixels: NDArray) -> NDArray:
+            return camera.to_board(pixels, height) if over_board else camera.straighten(pixels)
+
+        geometry = Geometry(to_plane=plane)
+        if over_board and markers is not None:
+            geometry = marker_geometry({**markers, "height": height}, camera)
+    size = None if camera is None else camera.image_size
     with ExitStack() as stack:
         folder = None if out is None else stack.enter_context(new_folder(out))
         seen = follow(
             path, front, rear,
             geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
         )  # fmt: skip
+        if not partial:
+            _check_whole(path, len(seen.frame), seen.missing)
         doubt = _doubt_of(seen, [(path, seen)])
         if doubt and not doubtful:
             raise UserError(_refusal(path, doubt))
         unclear = (seen.doubtful | bool(doubt)) & seen.found
-        if camera is None:
-            ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
-            # v runs down: mirrored, the heading is counter-clockwise as seen.
-            axis = (ahead - behind) * (1.0, -1.0)
-        else:
-            ahead, behind = (camera.to_board(p, height) for p in (seen.front, seen.rear))
-            names, unit = ("x", "y"), "m"
-            axis = ahead - behind
+        ahead, behind = seen.front, seen.rear
+        if camera is not None:
+            ahead, behind = plane(seen.front), plane(seen.rear)
+        names, unit = (("x", "y"), "m") if over_board else (("u", "v"), "pixel")
+        # v runs down: mirrored, the heading is counter-clockwise as seen.
+        axis = (ahead - behind) * (1.0, 1.0 if over_board else -1.0)
         middle = (ahead + behind) / 2
         columns = {
             "frame": seen.frame,
@@ -240,6 +261,7 @@ def track_video(
             "units": {names[0]: unit, names[1]: unit, "theta": "rad", "time": "s"},
             "video": str(path),
             "frames": len(seen.frame),
+            "frames_missing": seen.missing,
             "found": float(seen.found.mean()),
             "quality": float(np.median(seen.quality[seen.found])),
             "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
@@ -266,6 +288,15 @@ def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
         )
     rest = iter(given)
     return [Path(next(rest)) if path is None else path for path in own]
+
+
+def _check_whole(path: str | Path, frames: int, missing: int) -> None:
+    """Refuse a video of which frames are missing at the end."""
+    if missing > 0:
+        raise UserError(
+            f"{path} ends after {frames} of {frames + missing} frames: it was cut short after it "
+            "was recorded; restore it, or use what there is of it with --partial"
+        )
 
 
 def _check_times(source: Recording, session: int, count: int) -> None:

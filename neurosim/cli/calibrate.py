@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import emit, is_given, json_option
+from neurosim.cli._common import emit, json_option
 from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
 
 
@@ -56,9 +56,7 @@ from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
 @click.option(
     "--board",
     type=Numbers("LENGTHxWIDTH", "x", float, "2.76x1.84", (0.01, 100)),
-    default="2.76x1.84",
-    show_default=True,
-    help="With --corners: length and width of the board, m.",
+    help="With --corners, which needs it: length and width of the board, m.",
 )
 @json_option
 def calibrate(
@@ -71,7 +69,7 @@ def calibrate(
     marker: float | None,
     dictionary: str,
     corners: tuple[tuple[float, float], ...] | None,
-    board: tuple[float, float],
+    board: tuple[float, float] | None,
     as_json: bool,
 ) -> None:
     """Learn the camera from PHOTOGRAPHS of a chessboard: files, a folder of them, or a video.
@@ -85,7 +83,7 @@ def calibrate(
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
-    if corners is None and is_given("board"):
+    if corners is None and board is not None:
         raise UserError("--board goes with --corners: name the pixels of the board's corners, too")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
     if corners is None:
@@ -100,6 +98,11 @@ def calibrate(
         )
     elif points is not None or given or len(photographs) > 1:
         raise UserError("--corners takes one photograph of the board and no other points")
+    elif board is None:
+        raise UserError(
+            "--corners needs the size of the board: measure its length (from the top left to the "
+            "top right corner) and its width, and name them with --board, such as 2.76x1.84"
+        )
     else:
         model = from_corners(photographs[0], list(corners), board)
     model.write(out)

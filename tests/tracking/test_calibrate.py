@@ -333,6 +333,18 @@ def test_a_place_that_is_not_there(tmp_path):
         calibrate(tmp_path / "nope")
 
 
+def test_four_corners_need_the_size_of_the_board(tmp_path):
+    cv2.imwrite(str(tmp_path / "board.png"), np.zeros((480, 640), np.uint8))
+    corners = ["--corners", "50,50", "600,50", "600,400", "50,400"]
+    words = [str(tmp_path / "board.png"), *corners, "-o", str(tmp_path / "c.json")]
+    done = CliRunner().invoke(verb, words)
+    assert isinstance(done.exception, UserError)
+    assert "--corners needs the size of the board" in str(done.exception)
+    assert not (tmp_path / "c.json").exists()
+    done = CliRunner().invoke(verb, [*words, "--board", "2.0x1.3"])
+    assert done.exit_code == 0, done.exception
+
+
 def test_four_corners_and_nothing_else(tmp_path):
     picture = tmp_path / "board.png"
     cv2.imwrite(str(picture), np.zeros((480, 640), np.uint8))

@@ -100,6 +100,10 @@ class CameraModel:
         )
         return points.reshape(-1, 2)
 
+    def straighten(self, pixels: ArrayLike) -> NDArray:
+        """Return pixels [N, 2] as a lens of the same focal length without distortion has them."""
+        return self.undistort(pixels) @ self.camera_matrix[:2, :2].T + self.camera_matrix[:2, 2]
+
     def to_board(self, pixels: ArrayLike, height: float = 0.0) -> NDArray:
         """Return board coordinates [N, 2] in metres of what is seen at pixels [N, 2].
 
