@@ -8,7 +8,7 @@ import click
 
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, json_option
-from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
+from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
 
 
 @click.command()
@@ -25,7 +25,7 @@ from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
 )
 @click.option(
     "--pattern",
-    type=Numbers("COLUMNSxROWS", "x", int, "9x6"),
+    type=PATTERN,
     default="9x6",
     show_default=True,
     help="Inner corners of the chessboard or ChArUco board.",

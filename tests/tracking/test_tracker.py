@@ -246,6 +246,22 @@ def test_the_light_may_change(shared_data, colours, light):
             assert dim.confidence > 0.8 * bright.confidence
 
 
+@pytest.mark.parametrize(("diameter", "noise", "jpeg"), [(6, 4, 75), (8, 8, 60)])
+def test_the_least_size_of_markers(diameter, noise, jpeg):
+    rng, tracker, misses = np.random.default_rng(12), new_tracker(), []
+    for i, (middle, heading) in enumerate(drive(45)):
+        image = BACKGROUND.copy()
+        robot = {"separation": 2.67 * diameter, "radius": diameter / 2}
+        body = (4 * diameter, 1.6 * diameter)
+        truth = np.stack(scene.robot(image, middle, heading, body=body, **robot))
+        sighting = tracker.update(scene.finish(image, rng, noise=noise, jpeg=jpeg), i / FPS)
+        if sighting.found:
+            misses.append(np.abs(pixels_of(sighting) - truth).max())
+    assert len(misses) > 40
+    assert max(misses) < 1.5
+    assert min(found.confidence for found in tracker.found) > 0.6
+
+
 def hidden_plate(shared_data, tracker, twin_from=0):
     """Hide the plate that stands still for 3 s of 9 s; return its place before, and all after."""
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:

@@ -17,6 +17,7 @@ from patience import PATIENCE, wait_until
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
 from tracking.camera.cameras import OpenCVCamera, VideoCamera
+from tracking.camera.video import Video
 
 
 @pytest.fixture
@@ -78,8 +79,9 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
-def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
-    with watching("--camera", "lab", "--camera-size", "320x240", cwd=tmp_path) as (child, url):
+def test_the_labs_camera_shows_a_robot_that_drives_and_films_it(tmp_path):
+    words = ["--camera", "lab", "--camera-size", "320x240", "--film", "film.avi"]
+    with watching(*words, cwd=tmp_path) as (child, url):
         state = {"number": 0}
 
         def front():
@@ -91,7 +93,11 @@ def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
         wait_until(lambda: np.hypot(*np.subtract(front() or first, first)) >= 5, "its drive")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
-        assert child.stderr.read() == ""
+        said = child.stderr.read()
+    with Video(tmp_path / "film.avi") as film:
+        assert film.size == (320, 240)
+        frames = sum(1 for _ in film)
+    assert said == f"film.avi: {frames} frames. Next: neurosim track film.avi -o POSES\n"
 
 
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
@@ -129,6 +135,7 @@ def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):
     (tmp_path / "words.mp4").write_text("no video")
     assert "words.mp4" in refused(monkeypatch, capsys, "--camera", "words.mp4")
     assert "mauve" in refused(monkeypatch, capsys, "--camera", video, "--markers", "mauve,blue")
+    assert "film already" in refused(monkeypatch, capsys, "--camera", video, "--film", "a.avi")
     (tmp_path / "c.json").write_text("{}")
     assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--calibration", "c.json")
     (tmp_path / "m.json").write_text('{"format": "neurosim-markers", "version": 1, "front": {}}')
