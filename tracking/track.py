@@ -274,6 +274,17 @@ def track_video(
     return {**summary, "poses": columns}
 
 
+def describe_doubtful(summary: Mapping[str, Any]) -> str | None:
+    """Return what a person should know of doubtful poses, by tracking.json; None without any."""
+    if not summary["doubtful"]:
+        return None
+    return (
+        f"{summary['doubtful']} poses may be of another pair than the robot's: the robot was lost, "
+        "and one like it was found where it may not have come to by itself; they are marked as "
+        "doubtful, and neurosim dataset leaves them out"
+    )
+
+
 def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
     """Return the video of every session, the given ones where the recording has none."""
     own = [source.video(session) for session in range(1, source.sessions + 1)]

@@ -87,8 +87,8 @@ def track(
     from tracking.datasets.recordings import read_markers
     from tracking.markers.colours import colour_pair
     from tracking.markers.palette import describe_colours, least_confident, warning
+    from tracking.track import describe_doubtful, track_video
     from tracking.track import track as track_
-    from tracking.track import track_video
 
     if not recording.exists():
         raise UserError(f"{recording}: no such recording, and no such video file")
@@ -146,13 +146,9 @@ def track(
             err=True,
         )
     problem = warning(found)
-    if result["doubtful"] and not problem:
-        click.echo(
-            f"{recording}: {result['doubtful']} poses may be of another pair than the robot's: the "
-            "robot was lost, and one like it was found where it may not have come to by itself; "
-            "they are marked as doubtful, and neurosim dataset leaves them out",
-            err=True,
-        )
+    doubtful_poses = describe_doubtful(result)
+    if doubtful_poses and not problem:
+        click.echo(f"{recording}: {doubtful_poses}", err=True)
     if problem:
         click.echo(f"{recording}: {problem}; {remedy}", err=True)
     emit(

@@ -17,6 +17,7 @@ from tracking.datasets.recordings import CommandLine
 from tracking.identity import doubtful
 from tracking.markers.colours import parse_colour
 from tracking.markers.tracker import Tracker
+from tracking.track import _unclear
 
 FPS = 30.0
 
@@ -149,3 +150,15 @@ def test_what_moves_as_the_robot_was_told_is_the_robot():
     assert not follows_commands(times, driven(told_otherwise, times), lines)
     steady = np.column_stack([0.1 * times, 0 * times, 0 * times])
     assert not follows_commands(times, steady, lines)
+
+
+def test_a_stretch_of_a_recording_that_follows_its_commands_is_not_doubtful():
+    lines, times = commanded(), np.arange(0, 26, 1 / FPS)
+    poses = driven(lines, times)
+    doubt = np.zeros(len(times), bool)
+    doubt[60:500] = True  # ten commands
+    doubt[600:660] = True  # one
+    left = _unclear(doubt, times, poses, lines)
+    assert np.flatnonzero(left).tolist() == list(range(600, 660))
+    poses[60:500] = poses[60]
+    assert (_unclear(doubt, times, poses, lines) == doubt).all()
