@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +15,9 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from neurosim.base.progress import Progress
 from tracking.camera.video import Video
+from tracking.identity import doubtful
 from tracking.markers.colours import Colour, parse_colour
-from tracking.markers.pair import Geometry
+from tracking.markers.pair import LOST, Geometry, Sighting
 from tracking.markers.palette import unless_still
 from tracking.markers.pointing import colour_at
 from tracking.markers.tracker import Tracker
@@ -36,6 +38,7 @@ class Track:
         colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
             what speaks against them where they are not sure.
         undecided: frames in which several pairs could have been the lost one; none was taken.
+        missing: frames that the video should have after these, and has not: it was cut short.
     """
 
     frame: NDArray
@@ -47,11 +50,17 @@ class Track:
     size: tuple[int, int]
     colours: tuple[dict[str, Any], dict[str, Any]]
     undecided: int = 0
+    missing: int = 0
 
     @property
     def found(self) -> NDArray:
         """[N] whether the pair was found."""
         return self.quality > 0
+
+    @cached_property
+    def doubtful(self) -> NDArray:
+        """[N] whether what was followed may be another pair than that of the first frames."""
+        return doubtful(self.time, self.front, self.rear)
 
 
 def follow(
@@ -112,16 +121,15 @@ def follow(
                     f"{path}: no pair of markers is where was clicked in the first frame; click on "
                     "the front marker and on the rear marker of one robot"
                 )
-            rows.append(
-                (index, time, *sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
-            )
+            rows.append((index, time, *_row(sighting)))
             if drawing is not None:
                 drawing.write(frame, time, sighting)
             progress.advance()
     table = np.array(rows, float)
-    if tracker.found is None:
-        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
+    table[: tracker.begun, 2:] = _row(LOST)
     founds = tracker.found
+    if founds is None or not table[:, 6].any():
+        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
     if clicks is None:
         founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
     return Track(
@@ -134,7 +142,12 @@ def follow(
         video.size,
         tuple(found.as_dict() for found in founds),
         tracker.undecided,
+        video.missing,
     )
+
+
+def _row(sighting: Sighting) -> tuple[float, ...]:
+    return (*sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
 
 
 def _not_found(

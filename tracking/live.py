@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -46,6 +47,7 @@ class LiveTracker:
     Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
     thread: the same frames give the same sightings at the same moments. Others are tracked in a
     thread of their own; frames it cannot keep up with are passed over, and counted.
+    Where a camera's time goes back, a video begins again, and tracking begins anew with it.
 
     Args:
         colours: of front and rear.
@@ -70,6 +72,7 @@ class LiveTracker:
         self._waits = waits
         self._tracker = Tracker(*colours, geometry)
         self._taken = 0
+        self._last = -math.inf
         self.passed_over = 0
         self._error: BaseException | None = None
         self._ended = False
@@ -133,6 +136,9 @@ class LiveTracker:
                 return
 
     def _look(self, index: int, time: float, arrived: float, frame: NDArray) -> None:
+        if time <= self._last:
+            self.look_for()
+        self._last = time
         tracker = self._tracker
         sighting = tracker.update(frame, time)
         self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.found))

@@ -5,21 +5,27 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import new_folder, write_csv, write_json
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
-from tracking.clock.motion import disagreement, fit_clock_to_motion
+from tracking.clock.motion import disagreement, fit_clock_to_motion, follows_commands
 from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.clock.sync import ClockFit, fit_clock, pulses
-from tracking.datasets.recordings import TRACKING_FORMAT, VERSION, Poses, Recording
+from tracking.datasets.recordings import (
+    TRACKING_FORMAT,
+    VERSION,
+    CommandLine,
+    Poses,
+    Recording,
+)
 from tracking.follow import Track, follow
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import STILL, warning
@@ -33,6 +39,7 @@ def track(
     overlay: str | Path | None = None,
     videos: Sequence[str | Path] = (),
     *,
+    markers: Mapping[str, Any] | None = None,
     partial: bool = False,
     live: Mapping[int, Track] | None = None,
     sync: str = "flash",
@@ -46,19 +53,21 @@ def track(
 
     Args:
         recording: its folder.
-        colours: of front and rear, if other than recording.json says.
+        colours: of front and rear, if other than the markers say.
         calibration: a calibration file or model; default the recording's calibration.json.
         overlay: write a video with the markers drawn over it here; with several sessions, the
             session's number is added to the name.
         videos: filmed with something else, of the sessions that have no video of their own, in
             order.
+        markers: what recording.json says under ``markers``, if other than it says; as
+            :func:`tracking.datasets.recordings.read_markers` returns it.
         partial: use a video that was cut short although its session ended as it should. (That
             of a session that was killed is always used as far as it goes.)
         live: what was seen while it was recorded, by session; the videos of these sessions are
             not looked at again.
         sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
             the robot's answers to its commands.
-        doubtful: whether poses are wanted of a pair that may not be the robot's.
+        doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
     Returns:
         The content of tracking.json: frames, share found, median quality, clock per session.
@@ -68,7 +77,7 @@ def track(
             be the robot's.
     """
     source = Recording(recording)
-    markers = source.meta["markers"]
+    markers = markers or source.meta["markers"]
     camera = _camera(source, calibration)
     geometry = marker_geometry(markers, camera)
     names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
@@ -94,32 +103,31 @@ def track(
             overlay=_overlay_of(overlay, session, source.sessions),
             expected_size=camera.image_size,
         )
-        missing = 0 if times is None else len(times) - len(seen.frame)
-        if missing > 0 and ended and not partial:
-            raise UserError(
-                f"{path} ends after {len(seen.frame)} of {len(times)} frames: it was cut short "
-                "after it was recorded; restore it, or use what there is of it with --partial"
-            )
+        missing = seen.missing if times is None else len(times) - len(seen.frame)
+        if ended and not partial:
+            _check_whole(path, len(seen.frame), missing)
         tracks.append((path, seen))
         poses = board_poses(seen, markers, camera)
+        certain = np.where(seen.doubtful[:, None], np.nan, poses)
         own = [line for line in lines if line.session == session]
         driven = [line for line in own if line.is_motor]
         problem = None
         try:
             if sync == "motion":
-                clock = fit_clock_to_motion(seen.time, poses, driven)
+                clock = fit_clock_to_motion(seen.time, certain, driven)
             else:
                 clock = fit_clock(seen.time, seen.lamp, pulses(own))
-                problem = disagreement(clock, seen.time, poses, driven)
+                problem = disagreement(clock, seen.time, certain, driven)
         except UserError as error:
             raise UserError(f"{path}: {error}") from None
-        delay = motion_delay(clock.to_robot(seen.time), poses, driven)
-        count = len(seen.frame)
-        parts.append(
-            Poses(
-                np.full(count, session), seen.frame, clock.to_robot(seen.time), poses, seen.quality
-            )
-        )
+        at = clock.to_robot(seen.time)
+        unclear = _unclear(seen.doubtful, at, poses, driven)
+        part = Poses(
+            np.full(len(seen.frame), session), seen.frame, at, poses, seen.quality,
+            unclear & seen.found,
+        )  # fmt: skip
+        delay = motion_delay(at, part.certain().pose, driven)
+        parts.append(part)
         sessions.append(
             {
                 **_session_summary(session, path, seen, clock, delay),
@@ -129,13 +137,13 @@ def track(
         )
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
-    if not doubtful:
-        _check_sure(tracks)
+    for (path, seen), part in zip(tracks, parts, strict=True):
+        doubt = _doubt_of(seen, tracks)
+        if doubt and not doubtful:
+            raise UserError(_refusal(path, doubt))
+        part.doubtful[:] |= bool(doubt) & seen.found
     joined = Poses(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("session", "frame", "time", "pose", "quality")
-        )
+        *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Poses))
     )
     found = joined.quality > 0
     summary = {
@@ -144,6 +152,7 @@ def track(
         "found": float(found.mean()),
         "quality": float(np.median(joined.quality[found])),
         "undecided": sum(session.get("undecided", 0) for session in sessions),
+        "doubtful": int(joined.doubtful.sum()),
         "sessions": sessions,
     }
     source.write_poses(joined)
@@ -157,60 +166,83 @@ def track_video(
     rear: str,
     out: str | Path | None = None,
     *,
+    markers: Mapping[str, Any] | None = None,
     calibration: str | Path | CameraModel | None = None,
-    height: float = 0.0,
+    height: float | None = None,
     overlay: str | Path | None = None,
     clicks: ArrayLike | None = None,
     doubtful: bool = False,
+    partial: bool = False,
 ) -> dict[str, Any]:
     """Track two coloured markers in any video, without a recording.
 
     The pose is of the middle between the two markers, its heading from the rear to the front
     one, counter-clockwise as seen, unwrapped. Without a calibration positions are in pixels,
-    ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board.
+    ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board. With a
+    calibration of the lens alone they are in pixels of a picture without its distortion.
 
     Args:
         path: the video.
         front: the front marker's colour.
         rear: the rear marker's.
-        out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality, front_u,
-            front_v, rear_u, rear_v) and tracking.json; None to write nothing.
+        out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality,
+            doubtful, front_u, front_v, rear_u, rear_v) and tracking.json; None to write nothing.
+        markers: where they are on the robot, as recording.json says it: what their distance, size
+            and height are is then known; counts with a calibration over the board only.
         calibration: a calibration file or model.
-        height: of the markers above the board, in metres; counts with a calibration only.
+        height: of the markers above the board, in metres, by default what ``markers`` says, or 0;
+            counts with a calibration over the board only.
         overlay: write a video with the markers drawn over it here.
         clicks: pixels [2, 2] of both markers in the first frame, instead of their colours.
-        doubtful: whether poses are wanted of a pair that may not be the robot's.
+        doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
+        partial: use a video that was cut short as far as it goes.
 
     Returns:
         The content of tracking.json, and under ``poses`` the columns of poses.csv.
 
     Raises:
-        UserError: as :func:`follow` does, if the pair may not be the robot's, or if ``out`` is not
-            empty.
+        UserError: as :func:`follow` does, if the pair may not be the robot's, if ``out`` is not
+            empty, or if there is a height and no calibration over the board.
     """
-    if not math.isfinite(height):
+    if height is not None and not math.isfinite(height):
         raise UserError(f"a marker's height of {height} m is not a number")
     camera = _read_camera(calibration)
-    geometry, size = None, None
+    over_board = camera is not None and camera.has_board
+    if height is not None and not over_board:
+        raise UserError(
+            "a height over the board is of use only with a calibration that says where the camera "
+            "is over the board; leave it out, or name such a calibration"
+        )
+    if height is None:
+        height = float((markers or {}).get("height") or 0.0)
+    geometry = None
     if camera is not None:
-        geometry = Geometry(to_plane=lambda pixels: camera.to_board(pixels, height))
-        size = camera.image_size
+
+        def plane(pixels: NDArray) -> NDArray:
+            return camera.to_board(pixels, height) if over_board else camera.straighten(pixels)
+
+        geometry = Geometry(to_plane=plane)
+        if over_board and markers is not None:
+            geometry = marker_geometry({**markers, "height": height}, camera)
+    size = None if camera is None else camera.image_size
     with ExitStack() as stack:
         folder = None if out is None else stack.enter_context(new_folder(out))
         seen = follow(
             path, front, rear,
             geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
         )  # fmt: skip
-        if not doubtful:
-            _check_sure([(path, seen)])
-        if camera is None:
-            ahead, behind, names, unit = seen.front, seen.rear, ("u", "v"), "pixel"
-            # v runs down: mirrored, the heading is counter-clockwise as seen.
-            axis = (ahead - behind) * (1.0, -1.0)
-        else:
-            ahead, behind = (camera.to_board(p, height) for p in (seen.front, seen.rear))
-            names, unit = ("x", "y"), "m"
-            axis = ahead - behind
+        if not partial:
+            _check_whole(path, len(seen.frame), seen.missing)
+        doubt = _doubt_of(seen, [(path, seen)])
+        if doubt and not doubtful:
+            raise UserError(_refusal(path, doubt))
+        unclear = (seen.doubtful | bool(doubt)) & seen.found
+        ahead, behind = seen.front, seen.rear
+        if camera is not None:
+            ahead, behind = plane(seen.front), plane(seen.rear)
+        names, unit = (("x", "y"), "m") if over_board else (("u", "v"), "pixel")
+        # v runs down: mirrored, the heading is counter-clockwise as seen.
+        axis = (ahead - behind) * (1.0, 1.0 if over_board else -1.0)
         middle = (ahead + behind) / 2
         columns = {
             "frame": seen.frame,
@@ -219,6 +251,7 @@ def track_video(
             names[1]: np.round(middle[:, 1], 5),
             "theta": np.round(unwrap(np.arctan2(axis[:, 1], axis[:, 0])), 6),
             "quality": np.round(seen.quality, 3),
+            "doubtful": unclear.astype(int),
             "front_u": np.round(seen.front[:, 0], 4),
             "front_v": np.round(seen.front[:, 1], 4),
             "rear_u": np.round(seen.rear[:, 0], 4),
@@ -228,15 +261,28 @@ def track_video(
             "units": {names[0]: unit, names[1]: unit, "theta": "rad", "time": "s"},
             "video": str(path),
             "frames": len(seen.frame),
+            "frames_missing": seen.missing,
             "found": float(seen.found.mean()),
             "quality": float(np.median(seen.quality[seen.found])),
             "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
             "undecided": seen.undecided,
+            "doubtful": int(unclear.sum()),
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
             write_json(folder / "tracking.json", TRACKING_FORMAT, VERSION, summary)
     return {**summary, "poses": columns}
+
+
+def describe_doubtful(summary: Mapping[str, Any]) -> str | None:
+    """Return what a person should know of doubtful poses, by tracking.json; None without any."""
+    if not summary["doubtful"]:
+        return None
+    return (
+        f"{summary['doubtful']} poses may be of another pair than the robot's: the robot was lost, "
+        "and one like it was found where it may not have come to by itself; they are marked as "
+        "doubtful, and neurosim dataset leaves them out"
+    )
 
 
 def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
@@ -253,6 +299,15 @@ def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
         )
     rest = iter(given)
     return [Path(next(rest)) if path is None else path for path in own]
+
+
+def _check_whole(path: str | Path, frames: int, missing: int) -> None:
+    """Refuse a video of which frames are missing at the end."""
+    if missing > 0:
+        raise UserError(
+            f"{path} ends after {frames} of {frames + missing} frames: it was cut short after it "
+            "was recorded; restore it, or use what there is of it with --partial"
+        )
 
 
 def _check_times(source: Recording, session: int, count: int) -> None:
@@ -272,18 +327,39 @@ def _check_times(source: Recording, session: int, count: int) -> None:
     )
 
 
-def _check_sure(tracks: Sequence[tuple[str | Path, Track]]) -> None:
-    """Refuse a pair that may not be the robot's; in one session of several it may stand still."""
-    moves = any(all(colour.get("doubt") is None for colour in seen.colours) for _, seen in tracks)
-    for path, seen in tracks:
-        doubt = warning({"front": seen.colours[0], "rear": seen.colours[1]})
-        still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
-        if doubt and not (moves and still):
-            raise UserError(
-                f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a "
-                "video file) or in neurosim watch, name others with --colours, or take these with "
-                "--doubtful"
-            )
+def _doubt_of(seen: Track, tracks: Sequence[tuple[str | Path, Track]]) -> str | None:
+    """Return why a pair may not be the robot's; in one session of several it may stand still."""
+    moves = any(all(colour.get("doubt") is None for colour in one.colours) for _, one in tracks)
+    still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
+    if moves and still:
+        return None
+    return warning({"front": seen.colours[0], "rear": seen.colours[1]})
+
+
+def _refusal(path: str | Path, doubt: str) -> str:
+    return (
+        f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a video "
+        "file) or in neurosim watch, name others with --colours, or take these with --doubtful"
+    )
+
+
+def _unclear(
+    doubtful: NDArray, times: NDArray, poses: NDArray, lines: Sequence[CommandLine]
+) -> NDArray:
+    """Return where [N] a pair may not be the robot, less where it moves as the robot was told.
+
+    Args:
+        doubtful: [N] by its place alone.
+        times: [N] on the robot's clock, s.
+        poses: [N, 3].
+        lines: what was sent to the motors.
+    """
+    doubtful = doubtful.copy()
+    edges = np.flatnonzero(np.diff(np.pad(doubtful, 1).astype(int)))
+    for begin, end in edges.reshape(-1, 2):
+        if follows_commands(times[begin:end], poses[begin:end], lines):
+            doubtful[begin:end] = False
+    return doubtful
 
 
 def _camera(source: Recording, calibration: str | Path | CameraModel | None) -> CameraModel:

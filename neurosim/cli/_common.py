@@ -24,10 +24,14 @@ seed_option = click.option(
 resume_option = click.option(
     "--resume", is_flag=True, help="Continue what was interrupted, with its options."
 )
+#: What a colour can be called; the tests hold it to what the tracker knows.
+COLOUR_NAMES = (
+    "red, orange, yellow, green, cyan, blue, purple, violet, magenta, pink, #rrggbb or hsv:h,s,v"
+)
 markers_option = click.option(
     "--markers",
     help="Colours FRONT,REAR of the robot's markers; or a markers.json, which says where they are, "
-    "too.  [default: pink,blue]",
+    f"too.  [default: pink,blue]  Colours: {COLOUR_NAMES}.",
 )
 
 

@@ -107,6 +107,7 @@ class Numbers(_Named):
 RANGE = Numbers("LOW..HIGH", "..", float, "0.5..3")
 SIZE = Numbers("WIDTHxHEIGHT", "x", int, "640x480", (120, 8192))
 PIXEL = Numbers("U,V", ",", float, "422,178")
+PATTERN = Numbers("COLUMNSxROWS", "x", int, "9x6")
 
 #: Units of options whose parameters are in SI: what makes SI of a number, and the way back.
 UNITS: dict[str, tuple[Callable[[float], float], Callable[[float], float]]] = {

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import emit, is_given, json_option
-from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
+from neurosim.cli._common import emit, json_option
+from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
 
 
 @click.command()
@@ -25,7 +25,7 @@ from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
 )
 @click.option(
     "--pattern",
-    type=Numbers("COLUMNSxROWS", "x", int, "9x6"),
+    type=PATTERN,
     default="9x6",
     show_default=True,
     help="Inner corners of the chessboard or ChArUco board.",
@@ -56,9 +56,7 @@ from neurosim.cli._types import PATH, PIXEL, POSITIVE, Numbers
 @click.option(
     "--board",
     type=Numbers("LENGTHxWIDTH", "x", float, "2.76x1.84", (0.01, 100)),
-    default="2.76x1.84",
-    show_default=True,
-    help="With --corners: length and width of the board, m.",
+    help="With --corners, which needs it: length and width of the board, m.",
 )
 @json_option
 def calibrate(
@@ -71,7 +69,7 @@ def calibrate(
     marker: float | None,
     dictionary: str,
     corners: tuple[tuple[float, float], ...] | None,
-    board: tuple[float, float],
+    board: tuple[float, float] | None,
     as_json: bool,
 ) -> None:
     """Learn the camera from PHOTOGRAPHS of a chessboard: files, a folder of them, or a video.
@@ -81,10 +79,11 @@ def calibrate(
     """
     from tracking.camera.calibrate import calibrate as calibrate_
     from tracking.camera.calibrate import from_corners
+    from tracking.camera.lens import FEWEST_PHOTOGRAPHS, describe_left_out
 
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
-    if corners is None and is_given("board"):
+    if corners is None and board is not None:
         raise UserError("--board goes with --corners: name the pixels of the board's corners, too")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
     if corners is None:
@@ -99,9 +98,23 @@ def calibrate(
         )
     elif points is not None or given or len(photographs) > 1:
         raise UserError("--corners takes one photograph of the board and no other points")
+    elif board is None:
+        raise UserError(
+            "--corners needs the size of the board: measure its length (from the top left to the "
+            "top right corner) and its width, and name them with --board, such as 2.76x1.84"
+        )
     else:
         model = from_corners(photographs[0], list(corners), board)
     model.write(out)
+    for each in model.left_out:
+        click.echo(describe_left_out(each), err=True)
+    if model.uncertainty is None:
+        click.echo(
+            f"{model.photographs} photographs are too few, or too much alike, to say how uncertain "
+            f"this is: take at least {FEWEST_PHOTOGRAPHS + 1}, better 20, with the chessboard "
+            "tilted in several directions and over the whole image",
+            err=True,
+        )
     matrix = model.camera_matrix
     result = {
         "calibration": str(out),
@@ -113,6 +126,7 @@ def calibrate(
         "cy": matrix[1, 2],
         "distortion": model.distortion,
         "uncertainty": model.uncertainty,
+        "left_out": list(model.left_out),
     }
     deviation = model.uncertainty or {}
     entries = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
@@ -131,4 +145,5 @@ def calibrate(
         if corners is not None
         else f"{model.photographs} photographs, RMS reprojection error {model.rms_px:.3f} px"
     )
-    emit(result, as_json, f"{out}: {how}, {said} px{where} (standard deviations)")
+    meaning = " (standard deviations)" if deviation else ""
+    emit(result, as_json, f"{out}: {how}, {said} px{where}{meaning}")

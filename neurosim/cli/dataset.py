@@ -16,6 +16,7 @@ from neurosim.cli._types import PATH, POSITIVE, Pairs
 _ONLY: dict[str, tuple[str, ...]] = {
     "as_sent": ("recording",),
     "mixed": ("recording",),
+    "doubtful": ("recording",),
     **dict.fromkeys(("longest", "shortest", "longest_gap"), ("mrclam", "csv")),
     **dict.fromkeys(
         ("columns", "units", "rows", "from_rest", "length", "angle", "time", "y", "frame"), ("csv",)
@@ -55,6 +56,11 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "answer.",
 )
 @click.option("--mixed", is_flag=True, help="Allow recordings of different robots.")
+@click.option(
+    "--doubtful",
+    is_flag=True,
+    help="Use poses that track marked as doubtful, too: they may not be the robot's.",
+)
 @click.option(
     "--columns",
     type=Pairs("NAME=COLUMN,...", "time=t,x=pos_x,v=speed", alone=True),
@@ -96,6 +102,7 @@ def dataset(
     source: str,
     as_sent: bool,
     mixed: bool,
+    doubtful: bool,
     columns: dict[str, str] | None,
     units: dict[str, str] | None,
     rows: bool,
@@ -121,7 +128,7 @@ def dataset(
             raise UserError(f"{option} is for --from {' or '.join(sources)}, not {source}")
     if source == "recording":
         parts = [part for folder in recordings for part in parts_of(folder)]
-        made = build(parts, out, correct_delay=not as_sent, mixed=mixed)
+        made = build(parts, out, correct_delay=not as_sent, mixed=mixed, doubtful=doubtful)
     else:
         pieces = Settings(shortest, longest, longest_gap)
         if source == "mrclam":

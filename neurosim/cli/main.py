@@ -24,6 +24,7 @@ from neurosim.cli.evolve import evolve
 from neurosim.cli.export import export
 from neurosim.cli.lab import lab
 from neurosim.cli.plan_check import plan_check
+from neurosim.cli.print_page import print_page
 from neurosim.cli.record import record
 from neurosim.cli.report import report
 from neurosim.cli.run import run
@@ -103,6 +104,7 @@ def _line_of(error: Exception, path: Path) -> int | None:
 
 
 for verb in (
+    print_page,
     watch,
     record,
     calibrate,

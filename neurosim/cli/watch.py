@@ -12,7 +12,13 @@ from typing import Any
 import click
 
 from neurosim.base.errors import UserError
-from neurosim.cli._common import calibration_option, emit, json_option, markers_option
+from neurosim.cli._common import (
+    calibration_option,
+    emit,
+    json_option,
+    markers_option,
+    next_step,
+)
 from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
 
 
@@ -36,6 +42,11 @@ from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
     help="Where the page saves the calibration; markers.json goes beside it.",
 )
 @click.option(
+    "--film",
+    type=PATH,
+    help="Also film what the camera sees, into a new .avi, until the end; for neurosim track.",
+)
+@click.option(
     "--port",
     type=click.IntRange(0, 65535),
     default=0,
@@ -53,6 +64,7 @@ def watch(
     markers: str | None,
     calibration: Path | None,
     out: Path,
+    film: Path | None,
     port: int,
     open_browser: bool,
     seconds: float | None,
@@ -66,6 +78,7 @@ def watch(
     from neurosim.recording.markers import marker_settings
     from neurosim.watch import PageServer, Viewer
     from tracking.camera.camera_model import CameraModel
+    from tracking.camera.cameras import Film
     from tracking.datasets.recordings import DEFAULT_BOARD
     from tracking.live import LiveTracker
     from tracking.markers.colours import parse_colour
@@ -105,8 +118,17 @@ def watch(
             time.monotonic,
             viewer.show,
         )
+        if film is not None and Path(camera).is_file():
+            raise UserError(f"{camera} is a film already: --film is for cameras; leave it out")
+        filmed = None if film is None else Film(film, source.size)
+
+        def take(at: float, frame: Any) -> None:
+            if filmed is not None:
+                filmed.take(at, frame)
+            tracker.take(at, frame)
+
         with PageServer(viewer, port) as server:
-            source.start(tracker.take)
+            source.start(take)
             try:
                 emit(
                     {"url": server.url},
@@ -125,6 +147,17 @@ def watch(
             finally:
                 source.stop()
                 tracker.close()
+                if filmed is not None:
+                    _say_filmed(filmed.path, filmed.close())
+
+
+def _say_filmed(film: Path, frames: int) -> None:
+    click.echo(
+        f"{film}: {frames} frames. {next_step('track', film, '-o', 'POSES')}"
+        if frames
+        else f"{film}: the camera delivered nothing to film",
+        err=True,
+    )
 
 
 def _wait(source: Any, tracker: Any, seconds: float | None) -> None:

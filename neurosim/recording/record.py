@@ -28,7 +28,7 @@ from tracking.datasets.recordings import Recording
 from tracking.live import Seen
 from tracking.poses import marker_geometry
 from tracking.sightings import seen_live
-from tracking.track import track
+from tracking.track import describe_doubtful, track
 
 __all__ = ["BatteryLow", "Guard", "RecordSettings", "record"]
 
@@ -207,11 +207,13 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
         live = {number: seen_live(recording, number, model) for number in sessions}
         # Without a lamp the motion alone joins the clocks.
         flashed = any(line.kind == "lamp-on" for line in recording.commands())
-        track(
+        summary = track(
             recording.path,
             live={number: seen for number, seen in live.items() if seen},
             sync="flash" if flashed else "motion",
         )
+        if doubtful := describe_doubtful(summary):
+            say(doubtful)
     except UserError as error:
         say(
             f"the recording is whole, but its poses are not: {error}; "

@@ -223,7 +223,7 @@ def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
 
 def _end(recording: Recording) -> Pose:
     """Return where the robot was last seen."""
-    poses = recording.poses()
+    poses = recording.poses().certain()
     seen = poses.pose[poses.quality > 0]
     if not len(seen):
         return 0.0, 0.0, 0.0

@@ -218,7 +218,7 @@ class _Drive:
         looks = None if looks is None else looks.of_session(1)
         cut = any(line.kind == "cut" for line in motor)
         if recording.is_tracked:
-            found = _by_camera(recording.poses().of_session(1), boundaries)
+            found = _by_camera(recording.poses().of_session(1).certain(), boundaries)
             if found[0][0] is None:
                 raise UserError(f"{recording.path}: the robot was not seen at its start")
             return cls(sent, boundaries, cut, "camera", *found, looks)

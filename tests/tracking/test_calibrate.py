@@ -1,14 +1,16 @@
 import functools
+import json
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, UserError
+from neurosim.cli.calibrate import calibrate as verb
 from tracking.camera.board import locate
 from tracking.camera.calibrate import (
-    _lens,
     _lens_numbers,
     _resampled,
     _spread,
@@ -17,6 +19,7 @@ from tracking.camera.calibrate import (
     from_corners,
 )
 from tracking.camera.camera_model import CameraModel
+from tracking.camera.lens import fit, fit_robustly
 from tracking.camera.targets import Charuco, Chessboard, View
 
 TRUTH = CameraModel(
@@ -203,11 +206,11 @@ def test_the_stated_uncertainty_covers_random_halves(shared_data):
     target = Chessboard((9, 6), 0.025)
     pictures = sorted((shared_data / "chessboard").glob("*.jpg"))
     views = [target.find(cv2.imread(str(p), cv2.IMREAD_GRAYSCALE)) for p in pictures]
-    model = _lens(views, (640, 512))
+    model = fit(views, (640, 512))
     stated = _uncertainty(model, *_resampled(views, (640, 512)), None)
     rng = np.random.default_rng(1)
     found = [
-        _lens_numbers(_lens([views[i] for i in half], (640, 512)))
+        _lens_numbers(fit([views[i] for i in half], (640, 512)))
         for _ in range(60)
         for half in np.array_split(rng.permutation(len(views)), 2)
     ]
@@ -218,6 +221,82 @@ def test_the_stated_uncertainty_covers_random_halves(shared_data):
     assert 0.95 < ratios.mean() < 1.15
     assert ratios.min() > 0.85
     assert (np.abs(off) < 2 * claimed).mean() > 0.9
+
+
+@pytest.fixture(scope="module")
+def real_views(shared_data):
+    target = Chessboard((9, 6), 0.025)
+    pictures = sorted((shared_data / "chessboard").glob("*.jpg"))
+    return [target.find(cv2.imread(str(p), 0))._replace(name=p.name) for p in pictures]
+
+
+@pytest.mark.parametrize("count", [25, 8, 4, 3])
+def test_corners_in_wrong_places_are_found_and_left_out(real_views, count):
+    views = [view._replace(pixels=view.pixels.copy()) for view in real_views[-count:]]
+    right = fit(views, (640, 512))
+    wrong = []
+    for view, corner, off in ((views[0], 12, (5.0, 3.0)), (views[1], 53, (-4.0, 4.0))):
+        view.pixels[corner] += off
+        wrong.append((view.name, *(round(float(place), 1) for place in view.pixels[corner])))
+    model, kept = fit_robustly(views, (640, 512))
+    assert {(each["photograph"], each["u"], each["v"]) for each in model.left_out} == set(wrong)
+    assert [len(view.pixels) for view in kept] == [53, 53] + [54] * (count - 2)
+    assert model.rms_px < 1.02 * right.rms_px < 0.7 * fit(views, (640, 512)).rms_px
+    assert model.camera_matrix[0, 0] == pytest.approx(right.camera_matrix[0, 0], abs=0.6)
+
+
+def test_a_chessboard_that_is_bent_is_left_out_as_a_whole(real_views):
+    right = fit(real_views[:3] + real_views[4:], (640, 512))
+    bent = real_views[3]
+    along = bent.board[:, 0] - bent.board[:, 0].mean()
+    aside = np.column_stack([0 * along, 1.5 * (along / along.std()) ** 2])
+    views = [*real_views]
+    views[3] = bent._replace(pixels=bent.pixels + aside)
+    model, kept = fit_robustly(views, (640, 512))
+    assert [each["photograph"] for each in model.left_out] == [bent.name]
+    assert "u" not in model.left_out[0]
+    assert len(kept) == model.photographs == 24
+    np.testing.assert_array_equal(model.camera_matrix, right.camera_matrix)
+
+
+def test_a_photograph_that_fits_no_other(real_views):
+    views = real_views[:6]
+    views[5] = views[5]._replace(pixels=np.roll(views[5].pixels, 9, axis=0))
+    assert [each["photograph"] for each in fit_robustly(views, (640, 512))[0].left_out] == [
+        views[5].name
+    ]
+    with pytest.raises(
+        UserError, match=r"fewer than 3 photographs fit together|do not fix the lens"
+    ):
+        fit_robustly(views[3:], (640, 512))
+
+
+def test_photographs_that_are_right_are_all_kept(real_views):
+    for chosen in (real_views, real_views[:6], real_views[10:13]):
+        model, kept = fit_robustly(chosen, (640, 512))
+        assert model.left_out == ()
+        assert len(kept) == len(chosen)
+
+
+def test_what_is_left_out_is_said_and_three_photographs_are_too_few(shared_data, tmp_path):
+    pictures = sorted((shared_data / "chessboard").glob("*.jpg"))[:3]
+    image = cv2.imread(str(pictures[0]))
+    corners = Chessboard((9, 6), 0.025).find(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)).pixels
+    # A dark smear from a corner to beside it: that is where the corner seems to be.
+    u, v = corners[22]
+    cv2.line(image, (round(u) - 4, round(v) - 4), (round(u) + 3, round(v) + 3), (0, 0, 0), 5)
+    cv2.imwrite(str(tmp_path / "smeared.png"), image)
+    words = [str(tmp_path / "smeared.png"), *map(str, pictures[1:]), "-o", str(tmp_path / "c.json")]
+    done = CliRunner().invoke(verb, words)
+    assert done.exit_code == 0, done.exception
+    first, second = done.stderr.splitlines()
+    assert "smeared.png: the corner at " in first
+    assert "px off and left out" in first
+    assert "3 photographs are too few" in second
+    assert "standard deviations" not in done.stdout
+    told = json.loads((tmp_path / "c.json").read_text())["left_out"]
+    assert len(told) == 1
+    assert np.hypot(told[0]["u"] - u, told[0]["v"] - v) < 6
 
 
 def test_a_charuco_board_of_which_parts_are_seen(tmp_path):
@@ -252,6 +331,18 @@ def test_a_charuco_board_of_which_parts_are_seen(tmp_path):
 def test_a_place_that_is_not_there(tmp_path):
     with pytest.raises(UserError, match="no such photographs"):
         calibrate(tmp_path / "nope")
+
+
+def test_four_corners_need_the_size_of_the_board(tmp_path):
+    cv2.imwrite(str(tmp_path / "board.png"), np.zeros((480, 640), np.uint8))
+    corners = ["--corners", "50,50", "600,50", "600,400", "50,400"]
+    words = [str(tmp_path / "board.png"), *corners, "-o", str(tmp_path / "c.json")]
+    done = CliRunner().invoke(verb, words)
+    assert isinstance(done.exception, UserError)
+    assert "--corners needs the size of the board" in str(done.exception)
+    assert not (tmp_path / "c.json").exists()
+    done = CliRunner().invoke(verb, [*words, "--board", "2.0x1.3"])
+    assert done.exit_code == 0, done.exception
 
 
 def test_four_corners_and_nothing_else(tmp_path):

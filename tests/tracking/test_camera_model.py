@@ -131,3 +131,11 @@ def test_a_wrong_field_is_named(tmp_path, field, value):
     path.write_text(json.dumps(document))
     with pytest.raises(FileError, match=f"field '{field}'"):
         CameraModel.read(path)
+
+
+def test_pixels_without_distortion():
+    camera = looking_down()
+    straight = replace(camera, distortion=np.zeros(5))
+    points = np.random.default_rng(0).uniform(-0.9, 0.9, (30, 3)) * (1, 1, 0)
+    found = camera.straighten(camera.to_pixels(points))
+    np.testing.assert_allclose(found, straight.to_pixels(points), atol=1e-6)

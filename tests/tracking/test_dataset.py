@@ -6,11 +6,13 @@ import math
 import numpy as np
 import pandas as pd
 import pytest
+from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
+from neurosim.cli.dataset import dataset as verb
 from tracking.datasets import dataset as dataset_module
 from tracking.datasets.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
 from tracking.datasets.displacements import Settings, Track, fit_pose
@@ -203,6 +205,21 @@ def test_a_turn_of_more_than_a_full_circle_stays_one(tmp_path):
     assert dataset.output_array()[0, 2] == pytest.approx(0.5 / 0.13 * (3.0 - DELAY), abs=1e-4)
 
 
+def test_poses_of_what_may_not_be_the_robot_make_no_rows_unless_they_are_wanted(tmp_path):
+    def edit(poses):
+        poses.doubtful[(poses.time > 2.4) & (poses.time < 3.0)] = True
+
+    path = write_recording(tmp_path / "rec", [SESSION], edit=edit)
+    dataset = build([path], tmp_path / "out")
+    assert dataset.table["command"].tolist() == [1, 3, 4]
+    assert dataset.meta["left_out"]["doubtful"] == 1
+    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "all"), "--doubtful"])
+    assert done.exit_code == 0, done.exception
+    assert len(Dataset.read(tmp_path / "all")) == 4
+    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "b")])
+    assert "1 doubtful" in done.stdout
+
+
 def test_commands_that_were_cut_or_ended_otherwise_are_counted(tmp_path):
     first = [
         (1, "command", 1.0, 40.0, 40.0, 2.0),
@@ -219,7 +236,7 @@ def test_commands_that_were_cut_or_ended_otherwise_are_counted(tmp_path):
     assert dataset.table["command"].tolist() == [2, 6]
     # After the manoeuvre its speeds are the previous ones; a new session starts from rest.
     assert dataset.input_array()[:, :2].tolist() == [[-30, -20], [0, 0]]
-    counts = {"cut": 1, "incomplete": 2, "clock": 1, "lost track": 0, "jump": 0}
+    counts = {"cut": 1, "incomplete": 2, "clock": 1, "lost track": 0, "jump": 0, "doubtful": 0}
     assert dataset.meta["left_out"] == counts
     straight = dataset.meta["cutting"]["by_class"]["equal"]
     assert straight == {"sent": 4, "cut": 1, "completed": 0}

@@ -6,7 +6,8 @@ import tracking_scene as scene
 from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import UserError
-from tracking.camera.cameras import OpenCVCamera, VideoSink
+from tracking.camera.cameras import Film, OpenCVCamera, VideoSink
+from tracking.camera.video import Video
 from tracking.live import WAITING, LiveTracker
 from tracking.markers.colours import parse_colour
 from tracking.markers.tracker import Tracker
@@ -36,6 +37,19 @@ def test_a_camera_that_waits_is_tracked_frame_by_frame():
         assert seen[-1].sighting.quality == expected.quality > 0
     live.close()
     assert live.passed_over == 0
+
+
+def test_tracking_begins_anew_where_a_video_begins_again():
+    seen = []
+    live = LiveTracker(COLOURS, None, lambda: 0.0, seen.append, waits=True)
+    film = list(frames(20))
+    for when, frame in film + film[5:10]:  # back by 15 frames at the seam: 45 pixels, 0.7 rad
+        live.take(when, frame)
+    live.close()
+    assert all(each.sighting.found for each in seen)
+    anew = Tracker(*COLOURS)
+    again = [anew.update(frame, when) for when, frame in film[5:10]]
+    assert [each.sighting.quality for each in seen[20:]] == [each.quality for each in again]
 
 
 def test_a_slow_tracker_passes_frames_over_and_never_makes_the_camera_wait():
@@ -103,3 +117,31 @@ def test_a_camera_stops_where_its_frames_cannot_be_taken(tmp_path):
     wait_until(lambda: camera.failed, "the end of the camera")
     camera.stop()
     assert taken == [0.0]
+
+
+def test_a_film_keeps_the_time_of_a_camera_that_does_not_keep_its_rate(tmp_path):
+    rng = np.random.default_rng(0)
+    # 20 frames a second, uneven, and half a second without any.
+    times = 5.0 + np.cumsum(0.05 + rng.uniform(-0.01, 0.01, 80))
+    times[40:] += 0.5
+    film = Film(tmp_path / "film.avi", scene.SIZE)
+    for number, when in enumerate(times):
+        frame = np.zeros((scene.SIZE[1], scene.SIZE[0], 3), np.uint8)
+        frame[:, 8 * number : 8 * number + 8] = 255  # which one it is
+        film.take(when, frame)
+    count = film.close()
+    with Video(tmp_path / "film.avi") as video:
+        shown = [(when, int(frame.mean(axis=(0, 2)).argmax() // 8)) for _, when, frame in video]
+    assert len(shown) == count
+    for when, number in shown:
+        # The newest frame, to half of the time between two.
+        newest = np.searchsorted(times - times[0], when + 1e-6) - 1
+        assert newest <= number + 1
+        assert times[number] - times[0] < when + 0.03
+    assert shown[-1][0] == pytest.approx(times[-1] - times[0], abs=0.1)
+    with pytest.raises(UserError, match="exists already"):
+        Film(tmp_path / "film.avi", scene.SIZE)
+    with pytest.raises(UserError, match=r"name an \.avi"):
+        Film(tmp_path / "film.mp4", scene.SIZE)
+    assert Film(tmp_path / "nothing.avi", scene.SIZE).close() == 0
+    assert not (tmp_path / "nothing.avi").exists()

@@ -79,12 +79,22 @@ def test_poses_are_read_as_they_were_written(recording):
             np.array([0.5, 0.6]),
             pose,
             np.array([0.9, 0.0]),
+            np.array([True, False]),
         )
     )
     again = recording.poses()
+    assert again.doubtful.tolist() == [True, False]
+    assert np.isnan(again.certain().pose).all()
+    assert again.certain().quality.tolist() == [0.0, 0.0]
     np.testing.assert_array_equal(again.pose, pose)
     np.testing.assert_array_equal(again.quality, [0.9, 0.0])
     assert len(again.of_session(2).time) == 0
+
+
+def test_poses_of_earlier_versions_are_not_doubtful(recording):
+    header = "session,frame,time,x,y,theta,quality\n"
+    (recording.path / "poses.csv").write_text(header + "1,0,0.5,0.1,0.2,0.3,0.9\n")
+    assert recording.poses().doubtful.tolist() == [False]
 
 
 def test_a_recording_that_was_not_tracked_says_what_to_do(recording):

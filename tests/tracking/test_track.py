@@ -1,5 +1,6 @@
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -13,7 +14,7 @@ from neurosim.base.files import number, read_csv
 from neurosim.cli.track import track as verb
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
-from tracking.datasets.recordings import Recording
+from tracking.datasets.recordings import DEFAULT_MARKERS, Recording, write_markers
 from tracking.poses import board_poses, marker_geometry, unwrap
 from tracking.track import track, track_video
 
@@ -248,6 +249,71 @@ def test_bare_video_in_metres(frames, tmp_path):
     np.testing.assert_allclose(poses["y"], y - 0.01 * np.sin(theta), atol=0.002)
 
 
+def test_a_lens_alone_gives_pixels_without_its_distortion(frames, tmp_path):
+    path = tmp_path / "bare.avi"
+    write_video(path, frames[120:])
+    lens = replace(CAMERA, rotation=None, translation=None, distortion=[-1.5, 0, 0, 0, 0])
+    summary = track_video(path, "pink", "blue", calibration=lens)
+    assert summary["units"]["u"] == "pixel"
+    poses = summary["poses"]
+    ends = [np.transpose([poses[f"{end}_u"], poses[f"{end}_v"]]) for end in ("front", "rear")]
+    middle = np.mean([lens.straighten(end) for end in ends], axis=0)
+    found = np.transpose([poses["u"], poses["v"]])
+    np.testing.assert_allclose(found, middle, atol=1e-3)
+    assert np.abs(found - np.mean(ends, axis=0)).max() > 0.5
+    with pytest.raises(UserError, match="a height over the board is of use only with"):
+        track_video(path, "pink", "blue", calibration=lens, height=HEIGHT)
+    with pytest.raises(UserError, match="a height over the board is of use only with"):
+        track_video(path, "pink", "blue", height=HEIGHT)
+
+
+def test_markers_as_watch_saves_them(recording, frames, tmp_path):
+    path, saved = tmp_path / "bare.avi", tmp_path / "markers.json"
+    write_video(path, frames[120:])
+    write_markers(saved, {**DEFAULT_MARKERS, "height": HEIGHT})
+    CAMERA.write(tmp_path / "calibration.json")
+    words = [str(path), "--markers", str(saved), "-o"]
+    done = CliRunner().invoke(verb, [*words, str(tmp_path / "pixels")])
+    assert done.exit_code == 0, done.exception
+    calibrated = [str(tmp_path / "m"), "--calibration", str(tmp_path / "calibration.json")]
+    done = CliRunner().invoke(verb, words + calibrated)
+    assert done.exit_code == 0, done.exception
+    table = read_csv(tmp_path / "m" / "poses.csv", {"x": number, "theta": number})
+    x, _, theta = np.transpose([pose_at(i / FPS) for i in range(120, FRAMES)])
+    # Their height is known from the file.
+    np.testing.assert_allclose(table["x"], x - 0.01 * np.cos(theta), atol=0.002)
+    # Other places of the markers on the robot are other poses of a recording.
+    shifted = {which: {**DEFAULT_MARKERS[which]} for which in ("front", "rear")}
+    shifted["lamp"] = {**DEFAULT_MARKERS["lamp"]}
+    for marker in shifted.values():
+        marker["x"] += 0.05
+    write_markers(saved, {**DEFAULT_MARKERS, **shifted})
+    track(recording.path)
+    own = recording.poses().pose
+    done = CliRunner().invoke(verb, [str(recording.path), "--markers", str(saved)])
+    assert done.exit_code == 0, done.exception
+    other = recording.poses().pose
+    np.testing.assert_allclose(np.hypot(*(other - own)[:, :2].T), 0.05, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    "words", [["--sync", "motion"], ["--video", "b.avi"], ["--height", "0.1"]], ids=lambda w: w[0]
+)
+def test_options_that_do_nothing_for_a_video_file_are_refused(frames, tmp_path, words):
+    write_video(tmp_path / "bare.avi", frames[:3])
+    arguments = [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), *words]
+    done = CliRunner().invoke(verb, arguments)
+    assert isinstance(done.exception, UserError)
+    assert words[0].strip("-") in str(done.exception)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_height_is_no_option_of_a_recording(recording):
+    done = CliRunner().invoke(verb, [str(recording.path), "--height", "0.1"])
+    assert isinstance(done.exception, UserError)
+    assert "--height is for video files" in str(done.exception)
+
+
 def test_footage_as_a_user_would(shared_data, tmp_path):
     summary = track_video(
         shared_data / "footage" / "marker-pushed.avi",
@@ -306,7 +372,9 @@ def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(reco
     done = CliRunner().invoke(verb, [str(recording.path), "--doubtful"])
     assert done.exit_code == 0, done.exception
     assert "the pair never moves" in done.stderr
-    assert (recording.path / "poses.csv").exists()
+    poses = recording.poses()
+    assert poses.doubtful.tolist() == (poses.quality > 0).tolist()
+    assert poses.doubtful.any()
 
 
 def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):

@@ -218,6 +218,50 @@ def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
     assert min(each.confidence for each in noisy.found) > 0.6
 
 
+@pytest.mark.parametrize("colours", [("green", "blue"), ("blue", "pink")])
+@pytest.mark.parametrize(
+    "light",
+    [
+        lambda i: 0.55,
+        lambda i: 0.55 if i >= 30 else 1.0,
+        lambda i: 0.35 if 30 <= i < 60 else 1.0,
+        lambda i: 1.25 if i >= 30 else 1.0,
+        lambda i: max(0.3, 1.0 - 0.015 * i),
+    ],
+    ids=["dim", "dimmed", "dim for a second", "brighter", "ever less"],
+)
+def test_the_light_may_change(shared_data, colours, light):
+    steady, tracker = new_tracker(colours=colours), new_tracker(colours=colours)
+    with Video(shared_data / "footage" / "marker-pushed.avi") as video:
+        for i, (_, time, frame) in enumerate(video):
+            truth = pixels_of(steady.update(frame, time))
+            dimmed = np.clip(np.round(light(i) * frame.astype(float)), 0, 255).astype(np.uint8)
+            sighting = tracker.update(dimmed, time)
+            assert sighting.found, i
+            assert np.abs(pixels_of(sighting) - truth).max() < 1.5
+            if i == 90:
+                break
+    if light(0) < 1:
+        for dim, bright in zip(tracker.found, steady.found, strict=True):
+            assert dim.confidence > 0.8 * bright.confidence
+
+
+@pytest.mark.parametrize(("diameter", "noise", "jpeg"), [(6, 4, 75), (8, 8, 60)])
+def test_the_least_size_of_markers(diameter, noise, jpeg):
+    rng, tracker, misses = np.random.default_rng(12), new_tracker(), []
+    for i, (middle, heading) in enumerate(drive(45)):
+        image = BACKGROUND.copy()
+        robot = {"separation": 2.67 * diameter, "radius": diameter / 2}
+        body = (4 * diameter, 1.6 * diameter)
+        truth = np.stack(scene.robot(image, middle, heading, body=body, **robot))
+        sighting = tracker.update(scene.finish(image, rng, noise=noise, jpeg=jpeg), i / FPS)
+        if sighting.found:
+            misses.append(np.abs(pixels_of(sighting) - truth).max())
+    assert len(misses) > 40
+    assert max(misses) < 1.5
+    assert min(found.confidence for found in tracker.found) > 0.6
+
+
 def hidden_plate(shared_data, tracker, twin_from=0):
     """Hide the plate that stands still for 3 s of 9 s; return its place before, and all after."""
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:

@@ -17,6 +17,7 @@ from patience import PATIENCE, wait_until
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
 from tracking.camera.cameras import OpenCVCamera, VideoCamera
+from tracking.camera.video import Video
 
 
 @pytest.fixture
@@ -61,11 +62,15 @@ def state_of(url, after=0):
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
 def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
     with watching("--camera", video.name, cwd=tmp_path) as (child, url):
-        number = 0
-        while number < 30:  # it has 12 frames
-            state = state_of(url, number)
-            number = state["number"]
-        assert state["found"] is True
+        states = [state_of(url)]
+
+        def newer():
+            states.append(state_of(url, states[-1]["number"]))
+            return states[-1]
+
+        for _ in range(2):
+            wait_until(lambda: newer()["time"] < states[-2]["time"], "the video's beginning")
+            wait_until(lambda: newer()["found"], "the robot")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
         assert child.stderr.read() == ""
@@ -74,8 +79,9 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="Ctrl-C is sent otherwise there")
-def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
-    with watching("--camera", "lab", "--camera-size", "320x240", cwd=tmp_path) as (child, url):
+def test_the_labs_camera_shows_a_robot_that_drives_and_films_it(tmp_path):
+    words = ["--camera", "lab", "--camera-size", "320x240", "--film", "film.avi"]
+    with watching(*words, cwd=tmp_path) as (child, url):
         state = {"number": 0}
 
         def front():
@@ -87,7 +93,11 @@ def test_the_labs_camera_shows_a_robot_that_drives(tmp_path):
         wait_until(lambda: np.hypot(*np.subtract(front() or first, first)) >= 5, "its drive")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
-        assert child.stderr.read() == ""
+        said = child.stderr.read()
+    with Video(tmp_path / "film.avi") as film:
+        assert film.size == (320, 240)
+        frames = sum(1 for _ in film)
+    assert said == f"film.avi: {frames} frames. Next: neurosim track film.avi -o POSES\n"
 
 
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
@@ -125,6 +135,7 @@ def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):
     (tmp_path / "words.mp4").write_text("no video")
     assert "words.mp4" in refused(monkeypatch, capsys, "--camera", "words.mp4")
     assert "mauve" in refused(monkeypatch, capsys, "--camera", video, "--markers", "mauve,blue")
+    assert "film already" in refused(monkeypatch, capsys, "--camera", video, "--film", "a.avi")
     (tmp_path / "c.json").write_text("{}")
     assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--calibration", "c.json")
     (tmp_path / "m.json").write_text('{"format": "neurosim-markers", "version": 1, "front": {}}')
@@ -155,5 +166,18 @@ def test_a_video_that_goes_away_is_a_camera_that_failed(video):
     camera.stop()
     assert len(seen) == 12
     assert np.all(np.diff(seen) > 0)
+
+
+def test_a_video_that_begins_again_has_its_own_times_again(video):
+    camera = VideoCamera(video)
+    seen = []
+    camera.start(lambda time_, frame: seen.append(time_))
+    wait_until(lambda: len(seen) >= 30, "the third beginning")
+    camera.stop()
+    assert not camera.failed
+    assert seen[12:24] == seen[:12] == sorted(seen[:12])
+
+
+def test_what_is_no_video_is_no_camera(tmp_path):
     with pytest.raises(UserError, match="no such video"):
-        VideoCamera(video)
+        VideoCamera(tmp_path / "absent.avi")

@@ -7,7 +7,6 @@ photographs or in a video. For the pose over the board see :mod:`tracking.camera
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,13 +28,12 @@ from tracking.camera.board import (
     read_points,
 )
 from tracking.camera.camera_model import CameraModel
+from tracking.camera.lens import FEWEST_PHOTOGRAPHS, fit, fit_robustly
 from tracking.camera.targets import Charuco, Chessboard, Target, View
 from tracking.camera.video import Video
 
 PHOTOGRAPHS = {".jpg", ".jpeg", ".png", ".bmp", ".tif", ".tiff", ".webp"}
 
-#: Fewer photographs cannot tell focal length, principal point and distortion apart.
-FEWEST_PHOTOGRAPHS = 3
 #: From so many on, halves of them can.
 FEWEST_HALVED = 12
 #: How often they are halved; with half as often, what is stated still varies by a tenth.
@@ -63,7 +61,10 @@ def calibrate(
     other photographs bring. What half of them find is spread about what all of them find as that
     is about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate
     with; they are left out one by one instead (the jackknife, Tukey 1958), which states about a
-    sixth too little.
+    sixth too little. Of three nothing can be said.
+
+    Corners that were found in a wrong place, and photographs that do not fit the others, are left
+    out: see :func:`tracking.camera.lens.fit_robustly`.
 
     Args:
         source: photographs of a chessboard: a folder, a list of files, or one video.
@@ -76,8 +77,8 @@ def calibrate(
         dictionary: of the ChArUco board's markers.
 
     Raises:
-        UserError: if fewer than 3 photographs show the whole chessboard, the photographs differ
-            in size, or the points do not fix a pose.
+        UserError: if fewer than 3 photographs show the whole chessboard and fit together, the
+            photographs differ in size, or the points do not fix a pose.
     """
     target: Target = (
         Chessboard(pattern, square)
@@ -85,7 +86,7 @@ def calibrate(
         else Charuco(pattern, square, marker, dictionary)
     )
     views, size = _find_all(source, target)
-    model = _lens(views, size)
+    model, views = fit_robustly(views, size)
     others = _resampled(views, size)
     if points is not None:
         rows = read_points(points)
@@ -103,7 +104,7 @@ def _resampled(views: list[View], size: tuple[int, int]) -> tuple[list[CameraMod
     else:
         parts, method = [[views[i] for i in half] for half in _halves(len(views))], HALVES
     try:
-        return [_lens(part, size) for part in parts], method
+        return [fit(part, size) for part in parts], method
     except UserError:
         return [], ""
 
@@ -202,7 +203,7 @@ def _find_all(
             seen += 1
             view = target.find(image if image.ndim == 2 else cv2.cvtColor(image, _GREY))
             if view is not None:
-                found.append(view)
+                found.append(view._replace(name=name))
             progress.advance()
     if len(found) < FEWEST_PHOTOGRAPHS:
         raise UserError(
@@ -248,39 +249,3 @@ def _other_corners(corners: NDArray) -> tuple[NDArray, NDArray]:
     axis = corners[-1] - corners[0]
     side = (corners - corners[0]) @ np.array([-axis[1], axis[0]])
     return corners[side.argmin()], corners[side.argmax()]
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Keep OpenCV to one thread: sums of several end in other last digits each time."""
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        yield
-    finally:
-        cv2.setNumThreads(threads)
-
-
-def _lens(views: list[View], size: tuple[int, int]) -> CameraModel:
-    boards = [
-        np.column_stack([view.board, np.zeros(len(view.board))]).astype(np.float32)
-        for view in views
-    ]
-    images = [view.pixels.reshape(-1, 1, 2).astype(np.float32) for view in views]
-    try:
-        with _one_thread():
-            rms, matrix, distortion, _, _ = cv2.calibrateCamera(boards, images, size, None, None)
-    except cv2.error:
-        rms = np.inf
-    if not np.isfinite(rms) or matrix[0, 0] > 100 * max(size):
-        raise UserError(
-            "these photographs do not fix the lens: take them with the chessboard tilted in "
-            "several directions and over the whole image"
-        )
-    return CameraModel(
-        size,
-        matrix,
-        np.ravel(distortion)[:5],
-        rms_px=float(rms),
-        photographs=len(images),
-    )

@@ -44,6 +44,8 @@ class CameraModel:
         uncertainty: standard deviations, or None where nothing is known of them: ``fx``, ``fy``,
             ``cx``, ``cy`` (px), ``distortion`` (five), and where the pose over the board is known
             ``board_m``, of a position at the height ``height_m`` over it, in metres.
+        left_out: what did not fit and does not count: ``photograph`` (its name), ``off_px``, by
+            how much it is off, and of a single corner its ``u`` and ``v`` (px).
     """
 
     image_size: tuple[int, int]
@@ -55,6 +57,7 @@ class CameraModel:
     photographs: int = 0
     board_rms_m: float | None = field(default=None)
     uncertainty: dict[str, Any] | None = None
+    left_out: tuple[dict[str, Any], ...] = ()
 
     def __post_init__(self) -> None:
         for name, shape in (
@@ -96,6 +99,10 @@ class CameraModel:
             pixels, self.camera_matrix, self.distortion, criteria=_UNDISTORT
         )
         return points.reshape(-1, 2)
+
+    def straighten(self, pixels: ArrayLike) -> NDArray:
+        """Return pixels [N, 2] as a lens of the same focal length without distortion has them."""
+        return self.undistort(pixels) @ self.camera_matrix[:2, :2].T + self.camera_matrix[:2, 2]
 
     def to_board(self, pixels: ArrayLike, height: float = 0.0) -> NDArray:
         """Return board coordinates [N, 2] in metres of what is seen at pixels [N, 2].
@@ -140,6 +147,7 @@ class CameraModel:
             "translation": self.translation,
             "board_rms_m": self.board_rms_m,
             "uncertainty": self.uncertainty,
+            "left_out": list(self.left_out),
         }
         write_json(path, FORMAT, VERSION, content)
 

@@ -160,6 +160,8 @@ def open_camera(
 class VideoCamera:
     """A video file as a camera: frames at their own pace, from the beginning again at the end.
 
+    Frames have the times of the file, so that time goes back where it begins again.
+
     Args:
         path: the file.
 
@@ -179,16 +181,14 @@ class VideoCamera:
         """Deliver every frame from a thread, at the times of the file."""
 
         def play() -> None:
-            begun = passed = 0.0
             try:
                 while not self._stopped.is_set():
-                    begun, zero = begun + passed, _time.monotonic()
+                    zero = _time.monotonic()
                     with Video(self._path) as video:
                         for _, time, frame in video:
                             if self._stopped.wait(max(0.0, zero + time - _time.monotonic())):
                                 return
-                            on_frame(begun + time, frame)
-                            passed = time + 1.0 / self.fps
+                            on_frame(time, frame)
             except UserError:
                 self.failed = True
 
@@ -207,7 +207,7 @@ class VideoCamera:
 
 
 class VideoSink:
-    """Encodes frames in a thread of its own, and logs each frame's time as it is written.
+    """Encodes frames in a thread of its own, and logs each frame's time, if there is a log.
 
     Motion JPEG in AVI: every frame stands on its own, the file can be read up to where a kill cut
     it off, and it holds nothing but the frames (Matroska adds a random number), so that the
@@ -215,7 +215,7 @@ class VideoSink:
     """
 
     def __init__(
-        self, path: str | Path, log: LineLog, session: int, size: tuple[int, int], fps: float
+        self, path: str | Path, log: LineLog | None, session: int, size: tuple[int, int], fps: float
     ):
         self._path = Path(path)
         if self._path.exists():
@@ -259,7 +259,74 @@ class VideoSink:
             time, frame = item
             try:
                 self._writer.write(frame)
-                self._log.append(self._session, self._frames, round(time, 6))
+                if self._log is not None:
+                    self._log.append(self._session, self._frames, round(time, 6))
                 self._frames += 1
             except Exception as error:
                 self._error = error
+
+
+class Film:
+    """A video file of what a camera delivers, at a steady rate, as players and trackers take it.
+
+    A webcam delivers as it likes, and a Motion JPEG file holds no times: the rate is measured over
+    the first second, and from there on frames are left out or repeated to keep to it.
+
+    Args:
+        path: the ``.avi``, not there yet.
+        size: of the pictures, width and height in pixels.
+
+    Raises:
+        UserError: if it is there, or is no .avi.
+    """
+
+    def __init__(self, path: str | Path, size: tuple[int, int]):
+        self.path = Path(path)
+        if self.path.suffix.lower() != ".avi":
+            raise UserError(f"{self.path}: a film is written as Motion JPEG; name an .avi")
+        if self.path.exists():
+            raise UserError(f"{self.path} exists already; a film is never overwritten")
+        self._size = size
+        self._first: list[tuple[float, np.ndarray]] = []
+        self._sink: VideoSink | None = None
+        self._fps, self._frames = 0.0, 0
+        self._begun, self._last = 0.0, np.zeros((0, 0, 3), np.uint8)
+
+    def take(self, time: float, frame: np.ndarray) -> None:
+        """Take the camera's next frame, time in s."""
+        if self._sink is not None:
+            self._write(time, frame)
+            return
+        self._first.append((time, frame))
+        if time - self._first[0][0] >= 1.0:
+            self._begin()
+
+    def close(self) -> int:
+        """Write what is left, close the file and return the number of frames.
+
+        Raises:
+            UserError: if a frame could not be written.
+        """
+        if self._sink is None and self._first:
+            self._begin()
+        return 0 if self._sink is None else self._sink.close()
+
+    def _begin(self) -> None:
+        times = [time for time, _ in self._first]
+        span = times[-1] - times[0]
+        self._fps = round((len(times) - 1) / span, 2) if span > 0 else 30.0
+        self._begun = times[0]
+        self._sink = VideoSink(self.path, None, 0, self._size, self._fps)
+        for time, frame in self._first:
+            self._write(time, frame)
+        self._first = []
+
+    def _write(self, time: float, frame: np.ndarray) -> None:
+        due = round((time - self._begun) * self._fps)
+        while self._frames < due:
+            self._sink.write(time, self._last)
+            self._frames += 1
+        if self._frames == due:
+            self._sink.write(time, frame)
+            self._frames += 1
+        self._last = frame

@@ -22,6 +22,7 @@ class View(NamedTuple):
 
     board: NDArray  # [N, 2] m
     pixels: NDArray  # [N, 2]
+    name: str = ""  # of the picture
 
 
 class Target(Protocol):
@@ -44,7 +45,7 @@ class Chessboard:
     """
 
     def __init__(self, pattern: tuple[int, int], square: float):
-        _check(pattern, square)
+        check_chessboard(pattern, square)
         self.pattern = pattern
         self.name = f"whole chessboard of {pattern[0]} x {pattern[1]} inner corners"
         self._board = np.mgrid[: pattern[0], : pattern[1]].T.reshape(-1, 2) * square
@@ -68,7 +69,7 @@ class Charuco:
     def __init__(
         self, pattern: tuple[int, int], square: float, marker: float, dictionary: str = "4X4_50"
     ):
-        _check(pattern, square)
+        check_chessboard(pattern, square)
         if not 0 < marker < square:
             raise UserError(
                 f"a marker of {1000 * marker:g} mm does not fit a square of {1000 * square:g} mm"
@@ -116,7 +117,12 @@ def _reach(corners: NDArray) -> int:
     return int(np.clip(nearest / 2, 2, 5))
 
 
-def _check(pattern: tuple[int, int], square: float) -> None:
+def check_chessboard(pattern: tuple[int, int], square: float) -> None:
+    """Refuse a chessboard that cannot be.
+
+    Raises:
+        UserError: if it has fewer than 2 x 2 inner corners, or squares without a size (m).
+    """
     if min(pattern) < 2 or not 0 < square < math.inf:
         raise UserError(
             f"a chessboard of {pattern[0]} x {pattern[1]} inner corners with squares of "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import shlex
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,6 +18,19 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import FileError
 from neurosim.base.files import check_name
+
+#: How files begin that hold sound alone, and what they are.
+_SOUND = {
+    b"ID3": "MP3", b"\xff\xfb": "MP3", b"\xff\xf1": "AAC", b"\xff\xf9": "AAC", b"fLaC": "FLAC",
+    b"OggS": "Ogg", b"FORM": "AIFF",
+}  # fmt: skip
+#: Codecs that OpenCV names and cannot decode everywhere.
+_CODECS = {"AV01": "AV1", "AV1 ": "AV1"}
+#: What every OpenCV decodes, and how to come by it.
+_CONVERT = "convert it to H.264, with ffmpeg -i {} -c:v libx264 -crf 18 {}"
+#: A video is cut short if so many of its frames, and their time, are missing: containers count
+#: and round a little otherwise.
+_LEAST_MISSING = 3
 
 #: Frames decoded ahead: enough to bridge a full search, little enough to hold in memory.
 AHEAD = 16
@@ -37,6 +51,7 @@ class Video:
         first: the first frame, BGR [H, W, 3] uint8.
         fps: the frame rate the container claims.
         frames: the number of frames the container claims; 0 where it does not say.
+        missing: how many of them are not there, known once all were read.
     """
 
     def __init__(self, path: str | Path, times: NDArray | None = None):
@@ -60,14 +75,16 @@ class Video:
         finally:
             cv2.utils.logging.setLogLevel(level)
         if not self._capture.isOpened():
-            raise FileError(self.path, "cannot be opened as a video; it may be empty or cut short")
+            raise FileError(self.path, _what_instead(self.path))
         good, self.first = self._capture.read()
         if not good:
+            code = int(self._capture.get(cv2.CAP_PROP_FOURCC))
             self._capture.release()
-            raise FileError(self.path, "has no frame that can be read")
+            raise FileError(self.path, _undecodable(self.path, code))
         self.size = (self.first.shape[1], self.first.shape[0])
         self.fps = self._claimed(cv2.CAP_PROP_FPS) or 30.0
         self.frames = int(self._claimed(cv2.CAP_PROP_FRAME_COUNT))
+        self.missing = 0
         self._times = None if times is None else np.asarray(times, float)
         self._queue: queue.Queue = queue.Queue(maxsize=AHEAD)
         self._stopped = threading.Event()
@@ -126,6 +143,7 @@ class Video:
                 index += 1
                 good, frame = self._capture.read()
                 if not good:
+                    self.missing = self._missing(index, time)
                     break
         except Exception as error:
             last = error
@@ -139,3 +157,56 @@ class Video:
             return stamp if np.isfinite(stamp) and stamp >= 0 else 0.0
         # Some containers carry no times, or restart them: then the frame rate must do.
         return stamp if np.isfinite(stamp) and stamp > before else before + 1.0 / self.fps
+
+    def _missing(self, count: int, last: float) -> int:
+        """Return how many frames there should be after the ``count`` up to the time of the last."""
+        if self._times is not None:
+            return 0
+        missing = self.frames - count
+        # Where a container has its length in time alone, the count is a guess.
+        late = self.frames - 1 - last * self.fps
+        return missing if min(missing, round(late)) >= _LEAST_MISSING else 0
+
+
+def _what_instead(path: Path) -> str:
+    """Say what a file is that cannot be opened as a video."""
+    with path.open("rb") as file:
+        head, rest = file.read(12), file.read(2**20)
+    sound = next((kind for begin, kind in _SOUND.items() if head.startswith(begin)), None)
+    if head.startswith(b"RIFF") and head[8:] == b"WAVE":
+        sound = "WAV"
+    elif head[4:] == b"ftypM4A " or (
+        head[4:8] == b"ftyp" and b"soun" in rest and b"vide" not in rest
+    ):
+        sound = "MPEG-4 audio"
+    elif head.startswith(b"\x1aE\xdf\xa3") and b"A_" in rest and b"V_" not in rest:
+        sound = "Matroska or WebM audio"
+    if sound:
+        return (
+            f"is sound alone ({sound}), with no picture to look at; name a video, such as an .mp4"
+        )
+    if head[4:8] == b"ftyp":
+        return (
+            "cannot be opened as a video: it is an MP4 or MOV whose index, at its end, is missing, "
+            "so it was cut short; copy it anew, or repair it (untrunc does)"
+        )
+    return (
+        "cannot be opened as a video; it may be empty or cut short, or of a kind that OpenCV does "
+        f"not read: then {_convert(path)}"
+    )
+
+
+def _undecodable(path: Path, code: int) -> str:
+    """Say what a video is of which no frame can be decoded."""
+    name = code.to_bytes(4, "little").decode("ascii", "replace") if 0 <= code < 2**32 else "?"
+    if name in _CODECS:
+        return f"is {_CODECS[name]} video, which OpenCV cannot decode here; {_convert(path)}"
+    return (
+        f"has no frame that can be read (its codec is {name.strip()}); it may be cut short, or "
+        f"OpenCV cannot decode it here: then {_convert(path)}"
+    )
+
+
+def _convert(path: Path) -> str:
+    other = path.with_name(f"{path.stem}-h264.mp4").name
+    return _CONVERT.format(shlex.quote(path.name), shlex.quote(other))

@@ -110,9 +110,7 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
     """Return the shift (robot minus camera time) at which seen and commanded speeds agree best."""
     step = max(float(np.median(np.diff(times))), 0.01)
     grid = np.arange(times[0], times[-1], step)
-    seen = np.gradient(
-        np.stack([np.interp(grid, times, signals[:, i]) for i in range(2)]), step, axis=1
-    )
+    seen = _speeds(times, signals, grid)
     # What a mistaken frame gives must not outweigh all the rest.
     most = np.quantile(np.abs(seen), 0.99, axis=1, keepdims=True) * 1.2
     seen = np.clip(seen, -most, most)
@@ -154,6 +152,39 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
             "record with the lamp, or cut the video"
         )
     return float(shifts[best])
+
+
+def follows_commands(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]) -> bool:
+    """Return whether a stretch of a track moves as it was commanded, so that it is the robot's.
+
+    Args:
+        times: [N] of the poses, s, on the clock of the commands.
+        poses: [N, 3], m, m, unwrapped rad; NaN where nothing was seen.
+        lines: what was sent to the motors in this session, in order.
+    """
+    times, signals = signals_of(times, poses)
+    if len(times) < 10 or not lines:
+        return False
+    begin, end = max(float(times[0]), lines[0].time), float(times[-1])
+    changes = changes_of(lines)[:, 0]
+    if ((changes > begin) & (changes < end)).sum() < FEWEST:
+        return False
+    step = max(float(np.median(np.diff(times))), 0.01)
+    wanted = _commanded(lines, begin, end, step)
+    grid = begin + step * np.arange(wanted.shape[1])
+    agreements = []
+    for moved, told in zip(_speeds(times, signals, grid), wanted, strict=True):
+        if np.ptp(told) > 1e-9:
+            agreements.append(np.corrcoef(moved, told)[0, 1] if np.ptp(moved) > 1e-9 else 0.0)
+    return bool(np.mean(agreements) >= LEAST_AGREEMENT)
+
+
+def _speeds(times: NDArray, signals: NDArray, grid: NDArray) -> NDArray:
+    """Return the derivatives [2, G] of signals [N, 2] on an even grid of times."""
+    step = grid[1] - grid[0]
+    return np.gradient(
+        np.stack([np.interp(grid, times, signals[:, i]) for i in range(2)]), step, axis=1
+    )
 
 
 def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float) -> NDArray:

@@ -265,6 +265,7 @@ def build(
     settings: Settings | None = None,
     correct_delay: bool = True,
     mixed: bool = False,
+    doubtful: bool = False,
 ) -> Dataset:
     """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
 
@@ -275,6 +276,7 @@ def build(
         correct_delay: whether displacements count from when the motors were seen to answer
             rather than from when the commands were sent.
         mixed: whether recordings may be of different robots.
+        doubtful: whether poses of what may not be the robot count as well.
 
     Raises:
         FileError: if a recording's files are missing or wrong, or its clock goes backwards.
@@ -296,7 +298,7 @@ def build(
     sources, robots, virtual = [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
-        found = displacements(recording, settings, correct_delay=correct_delay)
+        found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
         rows += [{"recording": name, **row} for row in found.rows]
         sent += found.sent
         left_out.update(found.left_out)

@@ -33,6 +33,7 @@ REASONS = {
     "clock": "the motors held the command longer or shorter than planned",
     "lost track": "the robot was not seen near the start or the end, or for too long in between",
     "jump": "the track moves faster than the robot can",
+    "doubtful": "what was tracked may not be the robot",
 }
 
 
@@ -186,7 +187,11 @@ def _line(x: NDArray, y: NDArray) -> tuple[Any, Any]:
 
 
 def displacements(
-    recording: Recording, settings: Settings | None = None, *, correct_delay: bool = True
+    recording: Recording,
+    settings: Settings | None = None,
+    *,
+    correct_delay: bool = True,
+    doubtful: bool = False,
 ) -> Displacements:
     """Take the displacement of every complete command of a tracked recording.
 
@@ -198,6 +203,7 @@ def displacements(
         recording: a tracked recording.
         settings: how displacements are taken.
         correct_delay: whether the motors' delay counts.
+        doubtful: whether poses of what may not be the robot count as well.
 
     Raises:
         FileError: if commands.csv or poses.csv is missing, wrong somewhere, or its clock goes
@@ -205,11 +211,13 @@ def displacements(
     """
     settings = settings or Settings()
     lines = [line for line in recording.commands() if line.is_motor]
-    poses = recording.poses()
+    every = recording.poses()
+    poses = every if doubtful else every.certain()
     tracks = {
         int(session): _track(poses.of_session(session), settings)
         for session in np.unique(poses.session)
     }
+    left = {session: every.of_session(session) for session in tracks if not doubtful}
     found = Displacements()
     for session in tracks:
         own, driven = poses.of_session(session), [x for x in lines if x.session == session]
@@ -239,6 +247,8 @@ def displacements(
             taken = _displacement(tracks.get(line.session), *shown, settings)
             if isinstance(taken, str):
                 reason = taken
+                if line.session in left and _any_doubtful(left[line.session], line, after):
+                    reason = "doubtful"
             else:
                 # A session begins with the robot standing.
                 previous = (before.left, before.right) if before is not None else (0.0, 0.0)
@@ -254,6 +264,12 @@ def displacements(
         if reason is not None:
             found.left_out[reason] += 1
     return found
+
+
+def _any_doubtful(poses: Poses, line: CommandLine, after: CommandLine) -> bool:
+    """Return whether any pose of a command that ``after`` ended was left out as doubtful."""
+    rows = slice(*np.searchsorted(poses.time, (line.time, after.time)))
+    return bool(poses.doubtful[rows].any())
 
 
 def _track(poses: Poses, settings: Settings) -> Track:

@@ -17,7 +17,7 @@ import datetime
 import math
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
+    flag,
     inside,
     integer,
     new_folder,
@@ -88,7 +89,7 @@ SIGHTING_COLUMNS = (
     "session", "frame", "front_u", "front_v", "rear_u", "rear_v", "quality", "lamp",
 )  # fmt: skip
 _OBSERVATION_COLUMNS = ("session", "command", "time", "x", "y", "theta")
-_POSE_COLUMNS = ("session", "frame", "time", "x", "y", "theta", "quality")
+_POSE_COLUMNS = ("session", "frame", "time", "x", "y", "theta", "quality", "doubtful")
 
 #: The paper's markers on this project's robot: pink in front, blue behind, in metres in the
 #: robot's frame (x forward, y left, origin on the board under the middle of the axle).
@@ -135,7 +136,8 @@ class CommandLine:
 class Poses:
     """Tracked poses, one row a frame: seconds on the session's robot clock, metres, radians.
 
-    ``pose`` is NaN and ``quality`` 0 where the robot was lost.
+    ``pose`` is NaN and ``quality`` 0 where the robot was lost; ``doubtful`` where what was found
+    may not be the robot, by default nowhere.
     """
 
     session: NDArray  # [N] int
@@ -143,6 +145,11 @@ class Poses:
     time: NDArray  # [N]
     pose: NDArray  # [N, 3]
     quality: NDArray  # [N]
+    doubtful: NDArray = field(default_factory=lambda: np.zeros(0, bool))  # [N] bool
+
+    def __post_init__(self) -> None:
+        if not len(self.doubtful):
+            object.__setattr__(self, "doubtful", np.zeros(len(self.time), bool))
 
     def of_session(self, session: int) -> Poses:
         """Return the rows of one session."""
@@ -153,6 +160,17 @@ class Poses:
             self.time[rows],
             self.pose[rows],
             self.quality[rows],
+            self.doubtful[rows],
+        )
+
+    def certain(self) -> Poses:
+        """Return the same rows, as if the robot had not been found where that is doubtful."""
+        doubt = self.doubtful
+        return replace(
+            self,
+            pose=np.where(doubt[:, None], np.nan, self.pose),
+            quality=np.where(doubt, 0.0, self.quality),
+            doubtful=np.zeros_like(doubt),
         )
 
 
@@ -428,18 +446,12 @@ class Recording:
         path = self.path / "poses.csv"
         if not path.exists():
             raise FileError(self.path, "has no poses.csv; run neurosim track on it first")
-        table = read_csv(
-            path,
-            {
-                "session": integer,
-                "frame": integer,
-                "time": number,
-                "x": optional_number,
-                "y": optional_number,
-                "theta": optional_number,
-                "quality": number,
-            },
-        )
+        parsers = dict.fromkeys(_POSE_COLUMNS[:-1], number)
+        parsers |= {"session": integer, "frame": integer}
+        parsers |= dict.fromkeys(("x", "y", "theta"), optional_number)
+        if "doubtful" in read_header(path):  # not in those of earlier versions
+            parsers["doubtful"] = flag
+        table = read_csv(path, parsers)
         session = np.array(table["session"], int)
         time = np.array(table["time"], float)
         backwards = np.flatnonzero((np.diff(time) <= 0) & (np.diff(session) == 0))
@@ -449,17 +461,22 @@ class Recording:
             )
         pose = np.stack([np.array(table[name], float) for name in ("x", "y", "theta")], axis=-1)
         return Poses(
-            session, np.array(table["frame"], int), time, pose, np.array(table["quality"], float)
+            session,
+            np.array(table["frame"], int),
+            time,
+            pose,
+            np.array(table["quality"], float),
+            np.array(table.get("doubtful", ()), bool),
         )
 
     def write_poses(self, poses: Poses) -> None:
         """Write poses.csv, whole or not at all: to a thousandth of a millimetre, microradians."""
         x, y, theta = (np.round(poses.pose[:, i], 6) for i in range(3))
-        columns = (poses.session, poses.frame, np.round(poses.time, 6), x, y, theta)
-        write_csv(
-            self.path / "poses.csv",
-            dict(zip(_POSE_COLUMNS, (*columns, np.round(poses.quality, 3)), strict=True)),
+        columns = (
+            *(poses.session, poses.frame, np.round(poses.time, 6), x, y, theta),
+            *(np.round(poses.quality, 3), poses.doubtful.astype(int)),
         )
+        write_csv(self.path / "poses.csv", dict(zip(_POSE_COLUMNS, columns, strict=True)))
 
 
 def read_markers(path: str | Path) -> dict[str, Any]:

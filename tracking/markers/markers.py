@@ -76,6 +76,19 @@ class Look:
             (1 - share) * self.light + share * new.light,
         )
 
+    @property
+    def rgb(self) -> NDArray:
+        """Red, green and blue of the rim, [3] of 255."""
+        alpha, beta = self.chroma * np.asarray(self.direction, float)
+        # From alpha, beta and luma (Rec. 601).
+        between = beta / math.sqrt(0.75)
+        green = self.light + 0.114 * between - 0.299 * (alpha - 0.5 * between)
+        return np.array([green + alpha - 0.5 * between, green, green - between])
+
+    def lit(self, share: float) -> Look:
+        """Return this look in light that is a share of what it was."""
+        return Look(self.direction, max(share * self.chroma, 1.0), max(share * self.light, 1.0))
+
     def is_like(self, other: Look) -> bool:
         """Return whether the other may be of the same paint, if the light may have changed."""
         alike = float(self.direction @ other.direction) > math.cos(SAME_HUE)

@@ -94,6 +94,11 @@ class Motion:
     velocity: NDArray = field(default_factory=lambda: np.zeros(2))
     turning: float = 0.0
 
+    @property
+    def pixels(self) -> NDArray:
+        """Where front and rear were, [2, 2]."""
+        return np.array([self.middle + self.axis / 2, self.middle - self.axis / 2])
+
     def predict(self, time: float) -> NDArray:
         """Return where front and rear will be, [2, 2]."""
         # A guess far ahead is worth nothing; the pair has more likely stopped.

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from tracking.markers.colours import Colour, angle_between
 from tracking.markers.markers import Look
 
-#: A marker with this much chroma (of 255) cannot be taken for grey.
-STRONG_CHROMA = 60.0
+#: A marker with this much chroma (of 255), or in little light with this share of its brightest
+#: channel, cannot be taken for grey.
+STRONG_CHROMA, STRONG_SATURATION = 60.0, 0.6
 #: Below this confidence a person should look.
 CONFIDENT = 0.6
 #: A pair that never moved may be a thing of the same colours, and has this confidence at most.
@@ -68,16 +69,11 @@ def found_colour(colour: Colour, look: Look, rival: float, together: float = 1.0
         rival: how well the next best patch would have done, as a share of this one.
         together: how close the pair stands for its size, 0..1.
     """
-    alpha, beta = look.chroma * np.asarray(look.direction, float)
-    # Red, green and blue from alpha, beta and luma (Rec. 601).
-    between = beta / math.sqrt(0.75)
-    green = look.light + 0.114 * between - 0.299 * (alpha - 0.5 * between)
-    rgb = np.array([green + alpha - 0.5 * between, green, green - between])
-    rgb = np.clip(np.round(rgb), 0, 255).astype(int)
-    hue = math.atan2(beta, alpha)
+    rgb = np.clip(np.round(look.rgb), 0, 255).astype(int)
+    hue = math.atan2(look.direction[1], look.direction[0])
     off = float(angle_between(hue, colour.hue)) / colour.tolerance
     shares = {
-        GREY: min(1.0, look.chroma / STRONG_CHROMA),
+        GREY: min(1.0, look.chroma / min(STRONG_CHROMA, STRONG_SATURATION * look.rgb.max())),
         RIVAL: 1.0 / (1.0 + rival),
         OTHER_HUE: math.exp(-0.5 * off**4),
         APART: together,

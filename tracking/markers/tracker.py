@@ -67,6 +67,9 @@ CAST_CADENCE = 8
 #: A picture has a cast worth trying to take out from this factor on.
 CAST_TRIED = 1.06
 
+#: The light has changed from one picture to the next where its level did by this factor.
+LIGHT_CHANGED = 1.1
+
 #: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
 #: many is forgotten, and the whole is begun anew.
 PASSING, DROP_AFTER = 15, 8
@@ -104,6 +107,8 @@ class Tracker:
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
+        # The level of the light in which the looks are as they were learned.
+        self._light = 1.0
         self._passes = 0
         self._scale: tuple[float, float, float] | None = None
         self._apart: tuple[bytes, float] | None = None
@@ -113,6 +118,9 @@ class Tracker:
         self._strangers = Strangers()
         #: Frames in which several pairs could have been the lost one, and none was taken.
         self.undecided = 0
+        #: Frames before what is followed now was begun with; what was found in them was not it.
+        self.begun = 0
+        self._home: NDArray | None = None
 
     @property
     def seen(self) -> tuple[bool, bool]:
@@ -139,9 +147,11 @@ class Tracker:
         found = None
         self._frames += 1
         if self._cast is not None and (self._lost or self._frames % CAST_CADENCE == 0):
-            self._cast.update(frame)
+            self._follow_light(frame)
         if self._motion is not None and self._lost == 0:
-            found = self._follow(frame, time)
+            found = self._at_home(frame) or self._follow(frame, time)
+            if found is None:
+                found = self._follow_in_other_light(frame, time)
         if self._lost == 0 and self._motion is not None and found is None:
             self._strangers = Strangers(2.0 * float(np.hypot(*self._motion.axis)))
         if found is None and self._search_now():
@@ -152,10 +162,11 @@ class Tracker:
                 self._forget()
             return LOST
         measured, quality = found
+        pixels = np.array([m.centre for m in measured])
         if self._lost:
             self._strangers = Strangers()
+            self._keep_home(pixels)
         self._lost = 0
-        pixels = np.array([m.centre for m in measured])
         self._remember(measured, pixels, quality)
         self._survey.take(
             frame, self._cast.white, pixels, [m.area for m in measured], self._learned.looks
@@ -169,6 +180,31 @@ class Tracker:
         lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
         return Sighting(pixels[0], pixels[1], quality, lamp)
 
+    def _follow_light(self, frame: NDArray, most: float = 1.0) -> bool:
+        """Follow cast and level of the picture's light; return whether the level has changed.
+
+        Up to ``most`` times the light in which the pair was learned: what was bright then may have
+        all the light that a pixel can have, and lose its colour in more.
+        """
+        self._cast.update(frame)
+        share = self._cast.level / self._light
+        share = min(share, max(1.0, most / self._light))
+        self._learned.looks = [look.lit(share) for look in self._learned.looks]
+        self._light *= share
+        return abs(math.log(share)) > math.log(LIGHT_CHANGED)
+
+    def _follow_in_other_light(
+        self, frame: NDArray, time: float
+    ) -> tuple[list[Measurement], float] | None:
+        """Follow the pair into a picture whose light is not as it was."""
+        if self._follow_light(frame) and (found := self._follow(frame, time)) is not None:
+            return found
+        looks, light = self._learned.looks, self._light
+        if self._follow_light(frame, math.inf) and (found := self._follow(frame, time)) is not None:
+            return found
+        self._learned.looks, self._light = looks, light
+        return None
+
     def _is_doubtful(self) -> bool:
         """Return whether the pair may have been two things that passed each other."""
         known = self.geometry.separation is not None or self._start is not None
@@ -176,6 +212,7 @@ class Tracker:
 
     def _forget(self) -> None:
         self._learned = self._motion = self._cast = None
+        self.begun = self._frames
         self._forgotten = self.found
         self._survey = Survey(self.colours, self.geometry)
 
@@ -188,6 +225,44 @@ class Tracker:
         late = max(1.0, 30.0 * (time - self._motion.time))
         margins = [(2.0 + 0.6 * r) * min(late, 4.0) for r in radius]
         return self._measure(frame, expected, margins)
+
+    def _keep_home(self, pixels: NDArray) -> None:
+        """Keep where the robot was lost, if what is found now is somewhere else."""
+        if self._home is None and self._motion is not None:
+            lost = self._motion.pixels
+            self._home = lost if self._are_apart(lost, pixels) else None
+
+    def _at_home(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
+        """Return what is where the robot was lost: that is it, and what is followed is another."""
+        if self._home is None or self._frames % SEARCH_CADENCE:
+            return None
+        if not self._are_apart(self._home, self._motion.pixels):
+            self._home = None  # it went there by itself
+            return None
+        margins = [0.5 * radius for radius in self._radii(middle_of(self._home))]
+        found = self._measure(frame, self._home, margins)
+        if found is None or not self._looks_like_it(found[0]):
+            return None
+        self._home = self._motion = None
+        return found
+
+    def _is_at(self, place: NDArray, measured: list[Measurement]) -> bool:
+        """Return whether both markers are where they were, [2, 2] pixels, to half a radius."""
+        return all(
+            math.dist(m.centre, there) < 0.5 * radius
+            for m, there, radius in zip(measured, place, self._radii(middle_of(place)), strict=True)
+        )
+
+    def _are_apart(self, one: NDArray, other: NDArray) -> bool:
+        """Return whether two places of the pair, [2, 2] pixels, are too far apart to be one."""
+        return math.dist(middle_of(one), middle_of(other)) > float(np.hypot(*(one[0] - one[1])))
+
+    def _looks_like_it(self, measured: list[Measurement]) -> bool:
+        """Return whether both markers are of the paint of the pair's."""
+        return all(
+            measurement.look.is_like(look)
+            for measurement, look in zip(measured, self._learned.looks, strict=True)
+        )
 
     def _measure(
         self, frame: NDArray, near: NDArray, margins: list[float]
@@ -295,6 +370,10 @@ class Tracker:
         strangers = self._strangers.follow([place for place, _ in own + others])
         own = [found for place, found in own if not any(place is other for other in strangers)]
         if len(own) > 1:
+            # One that is where the robot was lost is the robot.
+            home = self._motion.pixels if self._home is None else self._home
+            own = [found for found in own if self._is_at(home, found[0])] or own
+        if len(own) > 1:
             self.undecided += 1
         return own[0] if len(own) == 1 else None
 
@@ -313,10 +392,7 @@ class Tracker:
                 if off > 2 * SEPARATION_TOLERANCE:
                     continue
                 found = self._measure(frame, near, [margin, margin])
-                if found is None or not all(
-                    measurement.look.is_like(look)
-                    for measurement, look in zip(found[0], self._learned.looks, strict=True)
-                ):
+                if found is None or not self._looks_like_it(found[0]):
                     continue
                 if not any(_same(found[0], other[0]) for other in fitting):
                     fitting.append(found)
@@ -345,7 +421,7 @@ class Tracker:
         for rating, pair, white in rated[:4]:
             if rating <= 0:
                 break
-            self._cast = Cast(frame, white)
+            self._cast, self._light = Cast(frame, white), 1.0
             margins = [1.5 * picture.factor + 1.0 + 0.5 * blob.radius for blob in pair]
             pixels = np.array([blob.centre for blob in pair])
             self._learn(

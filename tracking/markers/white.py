@@ -1,4 +1,4 @@
-"""A camera's colour cast: guessed from one picture, and followed from there.
+"""A camera's colour cast and the level of the light: guessed from one picture, and followed.
 
 A camera that balances its whites by itself, or a lamp that is switched on, turns all colours
 alike. What most of the picture does between two frames is taken for such a turn, and taken out
@@ -17,6 +17,8 @@ from tracking.markers.colours import NO_CAST
 _ACROSS = 48
 #: Darker than this a ratio of channels is mostly noise, brighter than this a channel is clipped.
 _DARK, _CLIPPED = 24, 250
+#: The level of the light is taken from pixels at least so bright in the first picture.
+_LIT = 40
 #: Fewer usable pixels say nothing.
 _LEAST = 60
 #: A cast is believed up to this factor.
@@ -48,12 +50,18 @@ class Cast:
         self._reference = _grid(frame)
         self._base = base
         self.white = base
+        #: The light of the latest picture, as a share of that of the first.
+        self.level = 1.0
 
     def update(self, frame: NDArray) -> tuple[float, float]:
         """Return the factors of blue and of red for a later picture of the same view."""
-        usable, blue, red = _turned(_grid(frame), self._reference)
+        grid = _grid(frame)
+        usable, blue, red = _turned(grid, self._reference)
         if usable >= _LEAST:
             self.white = _believed(blue * self._base[0], red * self._base[1])
+        lit, level = _dimmed(grid, self._reference)
+        if lit >= _LEAST:
+            self.level = max(level, 1 / _CLIPPED)
         return self.white
 
 
@@ -72,6 +80,20 @@ def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
     if count == 0:
         return 0, 1.0, 1.0
     return count, np.median(gained[0, :count]), np.median(gained[1, :count])
+
+
+@njit(cache=True, nogil=True)
+def _dimmed(grid: NDArray, before: NDArray) -> tuple[int, float]:
+    """Return how many pixels are lit, and the median of their light as a share of that before."""
+    shares = np.empty(len(grid), np.float32)
+    count = 0
+    for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
+        if then.max() > _LIT and max(now.max(), then.max()) < _CLIPPED:
+            shares[count] = now.sum() / then.sum()
+            count += 1
+    if count == 0:
+        return 0, 1.0
+    return count, np.median(shares[:count])
 
 
 def _grid(frame: NDArray) -> NDArray:

@@ -1,0 +1,66 @@
+"""Whether the pair that is seen after a loss is the one from before: what its motion can say.
+
+A twin of the robot, of the same colours, sizes and separation, can be told from it by its place
+only: the robot goes on from where it was lost.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+#: A pair within so many separations of where the robot was lost is the robot: two do not fit there.
+STAYED = 1.0
+#: For so long (s) it may have driven on, at most FASTER times as fast as it was ever seen to drive,
+#: or at SLOW separations a second, whichever is more. After that it may be anywhere.
+DROVE_FOR, FASTER, SLOW = 2.0, 2.0, 3.0
+#: Speeds are taken over this long, s: over single frames they are noise.
+_SPAN = 0.2
+
+
+def doubtful(time: NDArray, front: NDArray, rear: NDArray) -> NDArray:
+    """Return in which frames a pair may be another than in the first one in which it was found.
+
+    It is followed from frame to frame; where it was lost, and found again farther away than it
+    can have come, it may be another, until it is found where the last certain sight of it was.
+
+    Args:
+        time: [N] of the frames, s, increasing.
+        front, rear: [N, 2] pixels; NaN where the pair was not found.
+
+    Returns:
+        [N] bool, with the frames in which it was lost for a moment.
+    """
+    found = np.flatnonzero(np.isfinite(front).all(axis=1) & np.isfinite(rear).all(axis=1))
+    result = np.zeros(len(time), bool)
+    if len(found) < 2:
+        return result
+    when, middle = time[found], (front[found] + rear[found]) / 2
+    middle = middle / np.median(np.hypot(*(front[found] - rear[found]).T))
+    gaps, ways = np.diff(when), np.hypot(*np.diff(middle, axis=0).T)
+    speeds = _speeds(when, middle)
+    begin, known, certain, top = 0, 0, True, 0.0
+    for last in [*np.flatnonzero(ways > _reach(gaps, 0.0)), len(found) - 1]:
+        # From begin to last it was followed without a jump.
+        if certain:
+            fresh = np.flatnonzero(when[begin : last + 1] - when[begin] >= _SPAN) + begin
+            top, known = max(top, speeds[fresh].max(initial=0.0)), last
+        result[found[begin] : found[last] + 1] = not certain
+        if last + 1 < len(found) and ways[last] > _reach(gaps[last], top):
+            way = np.hypot(*(middle[last + 1] - middle[known]))
+            certain = bool(way <= _reach(when[last + 1] - when[known], top))
+        begin = last + 1
+    return result
+
+
+def _reach(gap: ArrayLike, top: float) -> NDArray:
+    """Return how far a robot can have come, separations, in gaps of time, s, at a highest speed."""
+    drove = FASTER * max(top, SLOW) * np.asarray(gap)
+    return STAYED + np.where(np.asarray(gap) <= DROVE_FOR, drove, 0.0)
+
+
+def _speeds(when: NDArray, middle: NDArray) -> NDArray:
+    """Return how fast the pair was on the way to each place, separations a second."""
+    since = np.maximum(np.searchsorted(when, when - _SPAN, side="right") - 1, 0)
+    gap = np.maximum(when - when[since], _SPAN)
+    return np.hypot(*(middle - middle[since]).T) / gap

@@ -1,0 +1,189 @@
+"""A page to print and cut up: the two markers, and a chessboard for the camera's lens."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+
+from neurosim.base.errors import UserError
+from neurosim.base.files import atomic_path
+from tracking.camera.targets import check_chessboard
+from tracking.markers.colours import Colour, colour_pair, parse_colour
+from tracking.markers.pointing import distinguishable
+
+#: Sheets of paper, width and height, m.
+PAPER = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794)}
+#: What the page is written as, by its suffix, with what would make it differ from day to day.
+FORMATS = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
+#: Around and between what is on the page, and for a line of text, m; printers need the margin.
+MARGIN, GAP, LINE = 0.010, 0.008, 0.005
+#: Of the black backing around a marker, as a share of its diameter: 1 cm around one of 6 cm.
+BACKING = 1 / 6
+#: The line that says whether the printer kept the size, m.
+RULER = 0.100
+#: Rings of a marker, each lighter than the one around it.
+_RINGS = 48
+_INCH = 0.0254
+
+
+@dataclass(frozen=True)
+class PageSettings:
+    """What is on the page.
+
+    Attributes:
+        colours: of the front and of the rear marker.
+        diameter: of a marker's coloured disc, m.
+        square: side of a square of the chessboard, m.
+        pattern: inner corners of the chessboard.
+        paper: size of the sheet.
+        plain: discs of one colour, which do not fade to white in their middle.
+    """
+
+    colours: str = "pink,blue"
+    diameter: float = 0.060
+    square: float = 0.018
+    pattern: tuple[int, int] = (9, 6)
+    paper: Literal["A4", "Letter"] = "A4"
+    plain: bool = False
+
+    def __post_init__(self) -> None:
+        front, rear = (parse_colour(name) for name in colour_pair(self.colours))
+        if not distinguishable(front, rear):
+            raise UserError(
+                f"{front.name} and {rear.name} are too much alike for a camera; choose others, "
+                "such as pink and blue"
+            )
+        if not 0.002 <= self.diameter <= 1:
+            raise UserError(
+                f"a disc of {1000 * self.diameter:g} mm cannot be printed; name at least 2 mm"
+            )
+        check_chessboard(self.pattern, self.square)
+        self._check_room()
+
+    @property
+    def board(self) -> tuple[float, float]:
+        """Width and height of the chessboard, m."""
+        return (self.pattern[0] + 1) * self.square, (self.pattern[1] + 1) * self.square
+
+    @property
+    def backing(self) -> float:
+        """Side of the black square under a marker, m."""
+        return self.diameter * (1 + 2 * BACKING)
+
+    def _check_room(self) -> None:
+        width, height = PAPER[self.paper]
+        room = width - 2 * MARGIN
+        if 2 * self.backing + GAP > room:
+            most = (room - GAP) / 2 / (1 + 2 * BACKING)
+            raise UserError(
+                f"two markers of {1000 * self.diameter:g} mm do not fit on {self.paper}; the "
+                f"largest that do are of {np.floor(1000 * most):g} mm"
+            )
+        left = height - 2 * MARGIN - self.backing - 2 * GAP - 6 * LINE
+        most = min(room / (self.pattern[0] + 1), left / (self.pattern[1] + 1))
+        if self.square > most + 1e-9:
+            raise UserError(
+                f"a chessboard of {self.pattern[0]} x {self.pattern[1]} inner corners with squares "
+                f"of {1000 * self.square:g} mm does not fit on {self.paper} with these markers; "
+                f"the largest squares that do are of {np.floor(1000 * most):g} mm"
+            )
+
+
+def write_page(out: str | Path, settings: PageSettings | None = None) -> None:
+    """Write the page, at its true size.
+
+    Args:
+        out: a ``.pdf`` or ``.svg`` that is not there yet.
+        settings: what is on it.
+
+    Raises:
+        UserError: if it is there, or has another suffix.
+    """
+    out = Path(out)
+    if out.suffix.lower() not in FORMATS:
+        raise UserError(f"{out}: a page is written as {' or '.join(FORMATS)}; name one of these")
+    if out.exists():
+        raise UserError(f"{out} exists already; name another file, or remove it yourself")
+    # The names of a picture's parts are drawn at random unless it is said what to draw them from.
+    with matplotlib.rc_context({"svg.hashsalt": "page"}), atomic_path(out) as partial:
+        draw_page(settings or PageSettings()).savefig(
+            partial, format=out.suffix.lower()[1:], metadata=FORMATS[out.suffix.lower()]
+        )
+
+
+def draw_page(settings: PageSettings) -> Figure:
+    """Return the page as a figure of its true size.
+
+    From the top down: the chessboard, a ruler, the two markers, front on the left.
+    """
+    width, height = PAPER[settings.paper]
+    figure = Figure((width / _INCH, height / _INCH))
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.set(xlim=(0, width), ylim=(0, height))
+    axes.set_axis_off()
+    top = height - MARGIN - settings.board[1]
+    _draw_chessboard(axes, settings, ((width - settings.board[0]) / 2, top))
+    pattern, square = "x".join(map(str, settings.pattern)), f"{1000 * settings.square:g}"
+    _write(axes, top - GAP, f"neurosim calibrate PHOTOGRAPHS --pattern {pattern} --square {square}")
+    ruler = top - GAP - 3 * LINE
+    _draw_ruler(axes, ((width - RULER) / 2, ruler))
+    _write(
+        axes, ruler - LINE,
+        f'Print at 100 % ("actual size"): the line above must be {1000 * RULER:g} mm long.',
+    )  # fmt: skip
+    bottom = MARGIN + LINE
+    names = colour_pair(settings.colours)
+    middle = (settings.backing + GAP) / 2
+    for side, which, name in ((-1, "front", names[0]), (1, "rear", names[1])):
+        u = width / 2 + side * middle
+        _draw_marker(axes, (u, bottom + settings.backing / 2), parse_colour(name), settings)
+        axes.text(u, MARGIN, f"{which}: {name}", ha="center", va="bottom", fontsize=8)
+    return figure
+
+
+def _draw_chessboard(axes: Axes, settings: PageSettings, corner: tuple[float, float]) -> None:
+    side = settings.square
+    for row in range(settings.pattern[1] + 1):
+        for column in range(settings.pattern[0] + 1):
+            if (row + column) % 2 == 0:
+                place = corner[0] + column * side, corner[1] + row * side
+                axes.add_patch(Rectangle(place, side, side, color="black", linewidth=0))
+
+
+def _draw_ruler(axes: Axes, begin: tuple[float, float]) -> None:
+    u, v = begin
+    axes.plot([u, u + RULER], [v, v], color="black", linewidth=0.6)
+    for end in (u, u + RULER):
+        axes.plot([end, end], [v - 0.002, v + 0.002], color="black", linewidth=0.6)
+
+
+def _draw_marker(
+    axes: Axes, middle: tuple[float, float], colour: Colour, settings: PageSettings
+) -> None:
+    side, radius = settings.backing, settings.diameter / 2
+    corner = middle[0] - side / 2, middle[1] - side / 2
+    axes.add_patch(Rectangle(corner, side, side, color="black", linewidth=0))
+    rim = _rgb(colour)
+    for ring in range(_RINGS, 0, -1):
+        share = 1.0 if settings.plain else ring / _RINGS
+        paint = tuple(share * rim + (1 - share))
+        axes.add_patch(Circle(middle, radius * ring / _RINGS, color=paint, linewidth=0))
+
+
+def _rgb(colour: Colour) -> np.ndarray:
+    """Return red, green and blue, [3] of 1: as it was given, or full of its hue."""
+    if re.fullmatch("#[0-9a-f]{6}", colour.name):
+        return np.array([int(colour.name[i : i + 2], 16) for i in (1, 3, 5)]) / 255
+    return np.array(colour.bgr[::-1]) / 255
+
+
+def _write(axes: Axes, height: float, text: str) -> None:
+    axes.text(axes.get_xlim()[1] / 2, height, text, ha="center", va="top", fontsize=8)
