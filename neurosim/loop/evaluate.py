@@ -69,19 +69,12 @@ class Evaluator:
         _check_columns(simulator, controller)
         has_goals = self.episode.goals is not None
         check_inputs(controller, simulator.reading_names, has_goals, "the simulator")
-        if self.episode.readings and not simulator.reading_names:
-            raise UserError(
-                f"the task {task.name} needs the readings of sensors, and this simulator "
-                f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
-            )
+        check_readings(simulator, task)
         self.rollouts = rollouts_of(simulator, controller, self.episode, stepped=stepped)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
         """Return start poses [count, 3], and whether they were drawn by the task."""
-        drawn = self.task.draw_starts(self.simulator, count, rng)
-        if drawn is None:
-            return np.tile(np.asarray(self.task.start, np.float64), (count, 1)), False
-        return drawn, True
+        return draw_starts(self.simulator, self.task, count, rng)
 
     def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
         """Draw the outcomes of so many trials, each from as many starts as the task says.
@@ -232,6 +225,29 @@ def rollouts_of(
     """Return the simulator's own compiled rollouts, else those that go step by step."""
     compiled = None if stepped else simulator.rollouts(controller, episode)
     return compiled or SteppedRollouts(simulator, controller, episode)
+
+
+def draw_starts(
+    simulator: Simulator, task: Task, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], bool]:
+    """Return start poses [count, 3] of a task, and whether they were drawn by it."""
+    drawn = task.draw_starts(simulator, count, rng)
+    if drawn is None:
+        return np.tile(np.asarray(task.start, np.float64), (count, 1)), False
+    return drawn, True
+
+
+def check_readings(simulator: Simulator, task: Task) -> None:
+    """Refuse a simulator without the sensors that a task needs.
+
+    Raises:
+        UserError: if it has none.
+    """
+    if task.episode.readings and not simulator.reading_names:
+        raise UserError(
+            f"the task {task.name} needs the readings of sensors, and this simulator "
+            f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
+        )
 
 
 def _check_columns(simulator: Simulator, controller: Controller) -> None:

@@ -44,6 +44,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.score import Rows, Score
 
 #: The centre is checked at least this often, m.
 SPACING = 0.02
@@ -176,10 +177,7 @@ class NineRectangles(Task):
         """
         judged, (poses, _) = self.judge(trajectory), _flat(trajectory)
         furthest = judged.detail["furthest"].ravel()
-        goals = np.array([self.centre(n + 1) for n in range(self.last + 1)])[furthest]
-        off = np.abs(poses[..., :2] - goals[:, None]) - (self.length / 2, self.width / 2)
-        away = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
-        away = np.where(np.isfinite(away), away, np.inf)
+        away = self._away(poses, self._goals[furthest][:, None])
         steps = np.arange(away.shape[1])
         segment = judged.segment.ravel()
         if trajectory.segment is not None:
@@ -188,10 +186,28 @@ class NineRectangles(Task):
         over = fault[:, None] & (steps > segment[:, None])
         early = (furthest == self.last - 1)[:, None] & ~fault[:, None] & (steps < steps[-1])
         nearest = np.where(over | early, np.inf, away).min(axis=1)
-        reach = math.hypot(self.length, self.width)
-        share = np.clip(1.0 - nearest / reach, 0.0, 1.0)
-        gain = np.where(judged.success.ravel(), 0.0, 0.9 * (2 * furthest + 1) * share)
+        gain = np.where(judged.success.ravel(), 0.0, self._share(furthest, nearest))
         return judged.fitness + gain.reshape(judged.fitness.shape)
+
+    @property
+    def _goals(self) -> NDArray[np.float64]:
+        """The centres [last + 1, 2] (m) of the rectangles that follow 0, 1, 2, ..."""
+        return np.array([self.centre(number + 1) for number in range(self.last + 1)])
+
+    def _away(self, poses: NDArray, goals: NDArray) -> NDArray[np.float64]:
+        """Return how far poses [..., 3] are from the rectangles around goals [..., 2], m."""
+        off = np.abs(poses[..., :2] - goals) - (self.length / 2, self.width / 2)
+        away = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
+        return np.where(np.isfinite(away), away, np.inf)
+
+    def _share(self, furthest: NDArray, nearest: NDArray) -> NDArray[np.float64]:
+        """Return what having come so near (m) to the next rectangle is worth, [...]."""
+        share = np.clip(1.0 - nearest / math.hypot(self.length, self.width), 0.0, 1.0)
+        return 0.9 * (2 * furthest + 1) * share
+
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows the course step by step; a breach, or the last goal, ends a trial."""
+        return _Course(self, count)
 
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rectangle of each pose [..., 3]: its number, -1 forbidden, -2 outside."""
@@ -311,6 +327,13 @@ def _segment(
     return progress, max(highest, progress), fault
 
 
+@njit(cache=True, nogil=True)
+def _begin(pose: NDArray, grid: tuple, last: int) -> tuple[int, int]:
+    """Return progress at a start, and the fault or 0."""
+    progress, fault = _advance(0, _place(pose[0], pose[1], grid), last)
+    return (progress, fault) if progress == 0 else (0, _SKIPPED)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _drive(
     poses: NDArray,
@@ -335,9 +358,7 @@ def _drive(
     faults = np.zeros(batch, np.int64)
     where = np.full(batch, max(segments - 1, 0))
     for b in prange(batch):
-        progress, fault = _advance(0, _place(poses[b, 0, 0], poses[b, 0, 1], grid), last)
-        if progress != 0:
-            progress, fault = 0, _SKIPPED
+        progress, fault = _begin(poses[b, 0], grid, last)
         if fault != 0:
             where[b] = 0
         began = 0
@@ -357,3 +378,82 @@ def _drive(
             furthest[b] = last
         faults[b] = fault
     return furthest, no_gain, faults, where
+
+
+class _Course(Score):
+    """Rectangles passed by trials under way; every interval is a command."""
+
+    def __init__(self, task: NineRectangles, count: int):
+        super().__init__(task, count)
+        self._grid, self._goals, self._last = task._grid, task._goals, task.last
+        self._pose = np.zeros((count, 3))
+        #: Progress, N_max below the last goal, C_nogain and the fault of each.
+        self._at = np.zeros((count, 4), np.int64)
+        #: How near each came to the rectangle that follows each, m.
+        self._nearest = np.zeros((count, len(self._goals)))
+
+    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        at = np.zeros((len(poses), 4), np.int64)
+        for row, pose in enumerate(poses):
+            at[row, 0], at[row, 3] = _begin(pose, self._grid, self._last)
+        self._pose[rows], self._at[rows] = poses, at
+        self._nearest[rows] = self.task._away(poses[:, None], self._goals)
+        self._judge(rows)
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        at = self._at[rows].copy()
+        longest = self.task.longest_arc
+        _go_on(self._pose[rows], poses, at, active, longest, self._grid, self._last)
+        away = self.task._away(poses[:, None], self._goals)
+        away = np.where(at[:, 3:] != 0, np.inf, away)  # after a breach nothing counts
+        self._nearest[rows] = np.minimum(self._nearest[rows], away)
+        self._pose[rows], self._at[rows] = poses, at
+        self._judge(rows)
+
+    def _judge(self, rows: Rows) -> None:
+        progress, furthest, no_gain, fault = self._at[rows].T
+        done = (progress == self._last) & (fault == 0)
+        furthest = np.where(done, self._last, furthest)
+        places = np.arange(len(furthest))
+        nearest = self._nearest[rows][places, furthest]
+        final = (furthest == self._last - 1) & (fault == 0)  # counts only where the robot ends
+        here = self.task._away(self._pose[rows], self._goals[self._last - 1])
+        nearest = np.where(final, here, nearest)
+        fitness = furthest**2 - no_gain / 10.0 - self.task.penalty * (fault != 0)
+        gain = np.where(done, 0.0, self.task._share(furthest, nearest))
+        self.progress[rows] = fitness + gain
+        self.success[rows] = done
+        self.over[rows] = done | (fault != 0)
+
+
+@njit(cache=True, nogil=True)
+def _go_on(
+    before: NDArray,
+    after: NDArray,
+    at: NDArray,
+    active: bool,
+    longest: float,
+    grid: tuple,
+    last: int,
+) -> None:
+    """Change progress, N_max, C_nogain and fault [B, 4] by a command from poses [B, 3] to others.
+
+    As :func:`_drive` does.
+    """
+    for b in range(len(at)):
+        began = min(at[b, 0], last)
+        if at[b, 3] == 0:
+            at[b, 0], highest, at[b, 3] = _segment(
+                before[b], after[b], at[b, 0], longest, grid, last
+            )
+            at[b, 1] = max(at[b, 1], min(highest, last - 1))
+        if active and min(at[b, 0], last) <= began:
+            at[b, 2] += 1

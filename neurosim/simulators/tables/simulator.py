@@ -33,7 +33,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.trajectory import Draws, Episode
-from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
+from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator, Stepper
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
 from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
@@ -41,6 +41,7 @@ from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
+from neurosim.simulators.tables.stepper import TableStepper
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
@@ -239,6 +240,10 @@ class TableSimulator(Simulator):
             else:
                 reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
         return reading.clamp(0.0, 1.0)
+
+    def stepper(self) -> Stepper:
+        """Return compiled steps."""
+        return TableStepper(self)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts; none of plans where the sensors are to be read."""
