@@ -1,0 +1,44 @@
+"""Gymnasium environments: every task in every simulator, one robot or many at once.
+
+Importing this package registers them, or naming it: ``gymnasium.make("neurosim.envs:neurosim/
+GoTo-v0", simulator="folder")``. A task of your own is ``neurosim/Task-v0`` with ``task=``.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from neurosim.base.errors import UserError
+
+try:
+    import gymnasium
+except ImportError:  # pragma: no cover
+    raise UserError(
+        "environments need Gymnasium, which is not installed; pip install 'neurosim[gym]'"
+    ) from None
+
+from neurosim.envs.single import TaskEnv
+from neurosim.envs.vector import TaskVectorEnv
+from neurosim.tasks.registry import TASKS
+
+__all__ = ["TaskEnv", "TaskVectorEnv", "environment_id"]
+
+
+def environment_id(task: str) -> str:
+    """Return the name under which Gymnasium knows a task: neurosim/GoTo-v0 of ``go-to``."""
+    return f"neurosim/{''.join(part.capitalize() for part in task.split('-'))}-v0"
+
+
+def _register(name: str, **settings: Any) -> None:
+    gymnasium.register(
+        name,
+        entry_point="neurosim.envs.single:TaskEnv",
+        vector_entry_point="neurosim.envs.vector:TaskVectorEnv",
+        kwargs=settings,
+    )
+
+
+_register("neurosim/Task-v0")
+for _task in TASKS.names():
+    if environment_id(_task) not in gymnasium.registry:
+        _register(environment_id(_task), task=_task)
