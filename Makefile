@@ -42,7 +42,7 @@ format: .venv/installed-dev
 	touch $@ .venv/installed
 
 .venv/installed-extras: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench,examples]'
 	touch $@ .venv/installed-dev .venv/installed
 
 clean:

@@ -115,7 +115,7 @@ def observe(
     reading_names: Sequence[str],
     pose: Tensor,
     goal: Tensor | None,
-    time: float | Tensor,
+    time: float,
 ) -> Tensor:
     """Return what controllers observe, [B, len(inputs)].
 
@@ -125,7 +125,7 @@ def observe(
         reading_names: of the S sensors.
         pose: [B, 3] x (m), y (m), heading (rad).
         goal: [B, 3] the next goal's pose in the board's frame, or None.
-        time: since the start, s; of all or of each [B].
+        time: since the start, s.
     """
     columns = []
     for name in inputs:
@@ -137,7 +137,7 @@ def observe(
             place, away = GOAL_INPUTS.index(name), se2.between(pose, goal)
             columns.append(away[:, place] if place < 2 else _circle(away[:, 2], place - 2))
         elif name in TIME_INPUTS:
-            columns.append(torch.as_tensor(time).to(pose).expand(len(pose)))
+            columns.append(torch.full_like(pose[:, 0], time))
         else:
             assert readings is not None
             columns.append(readings[:, list(reading_names).index(name)].to(pose))

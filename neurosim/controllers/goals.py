@@ -21,24 +21,11 @@ class Goals:
         self._reach = episode.reach
         self._next = torch.zeros(rows, dtype=torch.long)
 
-    def restart(self, rows: Tensor) -> None:
-        """Begin with the first goal again, in some rows [K]."""
-        self._next[rows] = 0
-
-    def at(self, pose: Tensor, rows: Tensor | slice = slice(None)) -> Tensor | None:
-        """Return the next goal of robots; None: there are no goals.
-
-        Args:
-            pose: [B, 3] where they are.
-            rows: which robots of the batch these are; all by default.
-
-        Returns:
-            [B, 3].
-        """
+    def at(self, pose: Tensor) -> Tensor | None:
+        """Return the next goal [B, 3] of robots at ``pose`` [B, 3]; None: there are no goals."""
         if self._goals is None:
             return None
-        number = self._next[rows]
-        away = (self._goals[number, :2] - pose[:, :2]).norm(dim=1)
+        away = (self._goals[self._next, :2] - pose[:, :2]).norm(dim=1)
         last = len(self._goals) - 1
-        self._next[rows] = torch.where(away <= self._reach, (number + 1).clamp(max=last), number)
-        return self._goals[self._next[rows]]
+        self._next = torch.where(away <= self._reach, (self._next + 1).clamp(max=last), self._next)
+        return self._goals[self._next]

@@ -7,24 +7,26 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-import torch
 from gymnasium.spaces import Box
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.controllers.base import WHEELS, observe
-from neurosim.controllers.goals import Goals
+from neurosim.controllers.base import WHEELS
 from neurosim.controllers.registry import usual_inputs
 from neurosim.loop.evaluate import check_readings
 from neurosim.networks.control import (
+    FEED_FORWARD,
     GOAL_INPUTS,
     NOT_READINGS,
     POSE_INPUTS,
     TIME_INPUTS,
+    NetworkArrays,
+    input_sources,
 )
+from neurosim.networks.control_kernels import make_loop, observe
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
 from neurosim.tasks.score import Rows
@@ -79,16 +81,20 @@ class Face:
         self.action_space, self.observation_space = self._actions(), self._observations()
         sensors = len(simulator.reading_names) if self.reads else 0
         self.score = task.score(count, len(self.outputs), sensors)
-        self._goals = Goals(self.episode, count)
+        sources = input_sources(self.names, simulator.reading_names)
+        # Of the network that this is of, nothing is used but its inputs.
+        shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
+        self._loop = make_loop(shape, sources, self.episode)
+        self._goal, self._every = np.zeros(count, np.int64), np.arange(count)
 
-    def _actions(self) -> Box:
+    def _actions(self) -> Box[np.float32]:
         """Return the commands that the simulator was made from, without a duration."""
-        usual = {name: (-100.0, 100.0) for name in WHEELS}
+        usual = dict.fromkeys(WHEELS, (-100.0, 100.0))
         limits = {**usual, **self.simulator.domain}
         pairs = np.array([limits.get(name, (-np.inf, np.inf)) for name in self.outputs])
-        return Box(*pairs.T.astype(np.float32), dtype=np.float32)
+        return _box(pairs)
 
-    def _observations(self) -> Box:
+    def _observations(self) -> Box[np.float32]:
         low, high = place(self.simulator, self.task)
         far = float(np.linalg.norm(high - low))
         seconds = self.episode.step * self.episode.steps + self.episode.rest
@@ -99,13 +105,12 @@ class Face:
             **{name: (low[k], high[k]) for k, name in enumerate(POSE_INPUTS[:2])},
             **dict.fromkeys(TIME_INPUTS, (0.0, seconds)),
         }
-        pairs = np.array([limits[name] for name in self.names])
-        return Box(*pairs.T.astype(np.float32), dtype=np.float32)
+        return _box(np.array([limits[name] for name in self.names]))
 
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
         self.score.begin(rows, poses)
-        self._goals.restart(torch.from_numpy(rows))
+        self._goal[rows] = 0
 
     def observation(
         self,
@@ -124,20 +129,13 @@ class Face:
         """
         if readings is not None and self.names == self.simulator.reading_names:
             return readings.astype(np.float32)
-        pose = torch.from_numpy(np.ascontiguousarray(poses))
-        if np.isnan(poses).any():
-            pose = pose.nan_to_num()
-        which = torch.from_numpy(rows) if isinstance(rows, np.ndarray) else rows
-        seen = observe(
-            self.names,
-            None if readings is None else torch.from_numpy(readings),
-            self.simulator.reading_names,
-            pose,
-            self._goals.at(pose, which),
-            torch.from_numpy(times),
-        )
+        out = np.empty((len(poses), len(self.names)), np.float32)
         space = self.observation_space
-        return np.clip(seen.numpy().astype(np.float32), space.low, space.high)
+        limits = space.low, space.high
+        if readings is None:
+            readings = np.empty((len(poses), 0), np.float32)
+        _observe(self._loop, self._goal, self._every[rows], poses, times, readings, *limits, out)
+        return out
 
     def checked(self, actions: ArrayLike, count: int | None = None) -> NDArray[np.float64]:
         """Return actions [B, C] in the simulator's columns, those of one step.
@@ -191,6 +189,12 @@ class Face:
         self.score.add(rows, poses, own, readings if self.reads else None, duration, active)
 
 
+def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:
+    """Return the space of columns whose lowest and highest values are pairs [I, 2]."""
+    low, high = pairs.T.astype(np.float32)
+    return Box(low, high, dtype=np.float32)
+
+
 def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return lowest and highest x and y [2] (m) that an observation tells.
 
@@ -213,3 +217,16 @@ def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArra
 def rate(task: Task) -> float:
     """Return how many steps a second a task has."""
     return 1.0 / task.episode.step if math.isfinite(task.episode.step) else 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _observe(loop, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
+    """Write observations [K, I], cut off at their limits; ``goal`` [B] is each row's next one."""
+    for k in range(len(rows)):
+        x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        if math.isnan(x + y + heading):
+            x, y, heading = 0.0, 0.0, 0.0
+        row, cos, sin = rows[k], math.cos(heading), math.sin(heading)
+        goal[row] = observe(loop, x, y, cos, sin, goal[row], times[k], readings[k], out[k])
+        for i in range(out.shape[1]):
+            out[k, i] = min(max(out[k, i], low[i]), high[i])

@@ -60,9 +60,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             UserError: if the simulator cannot be read, or is not of the kind that the task needs.
         """
         simulator, goal = made(simulator, task, settings)
-        self.trials = Trials(
-            simulator, goal, 1, observe=observe, noise=noise, placing=tuple(placing)
-        )
+        self.trials = Trials(simulator, goal, 1, observe=observe, noise=noise, placing=placing)
         self.metadata = {**self.metadata, "render_fps": rate(goal)}
         self.observation_space = self.trials.face.observation_space
         self.action_space = self.trials.face.action_space
@@ -113,7 +111,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self.render_mode == "human" and self._picture is not None:
             self._picture.show(self.metadata["render_fps"])
 
-    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+    def render(self) -> NDArray[np.uint8] | None:
         """Return a picture [height, width, 3] of the trial until now, where the mode is rgb_array.
 
         Raises:

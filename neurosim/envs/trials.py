@@ -9,6 +9,7 @@ import torch
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.threads import one_core
 from neurosim.envs.face import Face
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
@@ -131,7 +132,8 @@ class Trials:
         self.state[rows] = self._stepper.start(starts, member)
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)
-        self._look(rows)
+        with one_core(len(self) < self._stepper.worth_sharing):
+            self._look(rows)
 
     def step(
         self, commands: NDArray[np.float64]
@@ -148,6 +150,12 @@ class Trials:
             Rewards [B]: how much the task's progress grew; which trials are decided, and which
             others have no time left, [B] bool each.
         """
+        with one_core(len(self) < self._stepper.worth_sharing):
+            return self._step(commands)
+
+    def _step(
+        self, commands: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         score, episode = self.face.score, self.face.episode
         before = score.progress.copy()
         self._go_on(slice(None), commands, episode.step, True)

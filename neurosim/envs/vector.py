@@ -75,7 +75,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
             raise UserError(f"autoreset_mode is one of {modes}, not {autoreset_mode!r}") from None
         simulator, goal = made(simulator, task, settings)
         self.trials = Trials(
-            simulator, goal, num_envs, observe=observe, noise=noise, placing=tuple(placing)
+            simulator, goal, num_envs, observe=observe, noise=noise, placing=placing
         )
         self.num_envs = num_envs
         self.metadata = {
@@ -96,7 +96,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         self._ended = np.zeros(num_envs, np.bool_)
         self._seen = np.zeros((num_envs, len(self.trials.face.names)), np.float32)
 
-    @property
+    @property  # type: ignore[misc]
     def np_random(self) -> tuple[np.random.Generator, ...]:  # type: ignore[override]
         """The generators of the environments."""
         return tuple(self._rngs)
@@ -133,7 +133,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
         if len(seed) != self.num_envs:
             raise UserError(f"expected {self.num_envs} seeds, one an environment, not {len(seed)}")
         rows = np.flatnonzero(mask)
-        for row in rows:
+        for row in map(int, rows):
             if (own := seed[row]) is not None:
                 self._rngs[row], self._rng_seeds[row] = seeding.np_random(own)
                 self.trials.forget(row)
@@ -198,7 +198,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
             "_progress": ended.copy(),
         }
 
-    def render(self) -> tuple[NDArray[np.uint8], ...]:  # type: ignore[override]
+    def render(self) -> tuple[NDArray[np.uint8], ...]:
         """Return a picture [height, width, 3] of each trial until now.
 
         Raises:

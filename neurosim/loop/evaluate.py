@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from functools import cached_property
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numba import njit
@@ -19,7 +18,7 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import uninterrupted
-from neurosim.base.threads import one_thread
+from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
@@ -182,18 +181,11 @@ class Evaluator:
     def threads_for(self, individuals: int) -> Iterator[None]:
         """Keep little work on one core.
 
-        On a machine that is busy with something else too, sharing out may cost a time slice of
-        the scheduler, more than the whole work. Where a simulator is stepped in PyTorch there is
-        too little in a step to be shared out.
+        Where a simulator is stepped in PyTorch there is too little in a step to be shared out.
         """
-        threads = numba.get_num_threads()
-        if individuals * (self.steps - (self.episode.rest > 0)) < _WORTH_SHARING:
-            numba.set_num_threads(1)
-        try:
-            with one_thread():
-                yield
-        finally:
-            numba.set_num_threads(threads)
+        work = individuals * (self.steps - (self.episode.rest > 0))
+        with one_core(work < _WORTH_SHARING), one_thread():
+            yield
 
     def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
         """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""

@@ -57,7 +57,13 @@ class Stepper:
     It asks the simulator's own :meth:`Simulator.step` and :meth:`Simulator.sense`; what is
     compiled is a subclass, held to this one by a test. What a row meets follows from its own seed
     and step alone, however many other rows there are.
+
+    Attributes:
+        simulator: whose steps they are.
+        worth_sharing: from so many rows on, sharing them out to several cores pays.
     """
+
+    worth_sharing: int = 0
 
     def __init__(self, simulator: Simulator):
         self.simulator = simulator

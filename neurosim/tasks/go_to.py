@@ -104,9 +104,7 @@ class GoTo(Task):
         places = poses[..., :2]
         touched, until = self._touched(places)
         passed, nearest = self._passed(places, until)
-        fitness, success, reason, away, turned = self._worth(
-            passed, nearest, touched, poses[:, -1]
-        )
+        fitness, success, reason, away, turned = self._worth(passed, nearest, touched, poses[:, -1])
         segment = np.where(touched, until - 1, poses.shape[1] - 2)
         if trajectory.segment is not None:
             segment = trajectory.segment[segment]

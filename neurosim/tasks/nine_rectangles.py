@@ -177,7 +177,9 @@ class NineRectangles(Task):
         """
         judged, (poses, _) = self.judge(trajectory), _flat(trajectory)
         furthest = judged.detail["furthest"].ravel()
-        away = self._away(poses, self._goals[furthest][:, None])
+        off = np.abs(poses[..., :2] - self._goals[furthest][:, None])
+        away = np.linalg.norm(np.maximum(off - (self.length / 2, self.width / 2), 0.0), axis=-1)
+        away = np.where(np.isfinite(away), away, np.inf)
         steps = np.arange(away.shape[1])
         segment = judged.segment.ravel()
         if trajectory.segment is not None:
@@ -186,24 +188,15 @@ class NineRectangles(Task):
         over = fault[:, None] & (steps > segment[:, None])
         early = (furthest == self.last - 1)[:, None] & ~fault[:, None] & (steps < steps[-1])
         nearest = np.where(over | early, np.inf, away).min(axis=1)
-        gain = np.where(judged.success.ravel(), 0.0, self._share(furthest, nearest))
+        reach = math.hypot(self.length, self.width)
+        share = np.clip(1.0 - nearest / reach, 0.0, 1.0)
+        gain = np.where(judged.success.ravel(), 0.0, 0.9 * (2 * furthest + 1) * share)
         return judged.fitness + gain.reshape(judged.fitness.shape)
 
     @property
     def _goals(self) -> NDArray[np.float64]:
         """The centres [last + 1, 2] (m) of the rectangles that follow 0, 1, 2, ..."""
         return np.array([self.centre(number + 1) for number in range(self.last + 1)])
-
-    def _away(self, poses: NDArray, goals: NDArray) -> NDArray[np.float64]:
-        """Return how far poses [..., 3] are from the rectangles around goals [..., 2], m."""
-        off = np.abs(poses[..., :2] - goals) - (self.length / 2, self.width / 2)
-        away = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
-        return np.where(np.isfinite(away), away, np.inf)
-
-    def _share(self, furthest: NDArray, nearest: NDArray) -> NDArray[np.float64]:
-        """Return what having come so near (m) to the next rectangle is worth, [...]."""
-        share = np.clip(1.0 - nearest / math.hypot(self.length, self.width), 0.0, 1.0)
-        return 0.9 * (2 * furthest + 1) * share
 
     def score(self, count: int, columns: int, sensors: int) -> Score:
         """Return what follows the course step by step; a breach, or the last goal, ends a trial."""
@@ -385,20 +378,17 @@ class _Course(Score):
 
     def __init__(self, task: NineRectangles, count: int):
         super().__init__(task, count)
-        self._grid, self._goals, self._last = task._grid, task._goals, task.last
+        self._course = task._grid, task._goals, task.longest_arc, task.penalty
         self._pose = np.zeros((count, 3))
         #: Progress, N_max below the last goal, C_nogain and the fault of each.
         self._at = np.zeros((count, 4), np.int64)
         #: How near each came to the rectangle that follows each, m.
-        self._nearest = np.zeros((count, len(self._goals)))
+        self._nearest = np.zeros((count, task.last + 1))
+        self._every = np.arange(count)
 
     def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        at = np.zeros((len(poses), 4), np.int64)
-        for row, pose in enumerate(poses):
-            at[row, 0], at[row, 3] = _begin(pose, self._grid, self._last)
-        self._pose[rows], self._at[rows] = poses, at
-        self._nearest[rows] = self.task._away(poses[:, None], self._goals)
-        self._judge(rows)
+        self._at[rows], self._nearest[rows], self._pose[rows] = 0, np.inf, poses
+        self._go_on(rows, poses, False, True)
 
     def add(
         self,
@@ -409,51 +399,65 @@ class _Course(Score):
         duration: float,
         active: bool = True,
     ) -> None:
-        at = self._at[rows].copy()
-        longest = self.task.longest_arc
-        _go_on(self._pose[rows], poses, at, active, longest, self._grid, self._last)
-        away = self.task._away(poses[:, None], self._goals)
-        away = np.where(at[:, 3:] != 0, np.inf, away)  # after a breach nothing counts
-        self._nearest[rows] = np.minimum(self._nearest[rows], away)
-        self._pose[rows], self._at[rows] = poses, at
-        self._judge(rows)
+        self._go_on(rows, poses, active, False)
 
-    def _judge(self, rows: Rows) -> None:
-        progress, furthest, no_gain, fault = self._at[rows].T
-        done = (progress == self._last) & (fault == 0)
-        furthest = np.where(done, self._last, furthest)
-        places = np.arange(len(furthest))
-        nearest = self._nearest[rows][places, furthest]
-        final = (furthest == self._last - 1) & (fault == 0)  # counts only where the robot ends
-        here = self.task._away(self._pose[rows], self._goals[self._last - 1])
-        nearest = np.where(final, here, nearest)
-        fitness = furthest**2 - no_gain / 10.0 - self.task.penalty * (fault != 0)
-        gain = np.where(done, 0.0, self.task._share(furthest, nearest))
-        self.progress[rows] = fitness + gain
-        self.success[rows] = done
-        self.over[rows] = done | (fault != 0)
+    def _go_on(self, rows: Rows, poses: NDArray[np.float64], active: bool, begins: bool) -> None:
+        state = self._pose, self._at, self._nearest
+        found = self.progress, self.success, self.over
+        poses = np.ascontiguousarray(poses)
+        _go_on(self._every[rows], poses, active, begins, *self._course, *state, *found)
 
 
 @njit(cache=True, nogil=True)
 def _go_on(
-    before: NDArray,
-    after: NDArray,
-    at: NDArray,
+    rows: NDArray,
+    poses: NDArray,
     active: bool,
-    longest: float,
+    begins: bool,
     grid: tuple,
-    last: int,
+    goals: NDArray,
+    longest: float,
+    penalty: float,
+    before: NDArray,
+    at: NDArray,
+    nearest: NDArray,
+    value: NDArray,
+    success: NDArray,
+    over: NDArray,
 ) -> None:
-    """Change progress, N_max, C_nogain and fault [B, 4] by a command from poses [B, 3] to others.
-
-    As :func:`_drive` does.
-    """
-    for b in range(len(at)):
-        began = min(at[b, 0], last)
-        if at[b, 3] == 0:
-            at[b, 0], highest, at[b, 3] = _segment(
-                before[b], after[b], at[b, 0], longest, grid, last
-            )
+    """Go on by a command to poses [K, 3]; as :func:`_drive` and :meth:`NineRectangles.progress`."""
+    _, length, width = grid
+    last, reach = len(goals) - 1, math.sqrt(length * length + width * width)
+    for k in range(len(rows)):
+        b = rows[k]
+        x, y = poses[k, 0], poses[k, 1]
+        progress, fault = at[b, 0], at[b, 3]
+        if begins:
+            progress, fault = _begin(poses[k], grid, last)
+        began = min(progress, last)
+        if fault == 0:
+            progress, highest, fault = _segment(before[b], poses[k], progress, longest, grid, last)
             at[b, 1] = max(at[b, 1], min(highest, last - 1))
-        if active and min(at[b, 0], last) <= began:
+        if active and min(progress, last) <= began:
             at[b, 2] += 1
+        done = fault == 0 and progress == last
+        furthest = last if done else at[b, 1]
+        away = np.inf
+        if math.isfinite(x) and math.isfinite(y):
+            for goal in range(len(goals)):
+                off_x = max(abs(x - goals[goal, 0]) - 0.5 * length, 0.0)
+                off_y = max(abs(y - goals[goal, 1]) - 0.5 * width, 0.0)
+                here = math.sqrt(off_x * off_x + off_y * off_y)
+                if fault == 0:  # after a breach nothing counts
+                    nearest[b, goal] = min(nearest[b, goal], here)
+                if goal == furthest:
+                    away = here
+        if furthest != last - 1 or fault != 0:  # the last goal counts only where the robot ends
+            away = nearest[b, furthest]
+        value[b] = furthest * furthest - at[b, 2] / 10.0 - penalty * (fault != 0)
+        if not done:
+            share = min(max(1.0 - away / reach, 0.0), 1.0)
+            value[b] += 0.9 * (2 * furthest + 1) * share
+        success[b], over[b] = done, done or fault != 0
+        at[b, 0], at[b, 3] = progress, fault
+        before[b] = poses[k]

@@ -53,7 +53,7 @@ class Walking(Task):
         if trajectory.poses is None:
             raise UserError(_NO_POSES)
         poses = trajectory.poses
-        fell = np.isnan(poses).any(axis=(-1, -2))
+        fell = np.asarray(np.isnan(poses).any(axis=(-1, -2)))
         gone = self._gone(poses[..., 0, :], poses[..., -1, :], fell)
         speed = gone / trajectory.times[..., -1]
         walked = speed >= STALL
@@ -69,7 +69,7 @@ class Walking(Task):
         if trajectory.poses is None:
             raise UserError(_NO_POSES)
         poses = trajectory.poses
-        fell = np.isnan(poses).any(axis=(-1, -2))
+        fell = np.asarray(np.isnan(poses).any(axis=(-1, -2)))
         return self._gone(poses[..., 0, :], poses[..., -1, :], fell) / self.seconds
 
     def score(self, count: int, columns: int, sensors: int) -> Score:

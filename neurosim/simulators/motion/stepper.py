@@ -24,6 +24,8 @@ _BLOCK = 8
 class MotionStepper(Stepper):
     """Steps robots in a motion network of linear units."""
 
+    worth_sharing = 1000  # these take a core a millisecond
+
     def __init__(self, simulator: Any):
         super().__init__(simulator)
         self._arrays = simulator.arrays()
