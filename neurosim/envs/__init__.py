@@ -21,7 +21,27 @@ from neurosim.envs.single import TaskEnv
 from neurosim.envs.vector import TaskVectorEnv
 from neurosim.tasks.registry import TASKS
 
-__all__ = ["TaskEnv", "TaskVectorEnv", "environment_id"]
+__all__ = ["TaskEnv", "TaskVectorEnv", "environment_id", "sb3"]
+
+
+def sb3(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> Any:
+    """Return a vector environment as Stable-Baselines3 takes it, a ``VecEnv``.
+
+    Args:
+        envs: made with ``autoreset_mode="SameStep"``, wrapped or not.
+
+    Raises:
+        UserError: if they were not, or Stable-Baselines3 is not installed.
+    """
+    try:
+        import stable_baselines3  # noqa: F401
+    except ImportError:
+        raise UserError(
+            "Stable-Baselines3 is not installed; pip install stable-baselines3"
+        ) from None
+    from neurosim.envs.stable_baselines import StableBaselinesEnvs
+
+    return StableBaselinesEnvs(envs)
 
 
 def environment_id(task: str) -> str:

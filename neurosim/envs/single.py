@@ -27,8 +27,9 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     """A trial of a task is an episode.
 
     The reward of a step is how much the task's progress grew in it: their sum is the progress of
-    the whole trial, less that of standing still. An episode terminates when it is decided, and is
-    truncated when its time is over; its last ``info`` has ``is_success`` and ``progress``.
+    the whole trial, less that of standing still. An episode terminates when nothing that follows
+    counts any more, and is truncated when its time is over; its last ``info`` has ``is_success``
+    and ``progress``.
 
     Attributes:
         trials: the one trial.

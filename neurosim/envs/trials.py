@@ -140,14 +140,14 @@ class Trials:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Go on with all trials.
 
-        A trial ends when it is decided, or its time is over; the motors then run down, where the
+        A trial ends when nothing that follows counts any more, or its time is over; the motors then run down, where the
         task says so, and what becomes of that counts in this step.
 
         Args:
             commands: [B, C] of :meth:`Face.checked`.
 
         Returns:
-            Rewards [B]: how much the task's progress grew; which trials are decided, and which
+            Rewards [B]: how much the task's progress grew; which trials are decided so, and which
             others have no time left, [B] bool each.
         """
         with one_core(len(self) < self._stepper.worth_sharing):

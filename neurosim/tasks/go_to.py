@@ -119,7 +119,7 @@ class GoTo(Task):
         )
 
     def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the goals step by step; who touches a wall, or is there, is done."""
+        """Return what follows the goals step by step; who touches a wall is done."""
         return _OnTheWay(self, count)
 
     def outline(self) -> list[dict[str, Any]]:
@@ -246,7 +246,7 @@ class _OnTheWay(Score):
         self._pose[rows] = poses
         fitness, success, *_ = task._worth(passed, nearest, touched, poses)
         self.progress[rows], self.success[rows] = fitness, success
-        self.over[rows] = touched | success
+        self.over[rows] = touched
 
 
 def _finite(poses: NDArray[np.float64]) -> NDArray[np.float64]:

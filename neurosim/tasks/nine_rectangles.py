@@ -199,7 +199,7 @@ class NineRectangles(Task):
         return np.array([self.centre(number + 1) for number in range(self.last + 1)])
 
     def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the course step by step; a breach, or the last goal, ends a trial."""
+        """Return what follows the course step by step; a breach of the rules ends a trial."""
         return _Course(self, count)
 
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -458,6 +458,6 @@ def _go_on(
         if not done:
             share = min(max(1.0 - away / reach, 0.0), 1.0)
             value[b] += 0.9 * (2 * furthest + 1) * share
-        success[b], over[b] = done, done or fault != 0
+        success[b], over[b] = done, fault != 0
         at[b, 0], at[b, 3] = progress, fault
         before[b] = poses[k]

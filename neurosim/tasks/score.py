@@ -26,7 +26,7 @@ class Score:
         task: by which.
         progress: [B] the task's progress, if the trials ended here.
         success: [B] bool, whether the task would then be done.
-        over: [B] bool, whether a trial is decided: nothing that follows counts, or it is done.
+        over: [B] bool, whether nothing that follows counts any more.
     """
 
     def __init__(self, task: Any, count: int):

@@ -167,14 +167,24 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     assert np.linalg.norm(driven[-1, :2] - driven[0, :2]) > 0.005
 
 
-def test_a_learner_is_told_that_it_is_there():
-    env = single("go-to", noise=False)
-    env.reset()
-    *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-    assert terminated  # the goal is within the tolerance from the start on
-    assert not truncated
-    assert info["is_success"]
+def test_a_learner_is_told_how_a_trial_ended():
+    env = TaskEnv(tables(), "go-to", goals=[[0.03, 0.1, 0.0]], begin=[0.0, 0.1, 0.0], seconds=0.5)
+    env.reset(seed=0)
+    for step in range(5):
+        *_, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+        assert truncated == (step == 4)
+        assert not terminated
+    assert info["is_success"]  # it stands within the tolerance
     assert info["progress"] > 1
+    env = single("course", noise=False)
+    env.reset()
+    steps, terminated = 0, False
+    while not terminated:  # it leaves the grid
+        *_, terminated, truncated, info = env.step(np.array([50, 50], np.float32))
+        steps += 1
+    assert steps < 10
+    assert not truncated
+    assert not info["is_success"]
 
 
 def test_a_robot_walks_until_it_falls():
