@@ -1,22 +1,20 @@
-"""EvoTorch evolves a policy that drives to a place."""
+"""EvoTorch's GymNE: one trial after the other."""
 
 import gymnasium
-import torch
 from evotorch.algorithms import SNES
 from evotorch.neuroevolution import GymNE
 from gymnasium.wrappers import RescaleAction
 
-NAME = "neurosim.envs:neurosim/GoTo-v0"
-make = lambda: RescaleAction(gymnasium.make(NAME, simulator="simulator"), -1, 1)
-problem = GymNE(make, "Linear(obs_length, act_length)", seed=1)
-search = SNES(problem, popsize=40, stdev_init=1.0)
-search.run(25)
-policy, env, done = problem.to_policy(search.status["center"]), make(), 0
-for trial in range(50):
-    (seen, _), over = env.reset(seed=trial), False
+name = "neurosim.envs:neurosim/GoTo-v0"
+env = RescaleAction(gymnasium.make(name, simulator="simulator"), -1, 1)
+problem = GymNE(lambda: env, "Linear(obs_length, act_length)")
+search = SNES(problem, popsize=30, stdev_init=1.0)
+search.run(20)
+policy, done = problem.to_policy(search.status["center"]), []
+while len(done) < 50:
+    (seen, _), over = env.reset(seed=len(done)), False
     while not over:
-        action = policy(torch.as_tensor(seen)).clamp(-1, 1).numpy()
-        seen, _, terminated, truncated, info = env.step(action)
-        over = terminated or truncated
-    done += info["is_success"] / 50
-print(f"success {done:.2f}")
+        action = policy(problem.as_tensor(seen)).clamp(-1, 1).detach().numpy()
+        seen, _, _, over, info = env.step(action)
+    done.append(info["is_success"])
+print(f"success {sum(done) / 50:.2f}")
