@@ -54,6 +54,9 @@ def main() -> None:
     counts = (1, 100) if options.quick else (1, 100, 1000, 10_000)
     repeats = 3 if options.quick else 11
     rows = []
+    for count in (1, os.cpu_count() or 1, 16):  # processes that are forked before there are threads
+        rate = asynchronous(count, repeats)
+        rows += [] if rate is None else [row("MuJoCo, AsyncVectorEnv", count, rate)]
     for name, simulator, task in systems(options.simulator, options.quick):
         for count in counts:
             rows += [
@@ -63,10 +66,8 @@ def main() -> None:
     for count in counts:
         rate = kheperax(count, 1 if options.quick else 3)
         rows += [] if rate is None else [row("Kheperax", count, rate)]
-    for count in (1, os.cpu_count() or 1, 16):
-        rate = asynchronous(count, repeats)
-        rows += [] if rate is None else [row("MuJoCo, AsyncVectorEnv", count, rate)]
-    found = ratios(rows, counts[-1] if options.quick else 1000)
+    compared = counts[-1] if options.quick else 1000
+    found = ratios(rows, compared)
     if options.json:
         machine = {"cores": os.cpu_count(), "numba_threads": numba.get_num_threads()}
         machine["load"] = os.getloadavg()[0]
@@ -74,9 +75,7 @@ def main() -> None:
         return
     for one in rows:
         print(f"{one['name']:28}  {one['robots']:6}  {one['steps_per_second']:14,.0f}")
-    print(
-        f"\nat {100 if options.quick else 1000} robots; load of the machine {os.getloadavg()[0]:.1f}"
-    )
+    print(f"\nat {compared} robots; load of the machine {os.getloadavg()[0]:.1f}")
     for name, value in found.items():
         print(f"{name:45} {value:10.2f}")
 

@@ -8,7 +8,6 @@ simulator = ns.load("simulator")
 task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0], [-0.4, 0.0, 0]])
 network = ns.make_controller("network", simulator, task)
 fitness = ns.evaluate(simulator, task, network, outcomes=4)
-
 creator.create("Fitness", base.Fitness, weights=(1.0,))
 creator.create("Individual", list, fitness=creator.Fitness)
 search = cma.Strategy([0.0] * network.genes, 1.0, lambda_=16)

@@ -36,7 +36,8 @@ class StableBaselinesEnvs(VecEnv):
 
     def reset(self) -> NDArray:  # type: ignore[override]
         """Begin all trials; return what is observed."""
-        seen, _ = self.envs.reset(seed=self._seeds)
+        seeds: Any = self._seeds  # one for each environment
+        seen, _ = self.envs.reset(seed=seeds)
         self._reset_seeds()
         self._reset_options()
         return seen
@@ -45,7 +46,7 @@ class StableBaselinesEnvs(VecEnv):
         """Take actions [num_envs, C] for the next step."""
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray, NDArray, NDArray, list[dict[str, Any]]]:  # type: ignore[override]
+    def step_wait(self) -> tuple[NDArray, NDArray, NDArray, list[dict[str, Any]]]:
         """Go on by a step; return observations, rewards, which trials ended, and infos."""
         seen, rewards, terminated, truncated, found = self.envs.step(self._actions)
         ended = terminated | truncated
@@ -64,7 +65,8 @@ class StableBaselinesEnvs(VecEnv):
 
     def get_images(self) -> Sequence[NDArray | None]:
         """Return a picture of each trial."""
-        return list(self.envs.render() or [])
+        pictures: Any = self.envs.render()
+        return list(pictures)
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """Return an attribute, which all environments share."""

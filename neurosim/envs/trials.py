@@ -140,8 +140,8 @@ class Trials:
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
         """Go on with all trials.
 
-        A trial ends when nothing that follows counts any more, or its time is over; the motors then run down, where the
-        task says so, and what becomes of that counts in this step.
+        A trial ends when nothing that follows counts any more, or its time is over; the motors
+        then run down, where the task says so, and what becomes of that counts in this step.
 
         Args:
             commands: [B, C] of :meth:`Face.checked`.
