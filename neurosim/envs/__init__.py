@@ -21,7 +21,27 @@ from neurosim.envs.single import TaskEnv
 from neurosim.envs.vector import TaskVectorEnv
 from neurosim.tasks.registry import TASKS
 
-__all__ = ["TaskEnv", "TaskVectorEnv", "environment_id", "sb3"]
+__all__ = ["TaskEnv", "TaskVectorEnv", "environment_id", "make_env", "sb3"]
+
+
+def make_env(
+    simulator: Any, task: Any = "nine-rectangles", *, robot: str | None = None, **others: Any
+) -> gymnasium.Env[Any, Any]:
+    """Return a task in a simulator, or, with the simulator's spaces, on a robot.
+
+    Args:
+        simulator, task: as :class:`TaskEnv` takes them.
+        robot: None; or as ``--robot`` takes it: virtual, virtual-khepera, or a real one's.
+        others: of :class:`TaskEnv`, or of :class:`neurosim.envs.robot.RobotEnv`.
+
+    Raises:
+        UserError: if they do not fit each other.
+    """
+    if robot is None:
+        return TaskEnv(simulator, task, **others)
+    from neurosim.envs.robot import RobotEnv
+
+    return RobotEnv(simulator, task, robot=robot, **others)
 
 
 def sb3(envs: gymnasium.vector.VectorEnv[Any, Any, Any]) -> Any:
@@ -52,7 +72,7 @@ def environment_id(task: str) -> str:
 def _register(name: str, **settings: Any) -> None:
     gymnasium.register(
         name,
-        entry_point="neurosim.envs.single:TaskEnv",
+        entry_point="neurosim.envs:make_env",
         vector_entry_point="neurosim.envs.vector:TaskVectorEnv",
         kwargs=settings,
     )

@@ -34,7 +34,7 @@ class StableBaselinesEnvs(VecEnv):
         self.envs = envs
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
-    def reset(self) -> NDArray:  # type: ignore[override]
+    def reset(self) -> NDArray:
         """Begin all trials; return what is observed."""
         seeds: Any = self._seeds  # one for each environment
         seen, _ = self.envs.reset(seed=seeds)
