@@ -1,6 +1,6 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
-# make test-extras: the peers that benchmarks measure beside ours.
+# make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
@@ -20,7 +20,7 @@ test: .venv/installed-dev
 test-fast: TIER = -m "not slow"
 test-fast: test
 
-# The peers of the benchmarks, which are large: 2 GB in all.
+# What benchmarks/ and examples/ use, which is large: 3 GB in all.
 test-extras: .venv/installed-extras
 	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
 

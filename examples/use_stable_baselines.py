@@ -7,10 +7,11 @@ from stable_baselines3 import PPO
 
 from neurosim.envs import sb3
 
-made = {"simulator": "simulator", "num_envs": 60, "autoreset_mode": "SameStep", "seconds": 6.0}
-envs = sb3(RescaleAction(gymnasium.make_vec("neurosim/GoTo-v0", **made), -1.0, 1.0))
-learner = PPO("MlpPolicy", envs, n_steps=60, batch_size=600, learning_rate=1e-3, seed=1)
-learner.learn(300_000)
+made = {"num_envs": 60, "autoreset_mode": "SameStep", "seconds": 6.0, "tolerance": 0.1}
+envs = gymnasium.make_vec("neurosim/GoTo-v0", simulator="simulator", **made)
+envs, less_noise = sb3(RescaleAction(envs, -1.0, 1.0)), {"log_std_init": -1.0}
+learner = PPO("MlpPolicy", envs, 1e-3, 60, 600, gamma=0.95, policy_kwargs=less_noise, seed=1)
+learner.learn(200_000)
 seen, done = envs.reset(), []
 while len(done) < 200:
     seen, _, ended, infos = envs.step(learner.predict(seen, deterministic=True)[0])

@@ -18,7 +18,7 @@ from neurosim.simulators.motion.plan_kernels import displacements, scratch
 from neurosim.simulators.numbers import NORMAL, numbers_at
 
 #: Robots that a core steps before it takes others.
-_BLOCK = 8
+_BLOCK = 32
 
 
 class MotionStepper(Stepper):

@@ -22,7 +22,7 @@ from neurosim.simulators.tables.kernels import (
 )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True)
 def carry_out(t, timing, pose, speeds, goals, command, z, kept):
     """Carry out a command [3] (%, %, s); change pose [3], speeds and goals [2].
 
@@ -40,7 +40,10 @@ def carry_out(t, timing, pose, speeds, goals, command, z, kept):
         noise[i] *= math.sqrt(duration) * z[i] / parts
     x, y, theta = pose[0], pose[1], pose[2]
     for part in range(parts):
-        _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
+        if timing[part, 0, 0] > 0.0:
+            _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
+        else:
+            before[:] = 0.0
         _advance(t, timing[part, 1], speeds, left, right, twist)
         x, y, theta = _moved(t, x, y, theta, before, twist, noise)
     pose[0], pose[1], pose[2] = x, y, theta

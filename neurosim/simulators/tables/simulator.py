@@ -260,11 +260,15 @@ class TableSimulator(Simulator):
         None is longer than half the robot's radius, so that it cannot pass through a wall; nor,
         where wheels are late, than a step, through which their mean speeds count.
         """
-        fastest = np.linalg.norm(self.motors.twist[..., :2], axis=-1).max()
-        parts = np.ceil(2.0 * duration * fastest / self.radius)
+        parts = np.ceil(2.0 * duration * self._fastest / self.radius)
         if self.reaction != Reaction():
             parts = np.maximum(parts, np.ceil(duration / STEP - 1e-9))
         return np.maximum(parts, 1.0).astype(np.int64)
+
+    @cached_property
+    def _fastest(self) -> float:
+        """The highest speed, m/s."""
+        return float(np.linalg.norm(self.motors.twist[..., :2], axis=-1).max())
 
     @cached_property
     def arrays(self) -> TableArrays:
