@@ -1,6 +1,6 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
-# make test-extras: the peers that benchmarks measure beside ours.
+# make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
@@ -20,7 +20,7 @@ test: .venv/installed-dev
 test-fast: TIER = -m "not slow"
 test-fast: test
 
-# The peers of the benchmarks, Ray and onnxruntime, which are large: 2.5 GB in all.
+# What benchmarks/ and examples/ use, Ray and onnxruntime, which are large: 3.5 GB in all.
 test-extras: .venv/installed-extras
 	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
 
@@ -42,7 +42,7 @@ format: .venv/installed-dev
 	touch $@ .venv/installed
 
 .venv/installed-extras: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench,onnx,ray]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench,examples,onnx,ray]'
 	touch $@ .venv/installed-dev .venv/installed
 
 clean:

@@ -123,6 +123,14 @@ def test_networks_are_evolved_for_the_distance_to_a_path():
     assert max(history["best"]) < 0
 
 
+def test_the_page_of_libraries_shows_the_examples():
+    shown = list(blocks(ROOT / "docs" / "libraries.md", "py"))
+    examples = sorted((ROOT / "examples").glob("*.py"))
+    assert examples
+    for path in examples:
+        assert path.read_text(encoding="utf-8") in shown, path.name
+
+
 def test_there_is_something_to_test():
     assert len(COMMANDS) > 20
     assert PYTHON

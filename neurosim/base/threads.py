@@ -1,11 +1,28 @@
-"""How many threads PyTorch works in."""
+"""How many threads PyTorch and compiled kernels work in."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numba
 import torch
+
+
+@contextmanager
+def one_core(wanted: bool = True) -> Iterator[None]:
+    """Keep compiled kernels on one core, if that is wanted: for little work.
+
+    On a machine that is busy with something else too, sharing out may cost a time slice of the
+    scheduler, more than the whole work.
+    """
+    threads = numba.get_num_threads()
+    if wanted:
+        numba.set_num_threads(1)
+    try:
+        yield
+    finally:
+        numba.set_num_threads(threads)
 
 
 @contextmanager

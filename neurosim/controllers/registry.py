@@ -46,8 +46,7 @@ def make_controller(
     maker = CONTROLLERS.get(kind)
     fields = [one.name for one in dataclasses.fields(maker)] if _is_settings(maker) else []
     if simulator is not None and "inputs" in fields and "inputs" not in settings:
-        goals = GOAL_INPUTS if task is not None and task.episode.goals is not None else ()
-        settings["inputs"] = (*simulator.reading_names, *goals)
+        settings["inputs"] = usual_inputs(simulator, task)
         if not settings["inputs"]:
             raise UserError(
                 f"a {kind} needs something to observe: the simulator has no sensors and the task "
@@ -61,6 +60,12 @@ def make_controller(
     if simulator is not None and kind == "plan":
         settings = {**_within(simulator), **settings}
     return CONTROLLERS.make(kind, settings)
+
+
+def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
+    """Return what is observed if nothing else is said: all sensors, and where the next goal is."""
+    goals = GOAL_INPUTS if task is not None and task.episode.goals is not None else ()
+    return (*simulator.reading_names, *goals)
 
 
 def _within(simulator: Any) -> dict[str, Any]:

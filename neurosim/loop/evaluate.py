@@ -11,7 +11,6 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
-import numba
 import numpy as np
 import torch
 from numba import njit
@@ -20,7 +19,7 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import uninterrupted
-from neurosim.base.threads import one_thread
+from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
 from neurosim.evolution.command_sets import pairing_keys
@@ -75,20 +74,13 @@ class Evaluator:
         _check_columns(simulator, controller)
         has_goals = self.episode.goals is not None
         check_inputs(controller, simulator.reading_names, has_goals, "the simulator")
-        if self.episode.readings and not simulator.reading_names:
-            raise UserError(
-                f"the task {task.name} needs the readings of sensors, and this simulator "
-                f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
-            )
+        check_readings(simulator, task)
         self.rollouts = rollouts_of(simulator, controller, self.episode, stepped=stepped)
         self.workers = workers_named(workers)
 
     def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
         """Return start poses [count, 3], and whether they were drawn by the task."""
-        drawn = self.task.draw_starts(self.simulator, count, rng)
-        if drawn is None:
-            return np.tile(np.asarray(self.task.start, np.float64), (count, 1)), False
-        return drawn, True
+        return draw_starts(self.simulator, self.task, count, rng)
 
     def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
         """Draw the outcomes of so many trials, each from as many starts as the task says.
@@ -206,18 +198,11 @@ class Evaluator:
     def threads_for(self, individuals: int) -> Iterator[None]:
         """Keep little work on one core.
 
-        On a machine that is busy with something else too, sharing out may cost a time slice of
-        the scheduler, more than the whole work. Where a simulator is stepped in PyTorch there is
-        too little in a step to be shared out.
+        Where a simulator is stepped in PyTorch there is too little in a step to be shared out.
         """
-        threads = numba.get_num_threads()
-        if individuals * (self.steps - (self.episode.rest > 0)) < _WORTH_SHARING:
-            numba.set_num_threads(1)
-        try:
-            with one_thread():
-                yield
-        finally:
-            numba.set_num_threads(threads)
+        work = individuals * (self.steps - (self.episode.rest > 0))
+        with one_core(work < _WORTH_SHARING), one_thread():
+            yield
 
     def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
         """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""
@@ -255,6 +240,29 @@ def rollouts_of(
     """Return the simulator's own compiled rollouts, else those that go step by step."""
     compiled = None if stepped else simulator.rollouts(controller, episode)
     return compiled or SteppedRollouts(simulator, controller, episode)
+
+
+def draw_starts(
+    simulator: Simulator, task: Task, count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], bool]:
+    """Return start poses [count, 3] of a task, and whether they were drawn by it."""
+    drawn = task.draw_starts(simulator, count, rng)
+    if drawn is None:
+        return np.tile(np.asarray(task.start, np.float64), (count, 1)), False
+    return drawn, True
+
+
+def check_readings(simulator: Simulator, task: Task) -> None:
+    """Refuse a simulator without the sensors that a task needs.
+
+    Raises:
+        UserError: if it has none.
+    """
+    if task.episode.readings and not simulator.reading_names:
+        raise UserError(
+            f"the task {task.name} needs the readings of sensors, and this simulator "
+            f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
+        )
 
 
 def _check_columns(simulator: Simulator, controller: Controller) -> None:

@@ -13,6 +13,7 @@ from torch import Tensor
 from neurosim.base.errors import UserError
 from neurosim.base.schema import Rows, Shape
 from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.simulators import numbers
 
 FORMAT, VERSION = "neurosim-simulator", 2
 _SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str, "virtual?": bool}
@@ -72,6 +73,83 @@ class Rollouts(Protocol):
             reuse: whether the arrays may be overwritten by the next run.
         """
         ...
+
+
+class Stepper:
+    """Steps whole batches in NumPy, each row with random numbers of its own.
+
+    It asks the simulator's own :meth:`Simulator.step` and :meth:`Simulator.sense`; what is
+    compiled is a subclass, held to this one by a test. What a row meets follows from its own seed
+    and step alone, however many other rows there are.
+
+    Attributes:
+        simulator: whose steps they are.
+        worth_sharing: from so many rows on, sharing them out to several cores pays.
+    """
+
+    worth_sharing: int = 0
+
+    def __init__(self, simulator: Simulator):
+        self.simulator = simulator
+
+    def start(
+        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] of robots that stand still at poses [B, 3] (m, m, rad).
+
+        Args:
+            poses: where they stand.
+            member: [B] which member of an ensemble each moves as, -1 for the mean; None: the mean.
+        """
+        pose = torch.from_numpy(np.asarray(poses, np.float64))
+        if member is None or self.simulator.members == 1:
+            return self.simulator.start(pose).numpy()
+        return self.simulator.start_as(pose, torch.from_numpy(member)).numpy()
+
+    def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
+        """Return what the noise of a step is made of, as :meth:`step` and :meth:`sense` take it.
+
+        Args:
+            seeds: [B] of the rows' outcomes.
+            steps: [B] the number of the step in each row.
+
+        Returns:
+            Numbers [B, noise_width]; or a seed for each row [B, 1], where the simulator draws its
+            noise itself.
+        """
+        drawn = numbers.words_at(seeds, steps) >> np.uint64(1)
+        if not self.simulator.noise_width:
+            return drawn[:, None]
+        rows = [self.simulator.draw_noise(1, 1, _generator(seed))[0, 0] for seed in drawn]
+        return torch.stack(rows).numpy()
+
+    def step(
+        self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] after commands [B, C]; ``noise`` of :meth:`noise`, or None."""
+        return self._ask(self.simulator.step, noise, state, command)
+
+    def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
+        """Return the readings [B, R] in 0..1 in states [B, S]; ``noise`` as in :meth:`step`."""
+        return self._ask(self.simulator.sense, noise, state)
+
+    def _ask(self, what: Any, noise: NDArray | None, *given: NDArray) -> NDArray:
+        tensors = [torch.from_numpy(one) for one in given]
+        with torch.no_grad():
+            if noise is None:
+                return what(*tensors).numpy()
+            if self.simulator.noise_width:
+                return what(*tensors, z=torch.from_numpy(noise)).numpy()
+            rows = zip(*(one.split(1) for one in tensors), strict=True)
+            found = [
+                what(*row, generator=_generator(seed))
+                for row, seed in zip(rows, noise[:, 0], strict=True)
+            ]
+            return torch.cat(found).numpy()
+
+
+def _generator(seed: np.uint64) -> torch.Generator:
+    return torch.Generator().manual_seed(int(seed))
 
 
 class Simulator:
@@ -215,6 +293,10 @@ class Simulator:
             f"a simulator of the kind {self.kind} cannot be exported: how many operations its step "
             "takes depends on where the robots are; those of the kind motion-network can"
         )
+
+    def stepper(self) -> Stepper:
+        """Return what steps batches of robots of which each has random numbers of its own."""
+        return Stepper(self)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.tasks.score import Replayed, Score
 
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
@@ -87,6 +88,18 @@ class Task:
         By default the fitness itself.
         """
         return self.judge(trajectory).fitness
+
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows the progress of trials step by step.
+
+        By default each is judged anew after every step: time that grows with its square.
+
+        Args:
+            count: trials at once.
+            columns: of their commands.
+            sensors: whose readings there are.
+        """
+        return Replayed(self, count, columns, sensors)
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness of whole trials [...] of those from each start [..., trial_starts]."""

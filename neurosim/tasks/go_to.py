@@ -12,8 +12,12 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.score import Rows, Score
 
 Pose = tuple[float, float, float]
+
+#: Whoever is nowhere is so far away, m.
+_FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -96,28 +100,11 @@ class GoTo(Task):
         shape = trajectory.shape
         poses = np.asarray(trajectory.poses, np.float64)
         poses = poses.reshape(-1, *poses.shape[-2:])
-        poses = np.nan_to_num(poses, nan=1e3, posinf=1e3, neginf=-1e3)
-        places, goals = poses[..., :2], np.array(self.goals)
+        poses = _finite(poses)
+        places = poses[..., :2]
         touched, until = self._touched(places)
-        passed, nearest = self._passed(places, goals[:, :2], until)
-        rows, last = np.arange(len(poses)), len(goals) - 1
-        away = np.linalg.norm(places[:, -1] - goals[last, :2], axis=-1)
-        turned = np.abs(np.remainder(poses[:, -1, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
-        legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
-        goal = np.minimum(passed, last)
-        fitness = passed + np.clip(1.0 - nearest[rows, goal] / np.maximum(legs[goal], 1e-6), 0, 1)
-        there = (passed >= len(goals)) & ~touched
-        good = away <= self.tolerance
-        fine = np.ones_like(good)
-        if self.heading_tolerance is not None:
-            fine = turned <= self.heading_tolerance
-        # Passing all is worth len(goals); hitting the last one up to 1 more, or 2 with a heading.
-        hit = 1.0 / (1.0 + away / self.tolerance)
-        if self.heading_tolerance is not None:
-            hit = hit + 1.0 / (1.0 + turned / self.heading_tolerance)
-        fitness = np.where(passed >= len(goals), len(goals) + np.where(touched, 0.0, hit), fitness)
-        success = there & good & fine
-        reason = np.select([touched, ~there, ~good], [0, 1, 2], 3)
+        passed, nearest = self._passed(places, until)
+        fitness, success, reason, away, turned = self._worth(passed, nearest, touched, poses[:, -1])
         segment = np.where(touched, until - 1, poses.shape[1] - 2)
         if trajectory.segment is not None:
             segment = trajectory.segment[segment]
@@ -131,6 +118,10 @@ class GoTo(Task):
             turn=turned.reshape(shape),
         )
 
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows the goals step by step; who touches a wall is done."""
+        return _OnTheWay(self, count)
+
     def outline(self) -> list[dict[str, Any]]:
         """Return walls, and goals as circles."""
         shapes: list[dict[str, Any]] = [
@@ -141,34 +132,126 @@ class GoTo(Task):
             shapes.append({"text": str(number), "at": [x, y]})
         return shapes
 
+    def _worth(
+        self,
+        passed: NDArray[np.int64],
+        nearest: NDArray[np.float64],
+        touched: NDArray[np.bool_],
+        end: NDArray[np.float64],
+    ) -> tuple[NDArray, ...]:
+        """Return fitness, success, the reason, and distance (m) and turn (rad) to the last goal.
+
+        All [B], of trials that passed so many goals [B], came so near to each [B, N] (m), may have
+        touched a wall [B] and end at poses [B, 3].
+        """
+        goals, last = np.array(self.goals), len(self.goals) - 1
+        away = np.linalg.norm(end[:, :2] - goals[last, :2], axis=-1)
+        turned = np.abs(np.remainder(end[:, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
+        legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
+        rows, goal = np.arange(len(end)), np.minimum(passed, last)
+        fitness = passed + np.clip(1.0 - nearest[rows, goal] / np.maximum(legs[goal], 1e-6), 0, 1)
+        there = (passed >= len(goals)) & ~touched
+        good = away <= self.tolerance
+        fine = np.ones_like(good)
+        if self.heading_tolerance is not None:
+            fine = turned <= self.heading_tolerance
+        # Passing all is worth len(goals); hitting the last one up to 1 more, or 2 with a heading.
+        hit = 1.0 / (1.0 + away / self.tolerance)
+        if self.heading_tolerance is not None:
+            hit = hit + 1.0 / (1.0 + turned / self.heading_tolerance)
+        fitness = np.where(passed >= len(goals), len(goals) + np.where(touched, 0.0, hit), fitness)
+        success = there & good & fine
+        reason = np.select([touched, ~there, ~good], [0, 1, 2], 3)
+        return fitness, success, reason, away, turned
+
+    def _touches(self, before: NDArray, after: NDArray) -> NDArray[np.bool_]:
+        """Return who touches a wall [...] between places [..., 2]."""
+        near = np.zeros(before.shape[:-1], np.bool_)
+        for wall in self.walls:
+            a, b = np.array(wall[:2]), np.array(wall[2:])
+            near |= _between_segments(before, after, a, b) < self.radius
+        return near
+
     def _touched(self, places: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
         """Return who touches a wall [B], and the first pose after that (else the last) [B]."""
         last = places.shape[1] - 1
         near = np.zeros(places.shape[:2], np.bool_)
-        for wall in self.walls:
-            a, b = np.array(wall[:2]), np.array(wall[2:])
-            distance = _between_segments(places[:, :-1], places[:, 1:], a, b)
-            near[:, 1:] |= distance < self.radius
+        near[:, 1:] = self._touches(places[:, :-1], places[:, 1:])
         touched = np.any(near, axis=1)
         return touched, np.where(touched, near.argmax(axis=1), last)
 
     def _passed(
-        self, places: NDArray, goals: NDArray, until: NDArray
-    ) -> tuple[NDArray[np.int64], NDArray]:
+        self, places: NDArray, until: NDArray
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return how many goals were passed in turn [B], and how near each came [B, N]."""
         passed = np.zeros(len(places), np.int64)
-        nearest = np.full((len(places), len(goals)), np.inf)
-        rows = np.arange(len(places))
+        nearest = np.full((len(places), len(self.goals)), _FAR)
         for step in range(places.shape[1]):
-            goal = np.minimum(passed, len(goals) - 1)
-            before = places[:, max(step - 1, 0)]
-            distance = _to_segment(goals[goal], before, places[:, step])
-            counts = step <= until
-            nearest[rows, goal] = np.where(
-                counts, np.minimum(nearest[rows, goal], distance), nearest[rows, goal]
-            )
-            passed += counts & (distance <= self.within) & (passed < len(goals))
-        return passed, np.where(np.isfinite(nearest), nearest, 1e3)
+            self._pass(passed, nearest, places[:, max(step - 1, 0)], places[:, step], step <= until)
+        return passed, nearest
+
+    def _pass(
+        self,
+        passed: NDArray[np.int64],
+        nearest: NDArray[np.float64],
+        before: NDArray,
+        after: NDArray,
+        counts: NDArray[np.bool_],
+    ) -> None:
+        """Change how many goals were passed [B] and how near each came [B, N] by a step.
+
+        It is from places [B, 2] to others, and counts for some [B].
+        """
+        goals = np.array(self.goals)[:, :2]
+        rows, goal = np.arange(len(passed)), np.minimum(passed, len(goals) - 1)
+        distance = _to_segment(goals[goal], before, after)
+        least = np.minimum(nearest[rows, goal], distance)
+        nearest[rows, goal] = np.where(counts, least, nearest[rows, goal])
+        passed += counts & (distance <= self.within) & (passed < len(goals))
+
+
+class _OnTheWay(Score):
+    """Goals passed by trials under way."""
+
+    def __init__(self, task: GoTo, count: int):
+        super().__init__(task, count)
+        self._passed = np.zeros(count, np.int64)
+        self._nearest = np.zeros((count, len(task.goals)))
+        self._touched = np.zeros(count, np.bool_)
+        self._pose = np.zeros((count, 3))
+
+    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        self._passed[rows], self._nearest[rows], self._touched[rows] = 0, _FAR, False
+        self._pose[rows] = poses
+        self._go_on(rows, poses)
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        self._go_on(rows, _finite(poses))
+
+    def _go_on(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        task, before, after = self.task, self._pose[rows, :2], poses[:, :2]
+        passed, nearest = self._passed[rows].copy(), self._nearest[rows].copy()
+        touched = self._touched[rows]
+        task._pass(passed, nearest, before, after, ~touched)
+        touched = touched | task._touches(before, after)
+        self._passed[rows], self._nearest[rows], self._touched[rows] = passed, nearest, touched
+        self._pose[rows] = poses
+        fitness, success, *_ = task._worth(passed, nearest, touched, poses)
+        self.progress[rows], self.success[rows] = fitness, success
+        self.over[rows] = touched
+
+
+def _finite(poses: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return poses, those far away that are none."""
+    return np.nan_to_num(poses, nan=_FAR, posinf=_FAR, neginf=-_FAR)
 
 
 def _to_segment(point: NDArray, a: NDArray, b: NDArray) -> NDArray:

@@ -44,6 +44,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.score import Rows, Score
 
 #: The centre is checked at least this often, m.
 SPACING = 0.02
@@ -176,9 +177,8 @@ class NineRectangles(Task):
         """
         judged, (poses, _) = self.judge(trajectory), _flat(trajectory)
         furthest = judged.detail["furthest"].ravel()
-        goals = np.array([self.centre(n + 1) for n in range(self.last + 1)])[furthest]
-        off = np.abs(poses[..., :2] - goals[:, None]) - (self.length / 2, self.width / 2)
-        away = np.linalg.norm(np.maximum(off, 0.0), axis=-1)
+        off = np.abs(poses[..., :2] - self._goals[furthest][:, None])
+        away = np.linalg.norm(np.maximum(off - (self.length / 2, self.width / 2), 0.0), axis=-1)
         away = np.where(np.isfinite(away), away, np.inf)
         steps = np.arange(away.shape[1])
         segment = judged.segment.ravel()
@@ -192,6 +192,15 @@ class NineRectangles(Task):
         share = np.clip(1.0 - nearest / reach, 0.0, 1.0)
         gain = np.where(judged.success.ravel(), 0.0, 0.9 * (2 * furthest + 1) * share)
         return judged.fitness + gain.reshape(judged.fitness.shape)
+
+    @property
+    def _goals(self) -> NDArray[np.float64]:
+        """The centres [last + 1, 2] (m) of the rectangles that follow 0, 1, 2, ..."""
+        return np.array([self.centre(number + 1) for number in range(self.last + 1)])
+
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows the course step by step; a breach of the rules ends a trial."""
+        return _Course(self, count)
 
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rectangle of each pose [..., 3]: its number, -1 forbidden, -2 outside."""
@@ -311,6 +320,13 @@ def _segment(
     return progress, max(highest, progress), fault
 
 
+@njit(cache=True, nogil=True)
+def _begin(pose: NDArray, grid: tuple, last: int) -> tuple[int, int]:
+    """Return progress at a start, and the fault or 0."""
+    progress, fault = _advance(0, _place(pose[0], pose[1], grid), last)
+    return (progress, fault) if progress == 0 else (0, _SKIPPED)
+
+
 @njit(cache=True, nogil=True, parallel=True)
 def _drive(
     poses: NDArray,
@@ -335,9 +351,7 @@ def _drive(
     faults = np.zeros(batch, np.int64)
     where = np.full(batch, max(segments - 1, 0))
     for b in prange(batch):
-        progress, fault = _advance(0, _place(poses[b, 0, 0], poses[b, 0, 1], grid), last)
-        if progress != 0:
-            progress, fault = 0, _SKIPPED
+        progress, fault = _begin(poses[b, 0], grid, last)
         if fault != 0:
             where[b] = 0
         began = 0
@@ -357,3 +371,93 @@ def _drive(
             furthest[b] = last
         faults[b] = fault
     return furthest, no_gain, faults, where
+
+
+class _Course(Score):
+    """Rectangles passed by trials under way; every interval is a command."""
+
+    def __init__(self, task: NineRectangles, count: int):
+        super().__init__(task, count)
+        self._course = task._grid, task._goals, task.longest_arc, task.penalty
+        self._pose = np.zeros((count, 3))
+        #: Progress, N_max below the last goal, C_nogain and the fault of each.
+        self._at = np.zeros((count, 4), np.int64)
+        #: How near each came to the rectangle that follows each, m.
+        self._nearest = np.zeros((count, task.last + 1))
+        self._every = np.arange(count)
+
+    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        self._at[rows], self._nearest[rows], self._pose[rows] = 0, np.inf, poses
+        self._go_on(rows, poses, False, True)
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        self._go_on(rows, poses, active, False)
+
+    def _go_on(self, rows: Rows, poses: NDArray[np.float64], active: bool, begins: bool) -> None:
+        state = self._pose, self._at, self._nearest
+        found = self.progress, self.success, self.over
+        poses = np.ascontiguousarray(poses)
+        _go_on(self._every[rows], poses, active, begins, *self._course, *state, *found)
+
+
+@njit(cache=True, nogil=True)
+def _go_on(
+    rows: NDArray,
+    poses: NDArray,
+    active: bool,
+    begins: bool,
+    grid: tuple,
+    goals: NDArray,
+    longest: float,
+    penalty: float,
+    before: NDArray,
+    at: NDArray,
+    nearest: NDArray,
+    value: NDArray,
+    success: NDArray,
+    over: NDArray,
+) -> None:
+    """Go on by a command to poses [K, 3]; as :func:`_drive` and :meth:`NineRectangles.progress`."""
+    _, length, width = grid
+    last, reach = len(goals) - 1, math.sqrt(length * length + width * width)
+    for k in range(len(rows)):
+        b = rows[k]
+        x, y = poses[k, 0], poses[k, 1]
+        progress, fault = at[b, 0], at[b, 3]
+        if begins:
+            progress, fault = _begin(poses[k], grid, last)
+        began = min(progress, last)
+        if fault == 0:
+            progress, highest, fault = _segment(before[b], poses[k], progress, longest, grid, last)
+            at[b, 1] = max(at[b, 1], min(highest, last - 1))
+        if active and min(progress, last) <= began:
+            at[b, 2] += 1
+        done = fault == 0 and progress == last
+        furthest = last if done else at[b, 1]
+        away = np.inf
+        if math.isfinite(x) and math.isfinite(y):
+            for goal in range(len(goals)):
+                off_x = max(abs(x - goals[goal, 0]) - 0.5 * length, 0.0)
+                off_y = max(abs(y - goals[goal, 1]) - 0.5 * width, 0.0)
+                here = math.sqrt(off_x * off_x + off_y * off_y)
+                if fault == 0:  # after a breach nothing counts
+                    nearest[b, goal] = min(nearest[b, goal], here)
+                if goal == furthest:
+                    away = here
+        if furthest != last - 1 or fault != 0:  # the last goal counts only where the robot ends
+            away = nearest[b, furthest]
+        value[b] = furthest * furthest - at[b, 2] / 10.0 - penalty * (fault != 0)
+        if not done:
+            share = min(max(1.0 - away / reach, 0.0), 1.0)
+            value[b] += 0.9 * (2 * furthest + 1) * share
+        success[b], over[b] = done, fault != 0
+        at[b, 0], at[b, 3] = progress, fault
+        before[b] = poses[k]

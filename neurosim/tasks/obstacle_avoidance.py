@@ -15,6 +15,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.score import Rows, Score
 
 #: A trajectory's fitness [...], the higher the better; the second argument is the task's step, s.
 Fitness = Callable[[Trajectory, float], NDArray[np.float64]]
@@ -136,17 +137,50 @@ class ObstacleAvoidance(Task):
         if trajectory.readings is None:
             raise UserError("obstacle avoidance can only be judged where the sensors were read")
         fitness = FITNESS[self.fitness](trajectory, self.duration)
-        enough = self.enough
-        if enough is None:
-            enough = 0.5 * self.episode.steps if FITNESS[self.fitness] is avoidance else 0.0
         last = trajectory.commands.shape[-2] - 1
         if trajectory.segment is not None:
             last = int(trajectory.segment[-1])
-        return Judgement.of(fitness, fitness >= enough, 0, last)
+        return Judgement.of(fitness, fitness >= self.least, 0, last)
+
+    @property
+    def least(self) -> float:
+        """The fitness from one start that counts as success."""
+        if self.enough is not None:
+            return self.enough
+        return 0.5 * self.episode.steps if FITNESS[self.fitness] is avoidance else 0.0
+
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows equation (1) step by step: it is a sum."""
+        if FITNESS[self.fitness] is avoidance and sensors:
+            return _Sum(self, count)
+        return super().score(count, columns, sensors)
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum over the starts [..., starts]: a trial is all of them."""
         return fitness.sum(axis=-1)
+
+
+class _Sum(Score):
+    """Equation (1) of trials under way."""
+
+    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        self.progress[rows] = 0.0
+        self.success[rows] = self.task.least <= 0.0
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        assert readings is not None
+        each = np.full((len(commands), 1), duration)
+        step = Trajectory(None, commands[:, None], each, readings[:, None])
+        self.progress[rows] += avoidance(step, self.task.duration)
+        self.success[rows] = self.progress[rows] >= self.task.least
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz"})

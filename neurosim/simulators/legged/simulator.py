@@ -28,7 +28,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.schema import fields_of
 from neurosim.base.trajectory import Draws, Episode, Trajectory
-from neurosim.robots.quadruped import FRAME, JOINTS
+from neurosim.robots.quadruped import FOLD, FRAME, JOINTS, KNEE, SPREAD, SWING
 from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, draw_outcomes
 from neurosim.simulators.legged.build import Build, compile_model
@@ -96,6 +96,13 @@ class LeggedSimulator(Simulator):
         return ("x", "y", "theta", *(f"physics_{n}" for n in range(self.physics.size)))
 
     @property
+    def domain(self) -> dict[str, tuple[float, float]]:
+        """The angles (rad) that the joints allow."""
+        legs = [(SWING, SPREAD, tuple(sorted(knee * fold for fold in FOLD))) for knee in KNEE]
+        limits = [(float(low), float(high)) for leg in legs for low, high in leg]
+        return dict(zip(JOINTS, limits, strict=True))
+
+    @property
     def parameters(self) -> tuple[Adjustable, ...]:
         """Its adjustable parameters."""
         return adjustables(self.build, _RANGES)
@@ -141,6 +148,10 @@ class LeggedSimulator(Simulator):
         if not hasattr(controller, "over") or episode.step != FRAME or episode.rest:
             return None
         return _OpenLoop(self, controller, episode)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what makes it again: its threads are not copied with it."""
+        return {"build": self.build, "_shared": None}
 
     def write(self, folder: str | Path) -> None:
         """Write it as a folder with ``simulator.json``.

@@ -84,6 +84,46 @@ def lay_out_each(a: Arrays) -> Ensemble:
     return each[0]._replace(**stacked)
 
 
+@njit(cache=True, error_model="numpy", forceinline=True)
+def network_of(e, member):
+    """Return one member's networks, -1 for the mean's, of an ensemble of :func:`lay_out_each`."""
+    m = member + 1
+    return Ensemble(
+        1,
+        e.outputs,
+        e.exponents[m],
+        e.ceiling[m],
+        e.row[m],
+        e.unit[m],
+        e.count[m],
+        e.weight[m],
+        e.signed[m],
+        e.linear[m],
+        e.bias[m],
+        e.kernel_weights[m],
+        e.centres,
+        e.lengths,
+        e.input_scale,
+        e.dead_zone,
+        e.driven,
+        e.before,
+        e.duration,
+        e.swing,
+        e.floor,
+        e.drives,
+        e.lag,
+        e.slowing,
+        e.braking,
+        e.rate,
+        e.bend,
+        e.stick,
+        e.delay,
+        e.kinematics,
+        e.correction,
+        e.longest,
+    )
+
+
 @njit(cache=True, parallel=True, error_model="numpy")
 def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
     """Drive every network from every start, where the robot stands still at first.
@@ -106,41 +146,7 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
     remembered = 2 * len(a.driven) + 2
     for job in prange(len(genes) * count):
         p, r = job // count, job % count
-        m = member[r] + 1
-        one = Ensemble(
-            1,
-            e.outputs,
-            e.exponents[m],
-            e.ceiling[m],
-            e.row[m],
-            e.unit[m],
-            e.count[m],
-            e.weight[m],
-            e.signed[m],
-            e.linear[m],
-            e.bias[m],
-            e.kernel_weights[m],
-            e.centres,
-            e.lengths,
-            e.input_scale,
-            e.dead_zone,
-            e.driven,
-            e.before,
-            e.duration,
-            e.swing,
-            e.floor,
-            e.drives,
-            e.lag,
-            e.slowing,
-            e.braking,
-            e.rate,
-            e.bend,
-            e.stick,
-            e.delay,
-            e.kinematics,
-            e.correction,
-            e.longest,
-        )
+        one = network_of(e, member[r])
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)
         values, net, unread = np.zeros(room), genes[p], np.empty(0, np.float32)
         given = e.linear.shape[2]

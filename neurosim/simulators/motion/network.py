@@ -28,7 +28,7 @@ from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.adjustable import Adjustable
-from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.base import Rollouts, Simulator, Stepper
 from neurosim.simulators.motion.closed_loop import MotionClosedLoop
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
@@ -38,6 +38,7 @@ from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import Arrays
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
 from neurosim.simulators.motion.plans import MotionPlans
+from neurosim.simulators.motion.stepper import MotionStepper
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
@@ -476,6 +477,10 @@ class MotionNetwork(Simulator):
     def for_export(self, dtype: torch.dtype) -> MotionNetwork:
         """Return this simulator computing in ``dtype``."""
         return _in(dtype, self)
+
+    def stepper(self) -> Stepper:
+        """Return compiled steps where the units are linear."""
+        return MotionStepper(self) if self.network.linear else Stepper(self)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts where the units are linear and the commands are these."""

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from neurosim.base.trajectory import Draws, Trajectory
 from neurosim.networks.control_kernels import act, observe
 from neurosim.simulators.closed_loop import ClosedLoop
+from neurosim.simulators.numbers import draw
 from neurosim.simulators.tables.kernels import (
     _FAST,
     SAMPLES_NOISE,
@@ -18,10 +19,9 @@ from neurosim.simulators.tables.kernels import (
     _advance,
     _moved,
     _rounded,
-    _sense,
     _twist,
-    draw,
     phases,
+    read,
 )
 
 
@@ -104,13 +104,8 @@ def drive(t, loop, genes, starts, seeds, z, parts, stop_parts, room, poses, read
             else:
                 state = draw(t.noise, state, draws)
             if readings.shape[2] > 0:
-                _sense(t, x, y, theta, mean, variance)
+                read(t, x, y, theta, draws, sensors, mean, variance)
                 for s in range(sensors):
-                    if t.noise == UNIFORM_NOISE:
-                        mean[s] += np.float32(t.sensor_noise) * draws[s]
-                    elif t.noise == SAMPLES_NOISE:
-                        mean[s] += math.sqrt(variance[s]) * draws[s]
-                    mean[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
                     readings[p, r, k, s] = mean[s]
             if k < loop.steps:
                 cos, sin = 1.0, 0.0

@@ -13,12 +13,14 @@ import numpy as np
 from numba import njit
 
 from neurosim.base.se2 import compiled as se2
+from neurosim.simulators.numbers import NORMAL, UNIFORM
+
+#: Places in :data:`neurosim.simulators.tables.simulator.NOISES`: what their numbers are.
+UNIFORM_NOISE, SAMPLES_NOISE = UNIFORM, NORMAL
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
 
-#: Places in :data:`neurosim.simulators.tables.simulator.NOISES`.
-UNIFORM_NOISE, SAMPLES_NOISE = 1, 2
 #: Tables hold at least so many sensors: a number that is known when the kernels are compiled is
 #: faster. Those that a robot does not have read nothing.
 LANES = 8
@@ -159,6 +161,18 @@ def _sense(t, x, y, theta, out, variance):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def read(t, x, y, theta, draws, sensors, mean, variance):
+    """Write the readings of ``sensors`` sensors to ``mean`` [L], with noise of ``draws`` [Z]."""
+    _sense(t, x, y, theta, mean, variance)
+    for s in range(sensors):
+        if t.noise == UNIFORM_NOISE:
+            mean[s] += np.float32(t.sensor_noise) * draws[s]
+        elif t.noise == SAMPLES_NOISE:
+            mean[s] += math.sqrt(variance[s]) * draws[s]
+        mean[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _push_out(t, x, y):
     """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
     for _ in range(PASSES):
@@ -261,43 +275,3 @@ def _moved(t, x, y, theta, first, second, noise):
     if fits:
         x, y = to_x, to_y
     return x, y, theta
-
-
-@njit(cache=True, inline="always")
-def _random(state):
-    """Return 64 random bits of a state, a counter times an odd number (SplitMix64)."""
-    z = state
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
-
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-
-
-@njit(cache=True, inline="always", error_model="numpy")
-def draw(noise, state, out):
-    """Write numbers for the noise of a step; return the next state.
-
-    Args:
-        noise: place in :data:`neurosim.simulators.tables.simulator.NOISES`.
-        state: uint64; a seed at first.
-        out: [Z] float32, a multiple of 4: uniform in -1 to 1, or standard normal (Box and
-            Muller).
-    """
-    if noise == UNIFORM_NOISE:
-        for word in range(len(out) // 4):
-            state += _GOLDEN
-            bits = _random(state)
-            for part in range(4):
-                low = np.int64((bits >> np.uint64(16 * part)) & np.uint64(0xFFFF))
-                out[4 * word + part] = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
-    elif noise == SAMPLES_NOISE:
-        for pair in range(len(out) // 2):
-            state += _GOLDEN
-            bits = _random(state)
-            u = (np.float64(bits >> np.uint64(32)) + 0.5) / 4294967296.0
-            angle = np.float64(bits & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
-            size = math.sqrt(-2.0 * math.log(u))
-            out[2 * pair], out[2 * pair + 1] = size * math.cos(angle), size * math.sin(angle)
-    return state

@@ -22,12 +22,13 @@ from neurosim.simulators.tables.kernels import (
 )
 
 
-@njit(cache=True, error_model="numpy")
-def _drive(t, pose, speeds, goals, command, parts, z, kept):
-    """Drive a command [3] (%, %, s) in ``parts`` motions; change pose [3], speeds and goals [2].
+@njit(cache=True, error_model="numpy", forceinline=True)
+def carry_out(t, timing, pose, speeds, goals, command, z, kept):
+    """Carry out a command [3] (%, %, s); change pose [3], speeds and goals [2].
 
-    ``z`` [3] is the command's noise; ``kept`` [3, 3] is room to work in.
+    ``timing`` is of :func:`phases`, ``z`` [3] the command's noise; ``kept`` [3, 3] is scratch.
     """
+    parts = len(timing)
     twist, before, noise = kept[0], kept[1], kept[2]
     left, right, duration = _rounded(t, command[0]), _rounded(t, command[1]), command[2]
     noise[:] = 0.0
@@ -37,10 +38,12 @@ def _drive(t, pose, speeds, goals, command, parts, z, kept):
         _twist(t, t.twist_spread, left, right, noise)
     for i in range(3):
         noise[i] *= math.sqrt(duration) * z[i] / parts
-    timing = phases(t, duration, parts)
     x, y, theta = pose[0], pose[1], pose[2]
     for part in range(parts):
-        _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
+        if timing[part, 0, 0] > 0.0:
+            _advance(t, timing[part, 0], speeds, goals[0], goals[1], before)
+        else:
+            before[:] = 0.0
         _advance(t, timing[part, 1], speeds, left, right, twist)
         x, y, theta = _moved(t, x, y, theta, before, twist, noise)
     pose[0], pose[1], pose[2] = x, y, theta
@@ -74,7 +77,8 @@ def drive_plans(t, starts, z, commands, parts, given, rests):
         sent = 0
         for k in range(length):
             if given[b, k] or (rests and k == length - 1):
-                _drive(t, pose, speeds, goals, commands[b, k], parts[b, k], z[r, sent], kept)
+                timing = phases(t, commands[b, k, 2], parts[b, k])
+                carry_out(t, timing, pose, speeds, goals, commands[b, k], z[r, sent], kept)
                 sent += 1
             poses[b, r, k + 1] = pose
     return poses

@@ -34,7 +34,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.schema import Number, OneOf, Shape
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.trajectory import Draws, Episode
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, Stepper
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
 from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
@@ -43,6 +43,7 @@ from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
+from neurosim.simulators.tables.stepper import TableStepper
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
@@ -267,6 +268,10 @@ class TableSimulator(Simulator):
                 reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
         return reading.clamp(0.0, 1.0)
 
+    def stepper(self) -> Stepper:
+        """Return compiled steps."""
+        return TableStepper(self)
+
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts; none of plans where the sensors are to be read."""
         names = tuple(controller.outputs)
@@ -282,11 +287,15 @@ class TableSimulator(Simulator):
         None is longer than half the robot's radius, so that it cannot pass through a wall; nor,
         where wheels are late, than a step, through which their mean speeds count.
         """
-        fastest = np.linalg.norm(self.motors.twist[..., :2], axis=-1).max()
-        parts = np.ceil(2.0 * duration * fastest / self.radius)
+        parts = np.ceil(2.0 * duration * self._fastest / self.radius)
         if self.reaction != Reaction():
             parts = np.maximum(parts, np.ceil(duration / STEP - 1e-9))
         return np.maximum(parts, 1.0).astype(np.int64)
+
+    @cached_property
+    def _fastest(self) -> float:
+        """The highest speed, m/s."""
+        return float(np.linalg.norm(self.motors.twist[..., :2], axis=-1).max())
 
     @cached_property
     def arrays(self) -> TableArrays:

@@ -1,0 +1,20 @@
+"""DEAP's CMA-ES evolves a network that drives to three places in turn."""
+
+from deap import base, cma, creator
+
+import neurosim as ns
+
+simulator = ns.load("simulator")
+task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0], [-0.4, 0.0, 0]])
+network = ns.make_controller("network", simulator, task)
+fitness = ns.evaluate(simulator, task, network, outcomes=4)
+creator.create("Fitness", base.Fitness, weights=(1.0,))
+creator.create("Individual", list, fitness=creator.Fitness)
+search = cma.Strategy([0.0] * network.genes, 1.0, lambda_=16)
+for _ in range(60):
+    population = search.generate(creator.Individual)
+    for individual, value in zip(population, fitness(population), strict=True):
+        individual.fitness.values = (value,)
+    search.update(population)
+success = ns.evaluate(simulator, task, network, outcomes=200, seed=1, objective="probability")
+print(f"success {success(search.centroid):.2f}")

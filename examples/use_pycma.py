@@ -1,0 +1,18 @@
+"""pycma evolves a network that drives to three places in turn."""
+
+import cma
+
+import neurosim as ns
+
+simulator = ns.load("simulator")
+task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0], [-0.4, 0.0, 0]])
+network = ns.make_controller("network", simulator, task)
+fitness = ns.evaluate(simulator, task, network, outcomes=4)
+
+search = cma.CMAEvolutionStrategy(network.genes * [0.0], 1.0, {"seed": 1, "maxiter": 60})
+while not search.stop():
+    genes = search.ask()
+    search.tell(genes, -fitness(genes))
+
+success = ns.evaluate(simulator, task, network, outcomes=200, seed=1, objective="probability")
+print(f"success {success(search.result.xfavorite):.2f}")

@@ -1,0 +1,232 @@
+"""What an environment shows of a task: spaces, observations, actions and rewards.
+
+It is the same for a simulator and for the robot: a learner cannot tell them apart.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from gymnasium.spaces import Box
+from numba import njit
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.controllers.base import WHEELS
+from neurosim.controllers.registry import usual_inputs
+from neurosim.loop.evaluate import check_readings
+from neurosim.networks.control import (
+    FEED_FORWARD,
+    GOAL_INPUTS,
+    NOT_READINGS,
+    POSE_INPUTS,
+    TIME_INPUTS,
+    NetworkArrays,
+    input_sources,
+)
+from neurosim.networks.control_kernels import make_loop, observe
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Task
+from neurosim.tasks.score import Rows
+
+#: Poses are told up to so far outside of what simulator and task have an outline of, m.
+BEYOND = 0.5
+#: Where neither has one, they are told up to so far from the start, m.
+AROUND = 5.0
+
+
+class Face:
+    """Spaces, observations, and rewards of B trials of a task.
+
+    Attributes:
+        simulator, task: of which it is.
+        names: of the columns of an observation.
+        outputs: of the columns of an action.
+        reads: whether the sensors are to be read.
+        score: of the task.
+    """
+
+    def __init__(
+        self, simulator: Simulator, task: Task, count: int, names: Sequence[str] | None = None
+    ):
+        """Lay out spaces.
+
+        Args:
+            simulator, task: see the class.
+            count: trials.
+            names: what is observed; by default all sensors and where the next goal is, or, where
+                there are neither, pose and time.
+
+        Raises:
+            UserError: if something is to be observed that there is not, or the task needs sensors
+                and there are none.
+        """
+        self.simulator, self.task, self.episode = simulator, task, task.episode
+        check_readings(simulator, task)
+        self.names = tuple(names or usual_inputs(simulator, task)) or (*POSE_INPUTS, *TIME_INPUTS)
+        goals = GOAL_INPUTS if self.episode.goals is not None else ()
+        known = (*simulator.reading_names, *POSE_INPUTS, *goals, *TIME_INPUTS)
+        missing = [name for name in self.names if name not in known]
+        if missing:
+            raise UserError(
+                f"{', '.join(missing)} cannot be observed in this simulator ({simulator.kind}) at "
+                f"the task {task.name}; what can: {', '.join(known)}"
+            )
+        self.outputs = tuple(name for name in simulator.command_names if name != "duration")
+        self.timed = len(self.outputs) < len(simulator.command_names)
+        seen = any(name not in NOT_READINGS for name in self.names)
+        self.reads = bool(simulator.reading_names) and (seen or self.episode.readings)
+        self.action_space, self.observation_space = self._actions(), self._observations()
+        sensors = len(simulator.reading_names) if self.reads else 0
+        self.score = task.score(count, len(self.outputs), sensors)
+        sources = input_sources(self.names, simulator.reading_names)
+        # Of the network that this is of, nothing is used but its inputs.
+        shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
+        self._loop = make_loop(shape, sources, self.episode)
+        self._goal, self._every = np.zeros(count, np.int64), np.arange(count)
+
+    def _actions(self) -> Box[np.float32]:
+        """Return the commands that the simulator was made from, without a duration."""
+        usual = dict.fromkeys(WHEELS, (-100.0, 100.0))
+        limits = {**usual, **self.simulator.domain}
+        pairs = np.array([limits.get(name, (-np.inf, np.inf)) for name in self.outputs])
+        return _box(pairs)
+
+    def _observations(self) -> Box[np.float32]:
+        low, high = place(self.simulator, self.task)
+        far = float(np.linalg.norm(high - low))
+        seconds = self.episode.step * self.episode.steps + self.episode.rest
+        limits = {
+            **dict.fromkeys(self.simulator.reading_names, (0.0, 1.0)),
+            **dict.fromkeys((*POSE_INPUTS, *GOAL_INPUTS), (-1.0, 1.0)),
+            **dict.fromkeys(GOAL_INPUTS[:2], (-far, far)),
+            **{name: (low[k], high[k]) for k, name in enumerate(POSE_INPUTS[:2])},
+            **dict.fromkeys(TIME_INPUTS, (0.0, seconds)),
+        }
+        return _box(np.array([limits[name] for name in self.names]))
+
+    def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
+        """Begin trials in rows [K] at poses [K, 3]."""
+        self.score.begin(rows, poses)
+        self._goal[rows] = 0
+
+    def observation(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        readings: NDArray | None,
+        times: NDArray[np.float64],
+    ) -> NDArray[np.float32]:
+        """Return what is observed [K, len(names)], within the limits of the space.
+
+        Args:
+            rows: K of the trials.
+            poses: [K, 3] (m, m, rad); of a robot that is nowhere NaN, which are told as 0.
+            readings: [K, S] in 0..1, or None.
+            times: [K] since the start, s.
+        """
+        if readings is not None and self.names == self.simulator.reading_names:
+            return readings.astype(np.float32)
+        out = np.empty((len(poses), len(self.names)), np.float32)
+        space = self.observation_space
+        limits = space.low, space.high
+        if readings is None:
+            readings = np.empty((len(poses), 0), np.float32)
+        _observe(self._loop, self._goal, self._every[rows], poses, times, readings, *limits, out)
+        return out
+
+    def checked(self, actions: ArrayLike, count: int | None = None) -> NDArray[np.float64]:
+        """Return actions [B, C] in the simulator's columns, those of one step.
+
+        Args:
+            actions: [count, C], or [C] of a single environment.
+            count: of environments; None: of a single one.
+
+        Raises:
+            UserError: if there are not as many, or one is no number or out of range.
+        """
+        try:
+            given = np.asarray(actions, np.float32)
+        except (TypeError, ValueError):
+            raise UserError(f"actions must be numbers, not {actions!r:.60}") from None
+        shape = (*(() if count is None else (count,)), len(self.outputs))
+        if given.shape != shape:
+            raise UserError(
+                f"expected {'an action' if count is None else 'actions'} of shape {shape} "
+                f"({', '.join(self.outputs)}), got shape {given.shape}"
+            )
+        space = self.action_space
+        good = (given >= space.low) & (given <= space.high)
+        if not good.all():
+            at = tuple(np.argwhere(~good)[0])
+            which = "" if count is None else f" of environment {at[0]}"
+            low, high = space.low[at[-1]], space.high[at[-1]]
+            raise UserError(
+                f"the action{which} has {self.outputs[at[-1]]} = {given[at]:g}; expected a number "
+                f"of {low:g} to {high:g}"
+            )
+        return self.lasting(np.atleast_2d(given).astype(np.float64), self.episode.step)
+
+    def lasting(self, commands: NDArray[np.float64], duration: float) -> NDArray[np.float64]:
+        """Return commands [B, C] with the duration (s) behind them, where that is a column."""
+        if not self.timed:
+            return commands
+        return np.concatenate([commands, np.full((len(commands), 1), duration)], axis=1)
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        """Go on with trials; as :meth:`neurosim.tasks.score.Score.add`, durations in commands."""
+        own = commands[:, : len(self.outputs)]
+        self.score.add(rows, poses, own, readings if self.reads else None, duration, active)
+
+
+def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:
+    """Return the space of columns whose lowest and highest values are pairs [I, 2]."""
+    low, high = pairs.T.astype(np.float32)
+    return Box(low, high, dtype=np.float32)
+
+
+def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return lowest and highest x and y [2] (m) that an observation tells.
+
+    Those of what simulator and task have an outline of, and :data:`BEYOND`; or :data:`AROUND` the
+    start.
+    """
+    corners = []
+    for shape in (*simulator.outline(), *task.outline()):
+        corners += [np.asarray(corner, float) for corner in shape.get("polygon", [])]
+        if "circle" in shape:
+            x, y, radius = shape["circle"]
+            corners += [np.array([x, y]) - radius, np.array([x, y]) + radius]
+    start = np.asarray(task.start[:2], float)
+    if not corners:
+        return start - AROUND, start + AROUND
+    every = np.array([*corners, start])
+    return every.min(axis=0) - BEYOND, every.max(axis=0) + BEYOND
+
+
+def rate(task: Task) -> float:
+    """Return how many steps a second a task has."""
+    return 1.0 / task.episode.step if math.isfinite(task.episode.step) else 1.0
+
+
+@njit(cache=True, error_model="numpy")
+def _observe(loop, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
+    """Write observations [K, I], cut off at their limits; ``goal`` [B] is each row's next one."""
+    for k in range(len(rows)):
+        x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        if math.isnan(x + y + heading):
+            x, y, heading = 0.0, 0.0, 0.0
+        row, cos, sin = rows[k], math.cos(heading), math.sin(heading)
+        goal[row] = observe(loop, x, y, cos, sin, goal[row], times[k], readings[k], out[k])
+        for i in range(out.shape[1]):
+            out[k, i] = min(max(out[k, i], low[i]), high[i])

@@ -1,0 +1,289 @@
+"""A task on a robot, virtual or real, as a Gymnasium environment with a simulator's spaces."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.envs.face import Face, rate
+from neurosim.envs.picture import Picture, check_mode
+from neurosim.envs.single import CLOSED, made
+from neurosim.lab import LabArena
+from neurosim.recording.closed_loop import Deadlines
+from neurosim.recording.markers import marker_settings
+from neurosim.recording.spotter import Spotter
+from neurosim.robots.base import Counters, Sensors, drive_for
+from neurosim.robots.odometry import Odometry
+from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
+from neurosim.tasks.base import Task
+from neurosim.trials.rig import RIGS, Setup, open_rig
+from tracking.camera.camera_model import CameraModel
+
+#: The robot stands still for so long before a trial, s.
+REST = 0.3
+
+
+class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A trial of a task on the robot is an episode, in the robot's own time.
+
+    Spaces, observations and rewards are those of :class:`neurosim.envs.single.TaskEnv` in the
+    simulator. An action holds for the task's step; :meth:`step` returns when that is over. Where
+    the robot is its wheels' counters say, or a camera with a calibration. The last ``info`` also
+    has ``missed_deadlines``: how many actions came too late.
+
+    Attributes:
+        robot: its driver.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+
+    def __init__(
+        self,
+        simulator: str | Path | Simulator,
+        task: str | Mapping[str, Any] | Task = "nine-rectangles",
+        *,
+        robot: str = "virtual",
+        options: Mapping[str, Any] | None = None,
+        calibration: str | Path | None = None,
+        camera: str | None = None,
+        place: Callable[[Sequence[float]], None] | None = None,
+        observe: Sequence[str] | None = None,
+        render_mode: str | None = None,
+        **settings: Any,
+    ):
+        """Connect.
+
+        Args:
+            simulator: of this robot: its spaces are taken.
+            task: its name, or the task.
+            robot: as ``--robot`` takes it: virtual, virtual-khepera, or a real one's.
+            options: of the robot.
+            calibration: of the camera that films it; without one its counters say where it is.
+            camera: a camera's number or URL; in the virtual lab its own.
+            place: puts the robot at a pose (m, m, rad) before each trial; by default the virtual
+                lab does, or a person is asked to at the terminal.
+            observe: names of what is observed.
+            render_mode: None, rgb_array or human.
+            settings: of a task that is named.
+
+        Raises:
+            UserError: if the robot cannot be driven by the simulator's commands, does not read its
+                sensors, or nothing says where it is; or as for a simulator.
+            RobotError: if it cannot be reached.
+        """
+        simulator, goal = made(simulator, task, settings)
+        self._face = Face(simulator, goal, 1, observe)
+        if self._face.outputs != ("left", "right"):
+            raise UserError(
+                f"the simulator ({simulator.kind}) takes {', '.join(self._face.outputs)}, and a "
+                "robot is driven by left and right"
+            )
+        self.observation_space = self._face.observation_space
+        self.action_space = self._face.action_space
+        self.metadata = {**self.metadata, "render_fps": rate(goal)}
+        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
+        self._picture = None if render_mode is None else Picture(simulator, goal, 1)
+        self._begun = self._closed = False
+        self._stack = ExitStack()
+        with ExitStack() as opening:
+            setup = Setup(
+                camera=camera or (None if calibration is not None else "none"),
+                arena=_arena(simulator) if robot == "virtual-khepera" else None,
+            )
+            rig = opening.enter_context(open_rig(robot, options, setup))
+            self.robot = opening.enter_context(rig.robot)
+            own = rig.place
+            self._place = place or (_ask if own is None else lambda pose: own(*pose))
+            self._virtual = RIGS.is_virtual(robot)
+            self._spotter: Spotter | None = None
+            if calibration is not None:
+                self._spotter = self._watch(rig.camera, Path(calibration), robot, opening)
+            self._check_robot(robot)
+            self._stack = opening.pop_all()
+
+    def _check_robot(self, name: str) -> None:
+        names = self.robot.sensor_names if isinstance(self.robot, Sensors) else ()
+        lacking = [one for one in self._face.simulator.reading_names if one not in names]
+        if self._face.reads and lacking:
+            raise UserError(
+                f"the robot {name} has not {', '.join(lacking)}, which this simulator reads: it is "
+                "not one of this robot"
+            )
+        if self._spotter is None and not isinstance(self.robot, Counters):
+            raise UserError(
+                f"nothing says where the robot {name} is: it does not count how far its wheels "
+                "turn; give the calibration of a camera above it"
+            )
+
+    def _watch(self, camera: Any, calibration: Path, robot: str, stack: ExitStack) -> Spotter:
+        model = CameraModel.read(calibration)
+        if camera is None or not model.has_board:
+            raise UserError(
+                f"{calibration} does not tell where the robot is: that takes a camera, and a "
+                "calibration with points on the board"
+            )
+        spotter = Spotter(
+            marker_settings(robot=robot),
+            model,
+            self.robot.clock.now,
+            _Nothing(),  # type: ignore[arg-type]
+            0,
+            gymnasium.logger.warn,
+            waits=getattr(camera, "waits", False),
+        )
+        camera.start(spotter.take)
+        stack.callback(spotter.close)
+        stack.callback(camera.stop)
+        return spotter
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Stop the robot, have it put where a trial starts, and look at it."""
+        self._check_open()
+        super().reset(seed=seed)
+        task, simulator = self._face.task, self._face.simulator
+        self.robot.stop()
+        starts = task.draw_starts(simulator, 1, self.np_random)
+        start = np.asarray(task.start if starts is None else starts[0], np.float64)
+        there = start
+        if self._virtual and starts is None:  # as exactly as a person does
+            there = put_down(start[None], PLACING, _generator(self.np_random))[0]
+        self._place([float(value) for value in there])
+        clock = self.robot.clock
+        clock.sleep_until(clock.now() + REST)
+        self._odometry = None
+        if self._spotter is None:
+            self._odometry = Odometry(self.robot, start)  # type: ignore[arg-type]
+        self._pose, self._steps, self._deadlines = start, 0, Deadlines()
+        self._due: float | None = None
+        if self._spotter is not None and self._spotter.unseen(clock.now()) > REST:
+            raise UserError("the camera does not see the robot: put it on the board, in view")
+        self._look()
+        self._face.begin(np.zeros(1, np.int64), self._pose[None])
+        self._begun = True
+        if self._picture is not None:
+            self._picture.begin([0], self._pose[None])
+        self._show()
+        return self._see(), {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Give the motors speeds (%), and return when the task's step is over.
+
+        Raises:
+            UserError: if the action is not of the action space, or no trial is under way.
+            RobotError: if the robot stopped answering.
+        """
+        self._check_open()
+        if not self._begun:
+            raise UserError("no trial is under way: call reset() before step()")
+        commands = self._face.checked(action)
+        face, clock, episode = self._face, self.robot.clock, self._face.episode
+        left, right = (float(value) for value in commands[0, :2])
+        now = clock.now()
+        due = now if self._due is None else self._due
+        drive_for(self.robot, left, right, episode.step)
+        missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
+        self._due = (now if missed else due) + episode.step
+        before, readings = face.score.progress.copy(), self._readings
+        clock.sleep_until(self._due)
+        self._look()
+        every = slice(None)
+        face.add(every, self._pose[None], commands, readings, episode.step)
+        self._steps += 1
+        decided = bool(face.score.over[0])
+        late = self._steps >= episode.steps and not decided
+        info: dict[str, Any] = {}
+        if decided or late:
+            self.robot.stop()
+            if episode.rest > 0:
+                clock.sleep_until(clock.now() + episode.rest)
+                readings = self._readings
+                self._look()
+                still = face.lasting(np.zeros((1, 2)), episode.rest)
+                face.add(every, self._pose[None], still, readings, episode.rest, False)
+            self._begun = False
+            info = {
+                "is_success": bool(face.score.success[0]),
+                "progress": float(face.score.progress[0]),
+                "missed_deadlines": self._deadlines.missed,
+            }
+        if self._picture is not None:
+            self._picture.add(self._pose[None])
+        self._show()
+        return self._see(), float(face.score.progress[0] - before[0]), decided, late, info
+
+    def _look(self) -> None:
+        """Read the sensors, and where the robot is; one that is not seen is where it was."""
+        self._readings = None
+        if self._face.reads:
+            read = self.robot.read_sensors()  # type: ignore[attr-defined]
+            values = [read[name] for name in self._face.simulator.reading_names]
+            self._readings = np.array([values], np.float32)
+        if self._odometry is not None:
+            self._pose = np.array(self._odometry.read())
+        elif self._spotter is not None and (last := self._spotter.last) is not None:
+            turned = last[1][2] - self._pose[2]  # a camera tells headings within a turn
+            heading = self._pose[2] + np.remainder(turned + np.pi, 2 * np.pi) - np.pi
+            self._pose = np.array([*last[1][:2], heading])
+
+    def _see(self) -> NDArray[np.float32]:
+        times = np.array([self._steps * self._face.episode.step])
+        return self._face.observation(slice(None), self._pose[None], self._readings, times)[0]
+
+    def _show(self) -> None:
+        if self.render_mode == "human" and self._picture is not None:
+            self._picture.show(1e3)
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture of the trial until now; see :meth:`TaskEnv.render`."""
+        self._check_open()
+        if self._picture is None:
+            raise UserError('nothing is drawn: make the environment with render_mode="rgb_array"')
+        return self._picture.draw(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Stop the robot and let go of it."""
+        if self._closed:
+            return
+        self._closed = True
+        if self._picture is not None:
+            self._picture.close()
+        self._stack.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise UserError(CLOSED)
+
+
+class _Nothing:
+    """A log in which nothing is kept."""
+
+    def append(self, *values: Any) -> None:
+        """Forget it."""
+
+
+def _generator(rng: np.random.Generator) -> torch.Generator:
+    return torch.Generator().manual_seed(as_seed(rng))
+
+
+def _ask(pose: Sequence[float]) -> None:
+    """Ask a person to put the robot at a pose (m, m, rad)."""
+    x, y, heading = 100 * pose[0], 100 * pose[1], np.degrees(pose[2])
+    input(f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees; Enter: ")
+
+
+def _arena(simulator: Simulator) -> LabArena | None:
+    """Return the simulator's arena for the virtual lab, if it has one."""
+    arena = getattr(simulator, "arena", None)
+    return None if arena is None else LabArena.of(arena)

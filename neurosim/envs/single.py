@@ -1,0 +1,151 @@
+"""A task in a simulator as a Gymnasium environment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.envs.face import rate
+from neurosim.envs.picture import Picture, check_mode
+from neurosim.envs.trials import Trials
+from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.registry import read_simulator
+from neurosim.tasks.base import Task
+from neurosim.tasks.registry import make_task
+
+#: What is said of a closed environment that is asked for more.
+CLOSED = "this environment is closed; make another one"
+
+
+class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
+    """A trial of a task is an episode.
+
+    The reward of a step is how much the task's progress grew in it: their sum is the progress of
+    the whole trial, less that of standing still. An episode terminates when nothing that follows
+    counts any more, and is truncated when its time is over; its last ``info`` has ``is_success``
+    and ``progress``.
+
+    Attributes:
+        trials: the one trial.
+    """
+
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"]}  # noqa: RUF012
+
+    def __init__(
+        self,
+        simulator: str | Path | Simulator,
+        task: str | Mapping[str, Any] | Task = "nine-rectangles",
+        *,
+        observe: Sequence[str] | None = None,
+        noise: bool = True,
+        placing: tuple[float, float] = PLACING,
+        render_mode: str | None = None,
+        **settings: Any,
+    ):
+        """Make an environment.
+
+        Args:
+            simulator: a folder, or what was read from it.
+            task: its name, or the task.
+            observe, noise, placing: as :class:`Trials` takes them.
+            render_mode: None, rgb_array or human.
+            settings: of a task that is named.
+
+        Raises:
+            UserError: if the simulator cannot be read, or is not of the kind that the task needs.
+        """
+        simulator, goal = made(simulator, task, settings)
+        self.trials = Trials(simulator, goal, 1, observe=observe, noise=noise, placing=placing)
+        self.metadata = {**self.metadata, "render_fps": rate(goal)}
+        self.observation_space = self.trials.face.observation_space
+        self.action_space = self.trials.face.action_space
+        self.render_mode = check_mode(render_mode, self.metadata["render_modes"])
+        self._picture = None if render_mode is None else Picture(simulator, goal, 1)
+        self._begun = self._closed = False
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Begin a trial; with a seed, the same ones follow as with that seed before."""
+        self._check_open()
+        super().reset(seed=seed)
+        if seed is not None:
+            self.trials.forget(0)
+        self.trials.begin(np.zeros(1, np.int64), [self.np_random])
+        self._begun = True
+        if self._picture is not None:
+            self._picture.begin([0], self.trials.poses)
+            self._show()
+        return self.trials.see()[0], {}
+
+    def step(
+        self, action: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
+        """Go on by a step of the task.
+
+        Raises:
+            UserError: if the action is not of the action space, or no trial is under way.
+        """
+        self._check_open()
+        if not self._begun:
+            raise UserError("no trial is under way: call reset() before step()")
+        commands = self.trials.face.checked(action)
+        reward, decided, late = self.trials.step(commands)
+        over = bool(decided[0] or late[0])
+        self._begun = not over
+        if self._picture is not None:
+            self._picture.add(self.trials.poses)
+            self._show()
+        score = self.trials.face.score
+        info: dict[str, Any] = {}
+        if over:
+            info = {"is_success": bool(score.success[0]), "progress": float(score.progress[0])}
+        return self.trials.see()[0], float(reward[0]), bool(decided[0]), bool(late[0]), info
+
+    def _show(self) -> None:
+        if self.render_mode == "human" and self._picture is not None:
+            self._picture.show(self.metadata["render_fps"])
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """Return a picture [height, width, 3] of the trial until now, where the mode is rgb_array.
+
+        Raises:
+            UserError: if the environment was made without a render mode.
+        """
+        self._check_open()
+        if self._picture is None:
+            raise UserError('nothing is drawn: make the environment with render_mode="rgb_array"')
+        return self._picture.draw(0) if self.render_mode == "rgb_array" else None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        self._closed = True
+        if self._picture is not None:
+            self._picture.close()
+
+    def _check_open(self) -> None:
+        if self._closed:
+            raise UserError(CLOSED)
+
+
+def made(
+    simulator: str | Path | Simulator,
+    task: str | Mapping[str, Any] | Task,
+    settings: Mapping[str, Any],
+) -> tuple[Simulator, Task]:
+    """Return simulator and task of what environments are made of.
+
+    Raises:
+        UserError: if one of them is not what it should be.
+    """
+    if isinstance(task, Task) and settings:
+        raise UserError(f"the task {task.name} is made already: give {', '.join(settings)} to it")
+    if not isinstance(simulator, Simulator):
+        simulator = read_simulator(simulator)
+    return simulator, make_task(task, **settings)

@@ -1,0 +1,218 @@
+"""A batch of trials of a task in a simulator, stepped together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base.errors import UserError
+from neurosim.base.threads import one_core
+from neurosim.envs.face import Face
+from neurosim.loop.evaluate import draw_starts
+from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
+from neurosim.tasks.base import Task
+from neurosim.tasks.score import Rows
+
+#: So many outcomes are drawn at once: most of the work of drawing is not in the numbers.
+BLOCK = 16
+
+
+class Outcomes:
+    """What each trial of a batch meets: start, member of the ensemble, and seed of its noise.
+
+    Each row draws from a generator of its own, so that it meets the same in a batch of any size.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        count: int,
+        noise: bool,
+        placing: tuple[float, float],
+    ):
+        self._simulator, self._task = simulator, task
+        self._noise, self._placing = noise, placing
+        self._starts = np.zeros((count, BLOCK, 3))
+        self._member = np.full((count, BLOCK), -1)
+        self._seeds = np.zeros((count, BLOCK), np.uint64)
+        self._next = np.full(count, BLOCK)
+
+    def forget(self, row: int) -> None:
+        """Draw anew for a row, whose generator is another one now."""
+        self._next[row] = BLOCK
+
+    def take(
+        self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.uint64]]:
+        """Return starts [K, 3], members [K] and seeds [K] of the next trials in rows [K].
+
+        Args:
+            rows: of the batch.
+            rngs: of all rows of the batch.
+        """
+        for row in rows[self._next[rows] == BLOCK]:
+            self._draw(row, rngs[row])
+        at = self._next[rows]
+        self._next[rows] += 1
+        return self._starts[rows, at], self._member[rows, at], self._seeds[rows, at]
+
+    def _draw(self, row: int, rng: np.random.Generator) -> None:
+        starts, drawn = draw_starts(self._simulator, self._task, BLOCK, rng)
+        if self._noise:
+            if not drawn:
+                generator = torch.Generator().manual_seed(as_seed(rng))
+                starts = put_down(starts, self._placing, generator)
+            if self._simulator.members > 1:
+                self._member[row] = rng.integers(self._simulator.members, size=BLOCK)
+            self._seeds[row] = rng.integers(2**64, size=BLOCK, dtype=np.uint64)
+        self._starts[row], self._next[row] = starts, 0
+
+
+class Trials:
+    """B trials of a task in a simulator, each begun and ended by itself.
+
+    Attributes:
+        face: spaces, observations, rewards.
+        state: [B, S] of the simulator.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        count: int,
+        *,
+        observe: Sequence[str] | None = None,
+        noise: bool = True,
+        placing: tuple[float, float] = PLACING,
+    ):
+        """Prepare.
+
+        Args:
+            simulator: where they are made.
+            task: which is tried.
+            count: trials at once.
+            observe: names of what is observed; see :class:`Face`.
+            noise: whether each trial is an outcome that is drawn: where the robot is put down, as
+                which member of the ensemble it moves, and its noise; if not, it is what the
+                simulator expects.
+            placing: how exactly the robot is put down where a trial starts at a mark: standard
+                deviations in x and y (m) and in heading (rad).
+        """
+        self.face = Face(simulator, task, count, observe)
+        self._stepper = simulator.stepper()
+        self._noisy = noise and simulator.has_noise
+        self._outcomes = Outcomes(simulator, task, count, noise, placing)
+        self.state = np.zeros((count, len(simulator.state_names)))
+        self._steps = np.zeros(count, np.int64)
+        self._seeds = np.zeros(count, np.uint64)
+        self._noise: NDArray | None = None
+        self._readings: NDArray | None = None
+        self._every = np.arange(count)
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    @property
+    def poses(self) -> NDArray[np.float64]:
+        """Where the robots are, [B, 3] (m, m, rad)."""
+        return self.state[:, :3]
+
+    def forget(self, row: int) -> None:
+        """Draw outcomes anew in a row, whose generator is another one now."""
+        self._outcomes.forget(row)
+
+    def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
+        """Begin trials in rows [K]; ``rngs`` are the generators of all rows of the batch."""
+        starts, member, seeds = self._outcomes.take(rows, rngs)
+        self.state[rows] = self._stepper.start(starts, member)
+        self._seeds[rows], self._steps[rows] = seeds, 0
+        self.face.begin(rows, starts)
+        with one_core(len(self) < self._stepper.worth_sharing):
+            self._look(rows)
+
+    def step(
+        self, commands: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        """Go on with all trials.
+
+        A trial ends when nothing that follows counts any more, or its time is over; the motors
+        then run down, where the task says so, and what becomes of that counts in this step.
+
+        Args:
+            commands: [B, C] of :meth:`Face.checked`.
+
+        Returns:
+            Rewards [B]: how much the task's progress grew; which trials are decided so, and which
+            others have no time left, [B] bool each.
+        """
+        with one_core(len(self) < self._stepper.worth_sharing):
+            return self._step(commands)
+
+    def _step(
+        self, commands: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
+        score, episode = self.face.score, self.face.episode
+        before = score.progress.copy()
+        self._go_on(slice(None), commands, episode.step, True)
+        decided = score.over.copy()
+        late = (self._steps >= episode.steps) & ~decided
+        ended = decided | late
+        if episode.rest > 0 and ended.any():
+            rows = np.flatnonzero(ended)
+            still = np.zeros((len(rows), len(self.face.outputs)))
+            self._go_on(rows, self.face.lasting(still, episode.rest), episode.rest, False)
+        return score.progress - before, decided, late
+
+    def _go_on(
+        self, rows: Rows, commands: NDArray[np.float64], duration: float, active: bool
+    ) -> None:
+        noise = None if self._noise is None else self._noise[rows]
+        readings = None if self._readings is None else self._readings[rows]
+        after = self._stepper.step(self.state[rows], commands, noise)
+        self.state[rows] = after
+        self._steps[rows] += 1
+        self.face.add(rows, after[:, :3], commands, readings, duration, active)
+        self._look(rows)
+
+    def _look(self, rows: Rows) -> None:
+        """Draw the next step's noise, and read the sensors."""
+        noise = None
+        if self._noisy:
+            noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
+            self._noise = self._kept(self._noise, rows, noise)
+        if self.face.reads:
+            seen = self._stepper.sense(self.state[rows], noise)
+            self._readings = self._kept(self._readings, rows, seen)
+
+    def _kept(self, kept: NDArray | None, rows: Rows, new: NDArray) -> NDArray:
+        if isinstance(rows, slice):
+            return new
+        if kept is None:
+            kept = np.zeros((len(self), *new.shape[1:]), new.dtype)
+        kept[rows] = new
+        return kept
+
+    def see(self, rows: Rows = slice(None)) -> NDArray[np.float32]:
+        """Return what is observed in rows [K], [K, I]; to be asked once after a step."""
+        readings = None if self._readings is None else self._readings[rows]
+        times = np.minimum(self._steps[rows], self.face.episode.steps) * self.face.episode.step
+        return self.face.observation(rows, self.state[rows, :3], readings, times)
+
+    def checked(self, actions: ArrayLike, ignored: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Return commands [B, C] of actions [B, ...]; those of rows that are ignored may be any.
+
+        Raises:
+            UserError: if they are not what the action space says.
+        """
+        if ignored.any():
+            low = np.nan_to_num(self.face.action_space.low, neginf=0.0)
+            try:
+                actions = np.where(ignored[:, None], low, np.asarray(actions, np.float32))
+            except (TypeError, ValueError):
+                raise UserError(f"actions must be numbers, not {actions!r:.60}") from None
+        return self.face.checked(actions, len(self))

@@ -1,0 +1,76 @@
+"""The robot as an environment, with the spaces of a simulator of it."""
+
+import gymnasium
+import numpy as np
+import pytest
+from motion_networks import random_motion_network
+from simulators_of_tests import tables
+
+import neurosim as ns
+import neurosim.envs
+from neurosim.lab import VirtualRig
+from tracking.camera.camera_model import CameraModel
+
+
+def test_a_khepera_is_driven_as_its_simulator_is():
+    simulator, task = tables(), "neurosim/ObstacleAvoidance-v0"
+    settings = {"simulator": simulator, "steps": 24, "starts": 2}
+    robot = gymnasium.make(task, robot="virtual-khepera", **settings)
+    model = gymnasium.make(task, **settings)
+    assert robot.observation_space == model.observation_space
+    assert robot.action_space == model.action_space
+    with pytest.raises(ns.UserError, match="left = 500"):
+        robot.reset(seed=1)
+        robot.step(np.array([500.0, 0.0]))
+    ways = []
+    for env in (robot, model):
+        seen, _ = env.reset(seed=1)
+        assert seen in env.observation_space
+        total, over, steps = 0.0, False, 0
+        while not over:
+            seen, reward, terminated, over, info = env.step(np.array([30, 30], np.float32))
+            assert seen in env.observation_space
+            total, steps = total + reward, steps + 1
+        assert steps == 12
+        assert not terminated
+        assert info["progress"] == pytest.approx(total)
+        ways.append(total)
+    assert ways[0] == pytest.approx(ways[1], abs=3.0)  # of 3.6, had nothing been near
+    assert min(ways) > 0
+    robot.close()
+    with pytest.raises(ns.UserError, match="closed"):
+        robot.reset()
+
+
+def test_an_nxt_is_where_the_camera_sees_it(tmp_path):
+    with VirtualRig(0, camera_size=(640, 480)) as rig:
+        o = rig.camera.optics
+        model = CameraModel((640, 480), o.matrix, o.distortion, o.rotation, o.translation)
+    model.write(tmp_path / "calibration.json")
+    settings = {"goals": [[0.3, 0.0, 0.0]], "seconds": 2.0, "step": 0.2}
+    env = gymnasium.make(
+        "neurosim/GoTo-v0",
+        simulator=random_motion_network(),
+        robot="virtual",
+        calibration=tmp_path / "calibration.json",
+        render_mode="rgb_array",
+        **settings,
+    )
+    seen, _ = env.reset(seed=0)
+    assert seen[:2] == pytest.approx([0.3, 0.0], abs=0.02)
+    before, over, steps = env.render(), False, 0
+    while not over:
+        _, _, terminated, truncated, info = env.step(np.array([40, 40], np.float32))
+        over, steps = terminated or truncated, steps + 1
+    assert steps == 10
+    assert info["progress"] > 1  # it came past the goal
+    assert info["missed_deadlines"] == 0
+    assert (env.render() != before).any()
+    env.close()
+
+
+def test_what_a_robot_lacks_is_said():
+    with pytest.raises(ns.UserError, match="nothing says where the robot virtual is"):
+        gymnasium.make("neurosim/GoTo-v0", simulator=random_motion_network(), robot="virtual")
+    with pytest.raises(ns.UserError, match="has not sensor_0"):
+        gymnasium.make("neurosim/ObstacleAvoidance-v0", simulator=tables(), robot="virtual")
