@@ -26,7 +26,7 @@ from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion import kernels
-from neurosim.simulators.motion.drive import MOVING, STILL, DriveModel, motion_features
+from neurosim.simulators.motion.drive import ALIKE, MOVING, STILL, DriveModel, motion_features
 from neurosim.simulators.motion.files import KERNEL, write_motion
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive
@@ -77,7 +77,7 @@ def drive_models(draw):
 
 def integrated(drive, before, told, time):
     """Return the speeds at FINE + 1 equal times, [FINE + 1, C], by the midpoint method."""
-    lag = torch.where(told.abs() < before.abs(), drive.lag * drive.slowing, drive.lag)
+    lag = torch.where(told.abs() < before.abs() - ALIKE, drive.lag * drive.slowing, drive.lag)
     lag = torch.where(told == 0.0, drive.lag * drive.braking, lag).numpy()
     rate, delay, dt = drive.rate.numpy(), float(drive.delay), time / FINE
     speed, told = before.numpy(), told.numpy()
@@ -173,7 +173,8 @@ def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, ti
         missed = np.trapezoid(told.numpy() - speeds[: place + 1], dx=time / FINE, axis=0)
         np.testing.assert_allclose(found.missed[0], missed, atol=1e-3)
         if bool((until > found.settling).all()):
-            largest = (told - before).abs() * math.exp(-2.5)
+            size = (told - before).abs()
+            largest = torch.where(size > ALIKE, size * math.exp(-2.5), size)
             assert (found.left[0].abs() <= largest + STILL).all()
 
 
