@@ -4,7 +4,8 @@ Networks are evolved in tables in the paper's way (one arena, contacts are free)
 where a contact ends what counts, several runs of each, of which the evolution keeps the best.
 They are then driven for 60 s from random starts in ten arenas that none was evolved in, beside a
 hand-written Braitenberg vehicle: the share of drives that touch something, and the fitness. With
---lab-drives so many in each arena are driven by a robot of the virtual lab, too.
+--lab-drives so many in each arena are driven by a robot of the virtual lab, too. There a wall that
+stands free has no thickness and is not seen end-on, whatever drives; --inner 0 leaves them out.
 
     neurosim sample samples --grid 5 --repeats 2
     neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables
@@ -37,6 +38,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("tables", help="folder of a table simulator of a Khepera")
     parser.add_argument("--arenas", type=int, default=10, help="to be tried in")
+    parser.add_argument("--inner", type=int, default=2, help="most walls inside each of them")
     parser.add_argument("--drives", type=int, default=50, help="in each of them")
     parser.add_argument("--generations", type=int, default=150)
     parser.add_argument("--runs", type=int, default=4)
@@ -59,7 +61,7 @@ def main() -> None:
         found[name] = ns.evolve(tables, task, network, progress=False, **how, **more)[0].genes
         seconds[name] = time.monotonic() - began
     rng = np.random.default_rng(2**31 + options.seed)
-    arenas = [random_arena(rng) for _ in range(options.arenas)]
+    arenas = [random_arena(rng, inner=options.inner) for _ in range(options.arenas)]
     rows = []
     ways = (("tables", in_tables, options.drives), ("lab", in_the_lab, options.lab_drives))
     for where, drive, drives in ways:

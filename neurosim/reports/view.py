@@ -92,7 +92,7 @@ def draw_view(
         saved = read_controller(controller)
         task, note = _task(saved, Path(controller) / "controller.json", found)
     start = _start(found, arena, task, pose, rng)
-    path, stops, result = start[None], None, {}
+    path, stops, result, touching = start[None], None, {}, None
     if saved is not None and task is not None and found is not None:
         evaluator, episode = Evaluator(found, task, saved.controller), task.episode
         if seconds is not None:
@@ -123,7 +123,7 @@ def draw_view(
             result["readings"] = found.sense(standing, generator)[0].numpy()
     figure = picture(
         Scene.of(task, place_shapes), path, stops, simulator=found, readings=result.get("readings"),
-        title=_title(place, simulator, controller, result),
+        title=_title(place, simulator, controller, result), touching=touching,
     )  # fmt: skip
     with atomic_path(out) as partial:
         figure.savefig(partial, dpi=160)
@@ -138,6 +138,7 @@ def picture(
     simulator: Simulator | None = None,
     readings: NDArray | None = None,
     title: str = "",
+    touching: NDArray[np.bool_] | None = None,
 ) -> Figure:
     """Return the picture; the robot stands at the end of its path [N, 3] (m, m, rad).
 
@@ -148,6 +149,7 @@ def picture(
         simulator: knows the robot's size and where its sensors look; None: an arena alone.
         readings: [S] of the sensors at the end, or None.
         title: stands above.
+        touching: [N] where on its path the robot touches something, or None.
     """
     low, high = bounds(scene, [path[:, :2]])
     scale, unit = unit_of(low, high)
@@ -166,7 +168,6 @@ def picture(
     axes.set(xlim=(x1, x2), ylim=(y1, y2), aspect="equal")
     axes.set_title(title, fontsize=10, color=INK["ink"], loc="left")
     _draw_path(axes, path, stops, scale)
-    touching = None if simulator is None else simulator.touching(path)
     if touching is not None and touching.any():
         x, y = scale * path[touching, :2].T
         axes.plot(x, y, "x", ms=5, mew=1.4, color=INK["actual"], zorder=4)

@@ -42,6 +42,9 @@ MIN_ROWS = 20
 #: About as many generations stand in the history.
 _HISTORY = 200
 
+#: No ensemble has more networks of each output.
+MOST_MEMBERS = 1000
+
 
 def train(
     dataset: str | Path,
@@ -97,8 +100,8 @@ def train(
     members = (1 if trainer == PAPER else MEMBERS) if members is None else members
     noise = trainer != PAPER if noise is None else noise
     hidden = kind.default_hidden if hidden is None else hidden
-    if members < 1:
-        raise UserError(f"the number of members must be at least 1, not {members}")
+    if not 1 <= members <= MOST_MEMBERS:
+        raise UserError(f"the number of members must be 1 to {MOST_MEMBERS}, not {members}")
     if generations < 1:
         raise UserError(f"the number of generations must be at least 1, not {generations}")
     _check_device(device)

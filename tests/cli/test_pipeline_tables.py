@@ -186,7 +186,7 @@ def test_speeds_and_radius_are_those_of_the_robot_that_sampled_itself(folder, tm
         assert simulator.motors.resolution == pytest.approx(resolution)
         assert simulator.radius == 0.035
     write_json(tmp_path / "sampling.json", FORMAT, VERSION, {"robot": {"full_speed": "fast"}})
-    with pytest.raises(FileError, match=r"'robot\.full_speed': expected whole speeds"):
+    with pytest.raises(FileError, match=r"'robot\.full_speed': expected a whole number"):
         call("build-tables", *samples, "-o", tmp_path / "x")
 
 
@@ -263,13 +263,16 @@ def test_view_of_a_plan(folder):
     assert result["contacts"] == 0
 
 
-def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, monkeypatch):
+def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path, monkeypatch):
     from neurosim.reports import view
 
     figures, make = [], view.picture
     monkeypatch.setattr(
         view, "picture", lambda *a, **b: figures.append(make(*a, **b)) or figures[-1]
     )
+    for name in ("sim", "net"):
+        shutil.copytree(folder / name, tmp_path / name)
+    folder = tmp_path
     test_view_of_a_plan(folder)  # it ends 7 cm from the wall
     words = ["view", folder / "sim", "--controller", folder / "plan", "--overwrite"]
     out = folder / "plan.png"

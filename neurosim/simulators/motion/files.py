@@ -124,7 +124,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             version, of the wrong shape, or not a number.
     """
     path = Path(folder) / "simulator.json"
-    content = files.read_json(path, FORMAT, VERSION, {**FIELDS, **ABOUT})
+    content = files.read_json(path, FORMAT, VERSION, {**ABOUT, **FIELDS})
     inputs = content["inputs"]
     derived = Derived(content.get("derived", {}).get("swing"))
     network = _network(path, content["network"], len(inputs) + len(derived))

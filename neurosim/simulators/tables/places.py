@@ -33,8 +33,15 @@ _RADIUS, _SPARE = 0.0275, 0.03
 _TRIES = 50
 
 
-def random_arena(rng: np.random.Generator, radius: float = _RADIUS) -> Arena:
+def random_arena(
+    rng: np.random.Generator, radius: float = _RADIUS, *, inner: int = MOST[1]
+) -> Arena:
     """Return an arena drawn at random, in which a robot of ``radius`` (m) can pass everywhere.
+
+    Args:
+        rng: source of the draws.
+        radius: of the robot, m.
+        inner: most walls that stand inside.
 
     Raises:
         UserError: if the radius is none.
@@ -50,7 +57,7 @@ def random_arena(rng: np.random.Generator, radius: float = _RADIUS) -> Arena:
         if place is not None:
             obstacle = (float(place[0, 0]), float(place[0, 1]), OBSTACLE)
             found = Arena(outline, (*found.obstacles, obstacle), found.inner)
-    for _ in range(rng.integers(MOST[1] + 1)):
+    for _ in range(rng.integers(inner + 1)):
         turn, length = rng.uniform(0.0, 2.0 * math.pi), scale * rng.uniform(*LENGTHS)
         along = np.linspace(0.0, length, 21)[:, None] * (math.cos(turn), math.sin(turn))
         line = _free(rng, found, room, lambda at, along=along: at + along)  # type: ignore[misc]

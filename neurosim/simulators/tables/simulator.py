@@ -490,7 +490,7 @@ class TableSimulator(Simulator):
                 version, of the wrong shape, or not a number.
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
-        content = files.read_json(path, FORMAT, VERSION, {**FIELDS, **ABOUT})
+        content = files.read_json(path, FORMAT, VERSION, {**ABOUT, **FIELDS})
         about, motors, noise = content["sensors"], content["motors"], content["noise"]
         if about["objects"] != list(OBJECTS):
             raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
