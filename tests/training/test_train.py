@@ -196,7 +196,7 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     (taken / "thesis.txt").write_text("do not lose")
     out = tmp_path / "s"
     for says, arguments, options in [
-        ("19 rows", (tmp_path / "few", out), {}),
+        ("19 different rows", (tmp_path / "few", out), {}),
         ("not empty", (dataset, taken), {}),
         ("no trainer 'oracle'", (dataset, out), {"trainer": "oracle"}),
         ("no setting 'warp'", (dataset, out), {"settings": {"warp": 9}}),
