@@ -125,7 +125,7 @@ def test_networks_are_evolved_for_the_distance_to_a_path():
 
 def test_the_page_of_libraries_shows_the_examples():
     shown = list(blocks(ROOT / "docs" / "libraries.md", "py"))
-    examples = sorted((ROOT / "examples").glob("*.py"))
+    examples = sorted((ROOT / "examples").glob("use_*.py"))
     assert examples
     for path in examples:
         assert path.read_text(encoding="utf-8") in shown, path.name

@@ -127,7 +127,7 @@ def check(value: Any, shape: Shape, field: str = "") -> None:
             what = "one of " if len(shape.values) > 1 else ""
             raise Mismatch(field, what + ", ".join(map(repr, shape.values)), value)
     elif isinstance(shape, list):
-        if not isinstance(value, list):
+        if not _is(value, list):
             raise Mismatch(field, "a list", value)
         for index, each in enumerate(value):
             check(each, shape[0], f"{field}[{index}]")
@@ -213,7 +213,7 @@ def _check_rows(value: Any, shape: Rows, sizes: tuple[int | None, ...], field: s
     if value is None and shape.gaps and len(sizes) == 1:
         return
     size, rest = sizes[0], sizes[1:]
-    if not isinstance(value, list) or size not in (None, len(value)):
+    if not _is(value, list) or size not in (None, len(value)):
         many = "" if size is None else f"{size} "
         raise Mismatch(field, f"a list of {many}{'lists' if rest else 'numbers'}", value)
     for index, each in enumerate(value):
@@ -227,6 +227,8 @@ def _is(value: Any, kind: type) -> bool:
         return kind is bool
     if kind is float:
         return isinstance(value, int | float) and math.isfinite(value)
+    if kind is list:  # what was not written yet may be a tuple
+        return isinstance(value, list | tuple)
     return isinstance(value, kind)
 
 

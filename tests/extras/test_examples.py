@@ -12,7 +12,7 @@ from patience import PATIENCE
 from neurosim.training.train import train
 
 ROOT = Path(__file__).resolve().parents[2]
-EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
+EXAMPLES = sorted((ROOT / "examples").glob("use_*.py"))
 #: Share of trials in which the task is done, at least, where it is not nearly all.
 LEAST = {"use_stable_baselines": 0.8}
 
