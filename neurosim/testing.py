@@ -185,7 +185,9 @@ def check_simulator(simulator: Simulator, *, steps: int = 8, tolerance: float = 
     _equal("the first three columns of start(pose) are the pose", state[:, :3], pose)
     _check_function("step", simulator.step, state, command)
     after = simulator.step(state, command)
-    _shape("step(state, command)", after, state.shape)
+    # A robot that has fallen has no pose: NaN.
+    shown = torch.cat([after[:, :3].nan_to_num(nan=0.0), after[:, 3:]], dim=1)
+    _shape("step(state, command)", shown, state.shape)
     if simulator.reading_names:
         readings = simulator.sense(after)
         _shape("sense(state)", readings, (_ROWS, len(simulator.reading_names)))
@@ -259,10 +261,12 @@ def _check_noise(simulator: Simulator, state: Tensor, command: Tensor) -> None:
     def seeded(seed: int) -> list[Tensor]:
         generator = torch.Generator().manual_seed(seed)
         found = [simulator.step(state, command, generator)]
-        return found + ([simulator.sense(state, generator)] if simulator.reading_names else [])
+        found += [simulator.sense(state, generator)] if simulator.reading_names else []
+        return [one.nan_to_num() for one in found]
 
     mean = [simulator.step(state, command)]
     mean += [simulator.sense(state)] if simulator.reading_names else []
+    mean = [one.nan_to_num() for one in mean]
     noisy = seeded(1)
     _require(all(map(torch.equal, noisy, seeded(1))), "the same seed must give the same noise")
     differs = not all(map(torch.equal, mean, noisy))
@@ -635,8 +639,10 @@ def _equal(what: str, value: Tensor, expected: Tensor) -> None:
 
 
 def _close(what: str, value: Any, expected: Any) -> None:
-    away = np.abs(np.asarray(value) - np.asarray(expected)).max(initial=0.0)
-    _require(np.allclose(value, expected, rtol=1e-9, atol=1e-12), f"{what}; it is {away:.3g} away")
+    away = np.nanmax(np.abs(np.asarray(value) - np.asarray(expected)), initial=0.0)
+    # NaN: a robot that has fallen has no pose.
+    same = np.allclose(value, expected, rtol=1e-9, atol=1e-12, equal_nan=True)
+    _require(same, f"{what}; it is {away:.3g} away")
 
 
 def _json(what: str, value: Any) -> None:

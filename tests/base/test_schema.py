@@ -68,6 +68,8 @@ def test_gaps_are_allowed_where_they_are_declared():
 
 
 def test_what_was_not_written_yet_may_have_tuples():
-    check({"poses": ((0.0, 1.0), (2.0, 3.0)), "names": ("a",)}, {"poses": Rows(2, 2), "names": [str]})
+    check(
+        {"poses": ((0.0, 1.0), (2.0, 3.0)), "names": ("a",)}, {"poses": Rows(2, 2), "names": [str]}
+    )
     with pytest.raises(Mismatch, match="a list of 2 numbers"):
         check({"pose": (0.0,)}, {"pose": Rows(2)})

@@ -171,7 +171,7 @@ def test_speeds_and_ways_are_those_of_a_fine_integration(drive, before, told, ti
         a_step = float(drive.rate.max()) * time / FINE
         np.testing.assert_allclose(reached[0], speeds[place], atol=2e-3 + a_step)
         missed = np.trapezoid(told.numpy() - speeds[: place + 1], dx=time / FINE, axis=0)
-        np.testing.assert_allclose(found.missed[0], missed, atol=1e-3)
+        np.testing.assert_allclose(found.missed[0], missed, atol=2e-3)
         if bool((until > found.settling).all()):
             size = (told - before).abs()
             largest = torch.where(size > ALIKE, size * math.exp(-2.5), size)
@@ -360,8 +360,8 @@ def test_numbers_that_cannot_be_are_refused(folder, name):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"kernel_units": -1}, "'kernel_units': expected a number from 0, found -1"),
-        ({"kernel_units": True}, "'kernel_units': expected a number from 0"),
+        ({"kernel_units": -1}, "'kernel_units': expected a whole number from 0 up to .*, found -1"),
+        ({"kernel_units": True}, "'kernel_units': expected a whole number from 0"),
         ({"kernel_units": 7}, "expected shape"),
     ],
 )
