@@ -1,4 +1,4 @@
-"""evosax evolves a network that drives to three places in turn."""
+"""evosax evolves a network that drives to two places in turn."""
 
 import jax
 from evosax.algorithms import CMA_ES
@@ -6,7 +6,7 @@ from evosax.algorithms import CMA_ES
 import neurosim as ns
 
 simulator = ns.load("simulator")
-task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0], [-0.4, 0.0, 0]])
+task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
 fitness = ns.evaluate(simulator, task, network, outcomes=4)
 

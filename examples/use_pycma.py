@@ -1,11 +1,11 @@
-"""pycma evolves a network that drives to three places in turn."""
+"""pycma evolves a network that drives to two places in turn."""
 
 import cma
 
 import neurosim as ns
 
 simulator = ns.load("simulator")
-task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0], [-0.4, 0.0, 0]])
+task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
 fitness = ns.evaluate(simulator, task, network, outcomes=4)
 
