@@ -230,6 +230,7 @@ class Recording:
             VERSION,
             _RECORDING,
         )
+        self.meta.setdefault("complete", False)  # it would have been said
         _check_markers(self.path / "recording.json", self.meta["markers"])
         for name in self.meta["videos"]:
             if name is not None:
