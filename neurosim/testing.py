@@ -166,13 +166,16 @@ def _check_sensors(robot: Any) -> None:
         )
 
 
-def check_simulator(simulator: Simulator, *, steps: int = 8, tolerance: float = 1e-3) -> None:
+def check_simulator(
+    simulator: Simulator, *, steps: int = 8, tolerance: float = 1e-3, falls: bool = False
+) -> None:
     """Check a simulator: shapes, no hidden state, independent rows, noise, compiled rollouts.
 
     Args:
         simulator: any.
         steps: for which compiled rollouts are compared with stepped ones.
         tolerance: by how much these may differ, m and rad.
+        falls: whether its robot can fall, and then has no pose: NaN.
 
     Raises:
         AssertionError: saying what is wrong.
@@ -185,9 +188,8 @@ def check_simulator(simulator: Simulator, *, steps: int = 8, tolerance: float = 
     _equal("the first three columns of start(pose) are the pose", state[:, :3], pose)
     _check_function("step", simulator.step, state, command)
     after = simulator.step(state, command)
-    # A robot that has fallen has no pose: NaN.
-    shown = torch.cat([after[:, :3].nan_to_num(nan=0.0), after[:, 3:]], dim=1)
-    _shape("step(state, command)", shown, state.shape)
+    poses = after[:, :3].nan_to_num(nan=0.0) if falls else after[:, :3]
+    _shape("step(state, command)", torch.cat([poses, after[:, 3:]], dim=1), state.shape)
     if simulator.reading_names:
         readings = simulator.sense(after)
         _shape("sense(state)", readings, (_ROWS, len(simulator.reading_names)))

@@ -9,7 +9,7 @@ A shape is one of:
   missing, or null, which is then left out. Other keys are passed over;
 - ``{str: shape}``: an object of any keys, each with that;
 - :class:`Maybe`: that, or null; :class:`Rows`: numbers in rows and columns; :class:`Number`: one
-  within bounds; :class:`OneOf`: one of some values.
+  within bounds; :class:`OneOf`: one of some values; :class:`Only`: an object without other keys.
 
 :func:`fields_of` gives the shape of what a dataclass takes as keywords, from its annotations.
 """
@@ -95,6 +95,13 @@ class OneOf:
         object.__setattr__(self, "values", values)
 
 
+@dataclass(frozen=True)
+class Only:
+    """An object with these keys and no others: one that is not known would be of consequence."""
+
+    fields: Mapping[str, Shape]
+
+
 class Mismatch(Exception):
     """A value has another shape.
 
@@ -131,6 +138,12 @@ def check(value: Any, shape: Shape, field: str = "") -> None:
             raise Mismatch(field, "a list", value)
         for index, each in enumerate(value):
             check(each, shape[0], f"{field}[{index}]")
+    elif isinstance(shape, Only):
+        _check_object(value, shape.fields, field)
+        names = [name.removesuffix("?") for name in shape.fields]
+        for name in value:
+            if name not in names:
+                raise Mismatch(field, f"{', '.join(names)} and nothing else", name)
     elif isinstance(shape, Mapping):
         _check_object(value, shape, field)
     elif isinstance(shape, tuple):

@@ -174,6 +174,7 @@ def test_written_and_read(tmp_path):
         asdict(CORRECTION) | {"turn": "1"},
         asdict(CORRECTION) | {"turn": True},
         asdict(CORRECTION) | {"turn": 0.0},
+        asdict(CORRECTION) | {"more": 0.0},
     ],
 )
 def test_a_damaged_one_is_refused(tmp_path, wrong):

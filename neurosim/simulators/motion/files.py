@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError
-from neurosim.base.schema import Maybe, Number, OneOf, Rows, Shape, fields_of
+from neurosim.base.schema import Maybe, Number, OneOf, Only, Rows, Shape, fields_of
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators.base import ABOUT, FORMAT, VERSION
 from neurosim.simulators.motion.correction import Correction
@@ -53,14 +53,14 @@ FIELDS: dict[str, Shape] = {
     "inputs": [{"name": str, "unit?": str}],
     "network": dict,
     "coordinates": str,
-    "derived?": {"swing?": Number(above=-1.0, high=1.0 - 1e-12)},
+    "derived?": Only({"swing?": Number(above=-1.0, high=1.0 - 1e-12)}),
     "drive?": Maybe([str]),
     "kernel_units?": _COUNT,
     "members?": Number(1, 10**6, whole=True),
     "central?": bool,
     "noise?": dict,
     "domain?": {"commands": {str: Rows(2)}, "rows": _COUNT, "reach": float},
-    "correction?": {one.name: float for one in fields(Correction)},
+    "correction?": Only({one.name: float for one in fields(Correction)}),
 }
 
 
