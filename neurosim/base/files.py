@@ -36,6 +36,9 @@ except ImportError:  # Windows
     fcntl = None  # type: ignore[assignment]
 
 
+#: No number in a CSV file is larger: what is computed of measured values stays finite.
+LARGEST = 1e150
+
 #: How much of a name stands in the name of what is written beside its place.
 _OF_NAME = 32
 
@@ -518,10 +521,10 @@ Column = Callable[[str], Any]
 
 
 def number(text: str) -> float:
-    """Parse a finite number of a CSV field."""
+    """Parse a number of a CSV field; it is finite and no larger than ``LARGEST``."""
     value = float(text)
-    if not math.isfinite(value):
-        raise ValueError("not a finite number")
+    if not abs(value) <= LARGEST:
+        raise ValueError("not a finite number, or too large")
     return value
 
 

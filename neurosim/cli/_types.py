@@ -12,10 +12,8 @@ import click
 
 from neurosim.base.files import check_name
 
-#: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
 
-
-class _Named(click.Path):
+class _Path(click.Path):
     """A path whose name can be written down: UTF-8."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
@@ -24,7 +22,8 @@ class _Named(click.Path):
         return super().convert(value, param, ctx)
 
 
-PATH = _Named(path_type=Path)
+#: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
+PATH = _Path(path_type=Path)
 
 
 class Number(click.types.FloatParamType):
@@ -85,12 +84,11 @@ class Numbers(_Named):
         self._example, self._limits = example, limits
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, ...]:
-        """Return the numbers."""
-        if not isinstance(value, str):
-            return tuple(value)
+        """Return the numbers; those of a resumed run's file are numbers already."""
+        parts = value.lower().split(self._between) if isinstance(value, str) else value
         try:
-            found = tuple(self._kind(part) for part in value.lower().split(self._between))
-        except ValueError:
+            found = tuple(self._kind(part) for part in parts)
+        except (TypeError, ValueError):
             found = ()
         if len(found) != self.name.count(self._between) + 1 or not all(map(math.isfinite, found)):
             self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
@@ -127,9 +125,8 @@ class Quantity(_Named):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """Return the number in SI; what is a number already is in SI."""
-        if not isinstance(value, str):
-            return float(value)
-        return self._to_si(NUMBER.convert(value, param, ctx))
+        found = NUMBER.convert(value, param, ctx)
+        return self._to_si(found) if isinstance(value, str) else found
 
     def shown(self, value: float) -> str:
         """Return a number in SI as it is typed."""
@@ -146,6 +143,8 @@ class Listed(_Named):
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, ...]:
         """Return the values."""
         parts = value.split(",") if isinstance(value, str) else value
+        if not isinstance(parts, (list, tuple)):
+            self.fail(f"{value!r}: expected {self.name}", param, ctx)
         return tuple(self.kind.convert(part, param, ctx) for part in parts)
 
     def shown(self, value: Any) -> str:
@@ -167,8 +166,10 @@ class Pairs(_Named):
 
     def convert(self, value: Any, param: Any, ctx: Any) -> dict[str, str]:
         """Return the word of each name, in their order."""
-        if not isinstance(value, str):
+        if isinstance(value, dict) and all(isinstance(word, str) for word in value.values()):
             return dict(value)
+        if not isinstance(value, str):
+            self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
         found: dict[str, str] = {}
         for part in value.split(","):
             name, given, word = (side.strip() for side in part.partition("="))

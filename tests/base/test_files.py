@@ -148,11 +148,18 @@ def test_csv_that_is_wrong_is_refused_with_line_and_field(tmp_path, text, says):
     assert says in str(error.value)
 
 
-@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), max_size=20))
+@given(st.lists(st.floats(-files.LARGEST, files.LARGEST), max_size=20))
 def test_numbers_survive_a_csv_to_the_last_bit(tmp_path_factory, values):
     path = tmp_path_factory.mktemp("csv") / "a.csv"
     files.write_csv(path, {"a": values})
     assert files.read_csv(path, {"a": files.number})["a"] == values
+
+
+@pytest.mark.parametrize("text", ["inf", "nan", "1e308", "-1.5e150"])
+def test_a_number_that_nothing_was_measured_as_is_refused(tmp_path, text):
+    (tmp_path / "a.csv").write_text(f"a\n1\n{text}\n")
+    with pytest.raises(FileError, match=f"line 3.*'a'.*expected a finite number.*{text}"):
+        files.read_csv(tmp_path / "a.csv", {"a": files.number})
 
 
 def test_a_line_log_drops_a_torn_line_and_goes_on(tmp_path):

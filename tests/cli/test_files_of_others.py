@@ -2,13 +2,16 @@
 
 import json
 import os
+import re
 import socket
+import sys
 
 import pytest
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import check_no_links, write_json
+from neurosim.cli.main import main
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import _wanted
 from neurosim.recording.settings import RecordSettings
@@ -87,6 +90,34 @@ def test_a_robot_of_the_lab_is_the_one_it_was_begun_with(refused, tmp_path):
     made("record", tmp_path, {"robot": "virtual-khepera", "lab_seed": 3})
     # The recording is not of a virtual Khepera, whose markers are others than an NXT's.
     assert "markers.front.x (0.07, now 0.014)" in refused("record", "r", "--resume")
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"durations": [0.5, {"a": 1}]}, "'--durations': .*expected LOW..HIGH, such as 0.5..3"),
+        ({"durations": 7}, "'--durations': .*expected LOW..HIGH, such as 0.5..3"),
+        ({"max_speed": {}}, "the options that this was begun with cannot be read"),
+        ({"commands": [1]}, "the options that this was begun with cannot be read"),
+    ],
+)
+def test_options_of_another_shape(monkeypatch, capsys, tmp_path, options, says):
+    monkeypatch.chdir(tmp_path)
+    words = made("record", tmp_path, {"robot": "virtual", **options})
+    monkeypatch.setattr(sys, "argv", ["neurosim", *words])
+    with pytest.raises(SystemExit) as stop:
+        main()
+    assert stop.value.code in (1, 2)
+    assert re.search(says, capsys.readouterr().err)
+
+
+def test_a_recording_that_does_not_say_whether_it_is_complete_is_not(tmp_path):
+    folder = recording(tmp_path / "r", {}).path
+    path = folder / "recording.json"
+    content = json.loads(path.read_text())
+    content.pop("complete", None)
+    path.write_text(json.dumps(content))
+    assert Recording(folder).meta["complete"] is False
 
 
 @pytest.mark.parametrize("port", ["spy://loop://", " SPY:///dev/ttyUSB0", "spy://x?file=y"])

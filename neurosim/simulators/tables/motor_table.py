@@ -11,6 +11,9 @@ from numpy.typing import ArrayLike, NDArray
 from neurosim.base import files, se2
 from neurosim.base.errors import FileError, UserError
 
+#: Largest speed in a table, m/s and rad/s.
+FASTEST = 1000.0
+
 _COLUMNS = ("left", "right", "duration", "dx", "dy", "dtheta")
 
 
@@ -54,6 +57,12 @@ class MotorTable:
             raise UserError(
                 f"the motor table has {len(holes)} holes, the first at left {left:g} %, "
                 f"right {right:g} %; drive these settings too"
+            )
+        fastest = np.abs(self.twist).max()
+        if fastest > FASTEST:
+            raise UserError(
+                f"the motor table has a speed of {fastest:g} m/s or rad/s; no robot that this "
+                f"is for is faster than {FASTEST:g}"
             )
 
     @classmethod
