@@ -29,7 +29,7 @@ from neurosim.networks.control import (
 from neurosim.networks.control_kernels import make_loop, observe
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
-from neurosim.tasks.score import Rows
+from neurosim.tasks.score import Interval, Rows
 
 #: Poses are told up to so far outside of what simulator and task have an outline of, m.
 BEYOND = 0.5
@@ -175,18 +175,11 @@ class Face:
             return commands
         return np.concatenate([commands, np.full((len(commands), 1), duration)], axis=1)
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
+    def add(self, rows: Rows, interval: Interval) -> None:
         """Go on with trials; as :meth:`neurosim.tasks.score.Score.add`, durations in commands."""
-        own = commands[:, : len(self.outputs)]
-        self.score.add(rows, poses, own, readings if self.reads else None, duration, active)
+        own = interval.commands[:, : len(self.outputs)]
+        readings = interval.readings if self.reads else None
+        self.score.add(rows, interval._replace(commands=own, readings=readings))
 
 
 def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:

@@ -24,6 +24,7 @@ from neurosim.robots.base import Counters, Sensors, drive_for
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
 from neurosim.tasks.base import Task
+from neurosim.tasks.score import Interval
 from neurosim.trials.rig import RIGS, Setup, open_rig
 from tracking.camera.camera_model import CameraModel
 
@@ -199,7 +200,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         clock.sleep_until(self._due)
         self._look()
         every = slice(None)
-        face.add(every, self._pose[None], commands, readings, episode.step)
+        face.add(every, Interval(self._pose[None], commands, readings, episode.step))
         self._steps += 1
         decided = bool(face.score.over[0])
         late = self._steps >= episode.steps and not decided
@@ -211,7 +212,8 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 readings = self._readings
                 self._look()
                 still = face.lasting(np.zeros((1, 2)), episode.rest)
-                face.add(every, self._pose[None], still, readings, episode.rest, False)
+                moved = Interval(self._pose[None], still, readings, episode.rest, False)
+                face.add(every, moved)
             self._begun = False
             info = {
                 "is_success": bool(face.score.success[0]),

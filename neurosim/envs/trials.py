@@ -14,7 +14,7 @@ from neurosim.envs.face import Face
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
 from neurosim.tasks.base import Task
-from neurosim.tasks.score import Rows
+from neurosim.tasks.score import Interval, Rows
 
 #: So many outcomes are drawn at once: most of the work of drawing is not in the numbers.
 BLOCK = 16
@@ -176,7 +176,7 @@ class Trials:
         after = self._stepper.step(self.state[rows], commands, noise)
         self.state[rows] = after
         self._steps[rows] += 1
-        self.face.add(rows, after[:, :3], commands, readings, duration, active)
+        self.face.add(rows, Interval(after[:, :3], commands, readings, duration, active))
         self._look(rows)
 
     def _look(self, rows: Rows) -> None:

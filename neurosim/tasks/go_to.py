@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Rows, Score
+from neurosim.tasks.score import Interval, Rows, Score
 
 Pose = tuple[float, float, float]
 
@@ -225,16 +225,8 @@ class _OnTheWay(Score):
         self._pose[rows] = poses
         self._go_on(rows, poses)
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
-        self._go_on(rows, _finite(poses))
+    def add(self, rows: Rows, interval: Interval) -> None:
+        self._go_on(rows, _finite(interval.poses))
 
     def _go_on(self, rows: Rows, poses: NDArray[np.float64]) -> None:
         task, before, after = self.task, self._pose[rows, :2], poses[:, :2]

@@ -44,7 +44,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Rows, Score
+from neurosim.tasks.score import Interval, Rows, Score
 
 #: The centre is checked at least this often, m.
 SPACING = 0.02
@@ -390,16 +390,8 @@ class _Course(Score):
         self._at[rows], self._nearest[rows], self._pose[rows] = 0, np.inf, poses
         self._go_on(rows, poses, False, True)
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
-        self._go_on(rows, poses, active, False)
+    def add(self, rows: Rows, interval: Interval) -> None:
+        self._go_on(rows, interval.poses, interval.active, False)
 
     def _go_on(self, rows: Rows, poses: NDArray[np.float64], active: bool, begins: bool) -> None:
         state = self._pose, self._at, self._nearest

@@ -15,7 +15,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Rows, Score
+from neurosim.tasks.score import Interval, Rows, Score
 
 #: A trajectory's fitness [...], the higher the better; the second argument is the task's step, s.
 Fitness = Callable[[Trajectory, float], NDArray[np.float64]]
@@ -167,18 +167,11 @@ class _Sum(Score):
         self.progress[rows] = 0.0
         self.success[rows] = self.task.least <= 0.0
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
-        assert readings is not None
-        each = np.full((len(commands), 1), duration)
-        step = Trajectory(None, commands[:, None], each, readings[:, None])
+    def add(self, rows: Rows, interval: Interval) -> None:
+        assert interval.readings is not None
+        each = np.full((len(interval.commands), 1), interval.duration)
+        readings, commands = interval.readings[:, None], interval.commands[:, None]
+        step = Trajectory(None, commands, each, readings)
         self.progress[rows] += avoidance(step, self.task.duration)
         self.success[rows] = self.progress[rows] >= self.task.least
 

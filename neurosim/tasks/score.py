@@ -8,7 +8,7 @@ to that one by a test.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +17,24 @@ from neurosim.base.trajectory import Trajectory
 
 #: Rows of a batch: places, or all.
 Rows = NDArray[np.int64] | slice
+
+
+class Interval(NamedTuple):
+    """What happens to K trials from one command to the next.
+
+    Attributes:
+        poses: [K, 3] after it (m, m, rad).
+        commands: [K, C] in it.
+        readings: [K, S] at its beginning, or None.
+        duration: of it, s.
+        active: whether the controller gave the command; not while the motors run down.
+    """
+
+    poses: NDArray[np.float64]
+    commands: NDArray[np.float64]
+    readings: NDArray | None
+    duration: float
+    active: bool = True
 
 
 class Score:
@@ -44,25 +62,8 @@ class Score:
         """
         raise NotImplementedError
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
-        """Go on with trials by one interval.
-
-        Args:
-            rows: K of the trials.
-            poses: [K, 3] after it (m, m, rad).
-            commands: [K, C] in it.
-            readings: [K, S] at its beginning, or None.
-            duration: of it, s.
-            active: whether the controller gave the command; not while the motors run down.
-        """
+    def add(self, rows: Rows, interval: Interval) -> None:
+        """Go on with K of the trials."""
         raise NotImplementedError
 
 
@@ -92,23 +93,15 @@ class Replayed(Score):
         self._judge(rows, 1)
         self._length[rows] = 0
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
+    def add(self, rows: Rows, interval: Interval) -> None:
         """Go on with trials, and judge what they are until now."""
         rows = self._all[rows]
         at = self._length[rows]
-        self._poses[rows, at + 1] = poses
-        self._commands[rows, at] = commands
-        self._durations[rows, at], self._active[rows, at] = duration, active
+        self._poses[rows, at + 1] = interval.poses
+        self._commands[rows, at] = interval.commands
+        self._durations[rows, at], self._active[rows, at] = interval.duration, interval.active
         if self._readings is not None:
-            self._readings[rows, at] = readings
+            self._readings[rows, at] = interval.readings
         self._length[rows] += 1
         for length in np.unique(self._length[rows]):
             self._judge(rows[self._length[rows] == length], int(length))

@@ -12,7 +12,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.robots.quadruped import FRAME
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Rows, Score
+from neurosim.tasks.score import Interval, Rows, Score
 
 #: Who is slower has not walked, m/s.
 STALL = 0.01
@@ -96,17 +96,9 @@ class _Walk(Score):
         self.progress[rows] = 0.0
         self.success[rows] = self.over[rows] = False
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
-        self.over[rows] |= np.isnan(poses).any(axis=-1)
-        self._time[rows] += duration
-        gone = self.task._gone(self._start[rows], poses, self.over[rows])
+    def add(self, rows: Rows, interval: Interval) -> None:
+        self.over[rows] |= np.isnan(interval.poses).any(axis=-1)
+        self._time[rows] += interval.duration
+        gone = self.task._gone(self._start[rows], interval.poses, self.over[rows])
         self.progress[rows] = gone / self.task.seconds
         self.success[rows] = gone >= STALL * self._time[rows]

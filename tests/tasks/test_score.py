@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import neurosim as ns
-from neurosim.tasks.score import Replayed
+from neurosim.tasks.score import Interval, Replayed
 
 TASKS = {
     "nine-rectangles": lambda: ns.make_task("nine-rectangles", seconds=4.0),
@@ -78,7 +78,7 @@ def test_scores_are_the_progress_of_the_trajectory_until_then(name):
             # Not all of a batch at once, and in no order.
             order = np.arange(count) if step % 2 else rng.permutation(count)
             for rows in (order[:25], order[25:]) if step % 3 else (every,):
-                score.add(rows, *(one[rows] if np.ndim(one) else one for one in moved))
+                score.add(rows, Interval(*(one[rows] if np.ndim(one) else one for one in moved)))
         np.testing.assert_allclose(fast.progress, slow.progress, atol=1e-9)
         assert np.array_equal(fast.success, slow.success)
         assert not (ended & ~fast.over).any()
@@ -96,7 +96,8 @@ def test_a_trial_begins_anew():
     score = task.score(2, 2, 0)
     score.begin(slice(None), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
     before = score.progress.copy()
-    score.add(slice(None), np.array([[0.2, 0.1, 0.0]] * 2), np.zeros((2, 2)), None, 0.1)
+    moved = Interval(np.array([[0.2, 0.1, 0.0]] * 2), np.zeros((2, 2)), None, 0.1)
+    score.add(slice(None), moved)
     assert (score.progress > before).all()
     score.begin(np.array([1]), np.zeros((1, 3)))
     assert score.progress[1] == before[1]
