@@ -86,10 +86,10 @@ def drive(state, inputs, command, p, field, half_length, half_width, seen):
 
 
 class Robot:
-    """The lab's robot, without brick and camera."""
+    """The lab's robot, without brick and camera; ``changes`` are of its parameters."""
 
-    def __init__(self, lab_seed: int, seed: int):
-        params = LabParams.drawn(lab_seed)
+    def __init__(self, lab_seed: int, seed: int, changes: dict[str, float] | None = None):
+        params = replace(LabParams.drawn(lab_seed), **(changes or {}))
         self.rng = np.random.default_rng([seed, lab_seed])
         self._p, self._field = params.coefficients(), slip_field(params)
         self._state, self._inputs = new_state(params, seed, (0.0, 0.0, 0.0)), new_inputs()
@@ -153,9 +153,11 @@ class Robot:
         return [(row, *pair) for pair in zip(seen[:, 0], moved, strict=True)]
 
 
-def random_rows(lab_seed: int, seed: int, count: int) -> tuple[TrainingData, int]:
+def random_rows(
+    lab_seed: int, seed: int, count: int, changes: dict[str, float] | None = None
+) -> tuple[TrainingData, int]:
     """Return rows and how many commands were cut, of a random recording."""
-    robot, source = Robot(lab_seed, seed), RandomCommands(seed=seed)
+    robot, source = Robot(lab_seed, seed, changes), RandomCommands(seed=seed)
     return robot.record([source.command(n) for n in range(count)]), robot.cuts
 
 

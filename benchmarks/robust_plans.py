@@ -240,9 +240,9 @@ def ground(params: LabParams) -> np.ndarray:
     return _FIELDS[key]
 
 
-def drive(given: list, lab_seed: int, seed: int) -> bool:
+def drive(given: list, lab_seed: int, seed: int, changes: dict[str, float] | None = None) -> bool:
     """Drive a plan once in the lab's physics; return whether it completed the course."""
-    params = LabParams.drawn(lab_seed)
+    params = replace(LabParams.drawn(lab_seed), **(changes or {}))
     rng = np.random.default_rng([seed, 0xD21])
     pose = np.asarray(TASK.start) + rng.standard_normal(3) * (PLACING[0], PLACING[0], PLACING[1])
     state = physics.new_state(params, seed, tuple(pose))
