@@ -43,7 +43,7 @@ from neurosim.simulators import read_simulator
 from neurosim.training.train import learn
 from neurosim.trials.nxt import VirtualNxt
 
-#: What is other than when the robot was recorded, by name; robots 30 and up were tuned on by nothing.
+#: What is other than when the robot was recorded, by name. Nothing was tuned on robots 30 and up.
 FLOORS: dict[str, dict[str, float]] = {
     "slippery": {"slip": 0.10},
     "slippery, left wheel worn": {"slip": 0.10, "worn": 0.03},
