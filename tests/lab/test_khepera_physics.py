@@ -1,6 +1,7 @@
 """The virtual Khepera's motion, contact and light against hand-worked numbers."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from neurosim.lab import KheperaParams, LabArena
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.body import KheperaBody, KheperaLab
 from neurosim.lab.khepera.params import RADIUS, WHEEL_BASE
+from neurosim.simulators.tables.arena import Arena
 
 EMPTY = LabArena()
 IDEAL = KheperaParams.ideal()
@@ -275,3 +277,29 @@ def test_a_robot_is_put_down_only_where_there_is_room():
 def test_arenas_that_cannot_be(arena, why):
     with pytest.raises(UserError, match=why):
         LabArena(**arena)
+
+
+def test_a_wall_inside_an_arena_is_a_board():
+    room = Arena.rectangle(1.0, 1.0)
+    outline = tuple(tuple(map(float, wall)) for wall in room.outline)
+    assert LabArena.of(room).walls == outline
+    with_board = LabArena.of(replace(room, inner=((0.0, -0.2, 0.0, 0.2),)))
+    assert with_board.walls[:4] == outline
+    corners = np.array(with_board.walls[4:])[:, :2]
+    assert sorted(map(tuple, corners.round(9))) == [
+        (-0.005, -0.2), (-0.005, 0.2), (0.005, -0.2), (0.005, 0.2),
+    ]  # fmt: skip
+    # Its end is seen by who looks at it; of a wall without thickness nothing is.
+    before_its_end = (0.0001, 0.25, -math.pi / 2)
+    assert light(LabArena(((0.0, -0.2, 0.0, 0.2),)), before_its_end) < 0.001
+    assert light(with_board, before_its_end) > 0.01
+
+
+def test_a_robot_beside_a_board_is_put_down_beside_it():
+    room = Arena.rectangle(1.0, 1.0)
+    room = replace(room, inner=((0.0, -0.2, 0.0, 0.2),))
+    lab = KheperaLab(KheperaParams(), LabArena.of(room), start=(0.3, 0.0, 0.0))
+    lab.place(RADIUS + 0.001, 0.0, 0.3)
+    assert lab.pose == pytest.approx([RADIUS + 0.005, 0.0, 0.3], abs=1e-5)
+    with pytest.raises(UserError, match="would stand in a wall"):
+        lab.place(RADIUS - 0.003, 0.0, 0.0)

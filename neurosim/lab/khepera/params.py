@@ -17,6 +17,8 @@ RADIUS, WHEEL_BASE = 0.0275, 0.053
 PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
 #: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
 SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
+#: Of a wall inside an arena, m.
+THICKNESS = 0.01
 #: Light that the wall of a white arena throws back.
 WHITE = 0.9
 
@@ -53,8 +55,12 @@ class LabArena:
 
     @classmethod
     def of(cls, arena: Arena) -> LabArena:
-        """Return a simulator's arena as it stands in the lab."""
-        walls = tuple(tuple(float(v) for v in row) for row in arena.walls)
+        """Return a simulator's arena as it stands in the lab.
+
+        An inner wall is a board as thick as :data:`THICKNESS`: a robot sees it end-on, too.
+        """
+        walls = *arena.outline, *(side for wall in arena.inner for side in _sides(wall))
+        walls = tuple(tuple(float(v) for v in wall) for wall in walls)
         cylinders = tuple(tuple(float(v) for v in row) for row in arena.cylinders)
         return cls(walls, cylinders)
 
@@ -67,6 +73,15 @@ class LabArena:
     def cylinder_rows(self) -> NDArray[np.float64]:
         """Cylinders, [N, 3]."""
         return np.array(self.cylinders, float).reshape(-1, 3)
+
+
+def _sides(wall: tuple[float, float, float, float]) -> NDArray[np.float64]:
+    """Return the four sides [4, 4] of a board that is a wall."""
+    one, other = np.array(wall).reshape(2, 2)
+    along = other - one
+    aside = 0.5 * THICKNESS * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    corners = np.array([one + aside, one - aside, other - aside, other + aside])
+    return np.hstack([corners, np.roll(corners, -1, axis=0)])
 
 
 def _eight(value: float) -> NDArray[np.float64]:

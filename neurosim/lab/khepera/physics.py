@@ -88,7 +88,7 @@ def _wanted(state, inputs, wheel, motor):
 
 
 @njit(cache=True)
-def _deepest(x, y, walls, cylinders):
+def deepest(x, y, walls, cylinders):
     """Return the depth of the deepest contact (m) and the direction out of it."""
     depth, nx, ny = -1.0, 0.0, 0.0
     for i in range(walls.shape[0]):
@@ -114,7 +114,7 @@ def _deepest(x, y, walls, cylinders):
 @njit(cache=True)
 def penetration(x, y, walls, cylinders):
     """Return how deep a robot at (x, y) would stand in something, m; below 0 where it is free."""
-    depth, _, _ = _deepest(x, y, walls, cylinders)
+    depth, _, _ = deepest(x, y, walls, cylinders)
     return depth
 
 
@@ -123,7 +123,7 @@ def _settle(state, old_x, old_y, walls, cylinders, friction):
     """Push a robot out of what it ran into; along the surface, friction holds it back."""
     touched = False
     for _ in range(6):
-        depth, nx, ny = _deepest(state[S.X], state[S.Y], walls, cylinders)
+        depth, nx, ny = deepest(state[S.X], state[S.Y], walls, cylinders)
         if depth <= 0.0:
             break
         touched = True
