@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import os
 import signal
 from pathlib import Path
 
 import pytest
+
+# Two workers share two cores: threads that wait for others must not keep a core busy meanwhile.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 # A shell that starts the tests in the background, or nohup, has them, and all that they start,
 # ignore what would end them.
