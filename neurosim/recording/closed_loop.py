@@ -105,13 +105,13 @@ class ClosedLoopSession(Session):
         super().__init__(recording, session, robot, source, *others)
         self.deadlines = Deadlines()
         self._seeing = source
-        self._recording = recording
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
         self._sensors = robot if isinstance(robot, Sensors) else None
         names = () if self._sensors is None else self._sensors.sensor_names
         # What guards the perimeter is read at every step, too.
-        guards = self._guard.at_line != "ignore" and not set(LINES).isdisjoint(names)
+        by_light = self._guard.at_line != "ignore" and self._guard.by == "both"
+        guards = by_light and not set(LINES).isdisjoint(names)
         self._names = names if source.reads or guards else ()
 
     def run(self) -> bool:
