@@ -505,8 +505,7 @@ class MotionNetwork(Simulator):
         if self.sensors is not None:
             raise UserError(
                 f"this simulator has sensors ({', '.join(self.sensors.names)}), and a program of "
-                "its step would be without them: export one that was trained from recordings "
-                "without readings"
+                "its step would be without them: export one that was trained with --no-sensors"
             )
         return _in(dtype, self)
 

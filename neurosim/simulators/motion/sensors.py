@@ -124,7 +124,16 @@ def no_sensors() -> SensorArrays:
 
 
 @njit(cache=True, error_model="numpy")
-def sense(s, x, y, cos, sin, z, first, out):
+def sense(
+    s: SensorArrays,
+    x: float,
+    y: float,
+    cos: float,
+    sin: float,
+    z: NDArray[np.float64],
+    first: int,
+    out: NDArray[np.float64],
+) -> None:
     """Write what sensors read; see :meth:`Sensors.read`.
 
     Args:
@@ -156,7 +165,13 @@ def sense(s, x, y, cos, sin, z, first, out):
 
 
 @njit(cache=True, error_model="numpy")
-def sense_all(s, poses, z, first, out):
+def sense_all(
+    s: SensorArrays,
+    poses: NDArray[np.float64],
+    z: NDArray[np.float64],
+    first: int,
+    out: NDArray[np.float64],
+) -> None:
     """Write what sensors [B, S] read at poses [B, 3]; ``z`` [B, Z], Z = 0: there is no noise."""
     for b in range(len(poses)):
         cos, sin = np.cos(poses[b, 2]), np.sin(poses[b, 2])
