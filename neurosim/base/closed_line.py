@@ -98,6 +98,7 @@ class ClosedLine:
         given = np.asarray(places, np.float64)
         flat = np.ascontiguousarray(given.reshape(-1, 2))
         distance, along = _nearest(self.points, self._sides, self._until, flat)
+        along = np.remainder(along, self.length)  # its end is its beginning
         return distance.reshape(given.shape[:-1]), along.reshape(given.shape[:-1])
 
     def poses(self, along: ArrayLike, backwards: ArrayLike = False) -> NDArray[np.float64]:

@@ -47,7 +47,7 @@ def _task(chosen: Chosen) -> Any:
 
 def _default_controller(chosen: Chosen) -> str:
     task = _task(chosen)
-    return "network" if task is not None and task.episode.readings else "plan"
+    return "plan" if task is None else task.usual_controller
 
 
 def _is_blind(chosen: Chosen) -> bool:

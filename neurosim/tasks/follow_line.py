@@ -88,6 +88,11 @@ class FollowLine(Task):
         """Steps for ``seconds``; a trial ends moving."""
         return Episode(self.step, max(round(self.seconds / self.step), 1))
 
+    @property
+    def usual_controller(self) -> str:
+        """A network: nobody follows a line blindly."""
+        return "network"
+
     def draw_starts(
         self, simulator: Simulator, count: int, rng: np.random.Generator
     ) -> NDArray[np.float64]:
