@@ -115,20 +115,12 @@ class _Maps:
     Args:
         rows: the readings.
         cell: distance between the maps' points, m.
-        groups: the sensors that share a map.
         parts: how many of the :data:`PARTS` are left out in turn.
         exact: how exactly the maps are found; a map that was found before is begun from.
     """
 
-    def __init__(
-        self,
-        rows: _Rows,
-        cell: float,
-        groups: Sequence[Sequence[int]],
-        parts: int = PARTS,
-        exact: float = 1e-8,
-    ):
-        self.rows, self.groups = rows, groups
+    def __init__(self, rows: _Rows, cell: float, parts: int = PARTS, exact: float = 1e-8):
+        self.rows = rows
         self.grid = _Grid.around(rows, cell)
         self.base = np.median(rows.values, axis=0)
         self._parts, self._exact = parts, exact
@@ -160,29 +152,23 @@ class _Maps:
     def _base(self, group: Sequence[int]) -> float:
         return float(np.mean(self.base[list(group)]))
 
-    def left_out(
-        self, mounts: NDArray, smooth: float, groups: Sequence[Sequence[int]] | None = None
-    ) -> NDArray[np.float64]:
-        """Return how far readings [N, S] are from maps of the other parts' readings.
-
-        Those of sensors in none of the groups are 0.
-        """
-        off = np.zeros_like(self.rows.values)
-        for group in self.groups if groups is None else groups:
-            for part in range(self._parts):
-                tested = self.rows.part == part
-                if not tested.any() or tested.all():
-                    continue
-                found = self.fit(mounts, smooth, group, ~tested, part).ravel()
-                for s in group:
-                    at = self.grid.weights(self.rows.looked_at(mounts[s])[tested])
-                    predicted = (found[at[0]] * at[1]).sum(1)
-                    off[tested, s] = self.rows.values[tested, s] - predicted
+    def left_out(self, mounts: NDArray, smooth: float, group: Sequence[int]) -> NDArray[np.float64]:
+        """Return how far a group's readings [N, G] are from maps of the other parts' readings."""
+        off = np.zeros((len(self.rows.part), len(group)))
+        for part in range(self._parts):
+            tested = self.rows.part == part
+            if not tested.any() or tested.all():
+                continue
+            found = self.fit(mounts, smooth, group, ~tested, part).ravel()
+            for place, s in enumerate(group):
+                at = self.grid.weights(self.rows.looked_at(mounts[s])[tested])
+                predicted = (found[at[0]] * at[1]).sum(1)
+                off[tested, place] = self.rows.values[tested, s] - predicted
         return off
 
     def error(self, mounts: NDArray, smooth: float, group: Sequence[int]) -> float:
         """Return the sum of squares of a group's readings that were left out."""
-        return float((self.left_out(mounts, smooth, [group]) ** 2).sum())
+        return float((self.left_out(mounts, smooth, group) ** 2).sum())
 
 
 def learn_sensors(
@@ -218,29 +204,23 @@ def learn_sensors(
             f"{len(readings)} readings are too few to learn sensors from, which takes {FEWEST}: "
             "record longer"
         )
-    every_one = list(range(len(names)))
-    with Progress("sensors", 2 * len(names) + 2, "steps") if progress else _Quiet() as bar:
+    with Progress("sensors", 2 * len(names), "steps") if progress else _Quiet() as bar:
         mounts = np.zeros((len(names), 3))
-        for s in every_one:
+        for s in range(len(names)):
             mounts[s] = _mounting(rows, s)
             bar.advance()
-        groups = min(
-            ([[s] for s in every_one], [every_one]),
-            key=lambda each: (_choose(rows, mounts, each, COARSE), len(each)),
-        )
-        fine = _Maps(rows, CELL, groups, *_ROUGH)
+        groups = _grouped(_Maps(rows, COARSE, *_ROUGH), mounts)
+        rough, fitted, final = _Maps(rows, CELL, *_ROUGH), _Maps(rows, CELL), _Maps(every, CELL)
+        noise, tried, maps = np.zeros((len(names), 2)), np.zeros(len(names)), []
         for group in groups:
-            mounts = _refine(fine, mounts, group)
-            bar.advance()
-        smooth = _choose(rows, mounts, groups, CELL)[1]
-        bar.advance()
-        fitted = _Maps(rows, CELL, groups)
-        noise = _noise(fitted, mounts, smooth)
-        tried = _tried(fitted, mounts, smooth, later)
-        final = _Maps(every, CELL, groups)
-        everything = np.ones(len(every.part), bool)
-        maps = [final.fit(mounts, smooth, group, everything) for group in groups]
-        bar.advance()
+            mounts = _refine(rough, mounts, group)
+            tries = (*SMOOTHNESS, np.inf)
+            smooth = min(tries, key=lambda each: fitted.error(mounts, each, group))
+            noise[group] = _noise(fitted, mounts, smooth, group)
+            tried[group] = _tried(fitted, mounts, smooth, group, later)
+            maps.append(final.fit(mounts, smooth, group, np.ones(len(every.part), bool)))
+            for _ in group:
+                bar.advance()
     place = [next(k for k, group in enumerate(groups) if s in group) for s in range(len(names))]
     sensors = Sensors(
         names,
@@ -285,7 +265,7 @@ def _rows_of(readings: pd.DataFrame) -> _Rows:
 def _mounting(rows: _Rows, sensor: int) -> NDArray[np.float64]:
     """Return about where a sensor is mounted and when it is read, [3] m, m, s."""
     rows = replace(rows, values=rows.values[:, [sensor]])
-    coarse = _Maps(rows, COARSE, [[0]], *_ROUGH)
+    coarse = _Maps(rows, COARSE, *_ROUGH)
     ways = np.arange(-REACH, REACH + STEP / 2, STEP)
     tries = [(ahead, aside) for ahead in ways for aside in ways if np.hypot(ahead, aside) <= REACH]
     # Readings that do not differ say nothing of where they are from.
@@ -328,54 +308,59 @@ def _refine(
     return found
 
 
-def _choose(
-    rows: _Rows, mounts: NDArray[np.float64], groups: Sequence[Sequence[int]], cell: float
-) -> tuple[float, float]:
-    """Return the least error over all groups, and the smoothness that has it."""
-    maps = _Maps(rows, cell, groups, exact=_ROUGH[1])
-    errors = [
-        (float((maps.left_out(mounts, smooth) ** 2).sum()), smooth)
-        for smooth in (*SMOOTHNESS, np.inf)
-    ]
-    return min(errors)
+def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
+    """Return which sensors share a map: each joins those with whom it is predicted better."""
+    groups: list[list[int]] = []
+    errors: list[float] = []
+    for s in range(len(mounts)):
+        alone = maps.error(mounts, _SEARCHED, [s])
+        joined = [maps.error(mounts, _SEARCHED, [*group, s]) for group in groups]
+        gains = [before + alone - after for before, after in zip(errors, joined, strict=True)]
+        best = int(np.argmax(gains)) if gains else 0
+        if gains and gains[best] > 0:
+            groups[best].append(s)
+            errors[best] = joined[best]
+        else:
+            groups.append([s])
+            errors.append(alone)
+    return groups
 
 
-def _noise(maps: _Maps, mounts: NDArray, smooth: float) -> NDArray[np.float64]:
-    """Return the standard deviations [S, 2] of readings and of places.
+def _noise(
+    maps: _Maps, mounts: NDArray, smooth: float, group: Sequence[int]
+) -> NDArray[np.float64]:
+    """Return the standard deviations [G, 2] of a group's readings and of their places.
 
     By medians: where readings were sparse the map is wrong, and that is no noise.
     """
-    off = np.abs(maps.left_out(mounts, smooth))
-    noise = np.zeros((off.shape[1], 2))
-    for group in maps.groups:
-        found = maps.fit(mounts, smooth, group, np.ones(len(off), bool))
-        along_y, along_x = np.gradient(found, maps.grid.cell)
-        steep = np.hypot(along_x, along_y).ravel()
-        for s in group:
-            at = maps.grid.weights(maps.rows.looked_at(mounts[s]))
-            slope = (steep[at[0]] * at[1]).sum(1)
-            level = slope <= np.median(slope)
-            noise[s, 0] = _BY_CHANCE * np.median(off[level, s])
-            sloping = slope * CELL / 2 > 2 * noise[s, 0]
-            if sloping.sum() >= 20:
-                beyond = _BY_CHANCE * np.median(off[sloping, s] / slope[sloping])
-                own = noise[s, 0] / np.median(slope[sloping])
-                noise[s, 1] = np.sqrt(max(beyond**2 - own**2, 0.0))
+    off = np.abs(maps.left_out(mounts, smooth, group))
+    noise = np.zeros((len(group), 2))
+    found = maps.fit(mounts, smooth, group, np.ones(len(off), bool))
+    along_y, along_x = np.gradient(found, maps.grid.cell)
+    steep = np.hypot(along_x, along_y).ravel()
+    for place, s in enumerate(group):
+        at = maps.grid.weights(maps.rows.looked_at(mounts[s]))
+        slope = (steep[at[0]] * at[1]).sum(1)
+        level = slope <= np.median(slope)
+        own = noise[place, 0] = _BY_CHANCE * np.median(off[level, place])
+        sloping = slope * CELL / 2 > 2 * own
+        if sloping.sum() >= 20:
+            beyond = _BY_CHANCE * np.median(off[sloping, place] / slope[sloping])
+            noise[place, 1] = np.sqrt(max(beyond**2 - (own / np.median(slope[sloping])) ** 2, 0.0))
     return noise
 
 
-def _tried(maps: _Maps, mounts: NDArray, smooth: float, later: _Rows) -> NDArray[np.float64]:
-    """Return the root mean square error [S] on later readings; 0 where there are none."""
-    error = np.zeros(len(mounts))
-    if len(later.part) == 0:
-        return error
-    everything = np.ones(len(maps.rows.part), bool)
-    for group in maps.groups:
-        found = maps.fit(mounts, smooth, group, everything).ravel()
-        for s in group:
+def _tried(
+    maps: _Maps, mounts: NDArray, smooth: float, group: Sequence[int], later: _Rows
+) -> NDArray[np.float64]:
+    """Return the root mean square error [G] on later readings; 0 where there are none."""
+    found = maps.fit(mounts, smooth, group, np.ones(len(maps.rows.part), bool)).ravel()
+    error = np.zeros(len(group))
+    for place, s in enumerate(group):
+        if len(later.part):
             points, weights = maps.grid.weights(later.looked_at(mounts[s]))
             off = later.values[:, s] - (found[points] * weights).sum(1)
-            error[s] = np.sqrt(np.mean(off**2))
+            error[place] = np.sqrt(np.mean(off**2))
     return error
 
 

@@ -8,7 +8,7 @@ from click.testing import CliRunner
 
 import neurosim as ns
 from neurosim.base.errors import FileError, UserError
-from neurosim.cli import main
+from neurosim.cli.main import cli
 from neurosim.lab import PrintedLine, VirtualRig
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import record
@@ -132,7 +132,7 @@ def test_without_sensors_it_is_another_simulator(made, tmp_path):
     assert plain.reading_names == ()
     assert "readings" not in plain.meta
     with pytest.raises(UserError, match="line_left"):
-        ns.make_controller("network", plain, TASK, inputs=("line_left",))
+        ns.evaluate(plain, TASK, ns.make_controller("network", inputs=("line_left",)))
 
 
 def test_what_cannot_guard_is_refused(tmp_path):
@@ -165,7 +165,7 @@ def test_the_options_are_there():
         "run": ("--guard-by", "--line "),
         "train": ("--sensors",),
     }.items():
-        said = CliRunner().invoke(main, [verb, "--help"]).output
+        said = CliRunner().invoke(cli, [verb, "--help"]).output
         assert all(option in said for option in options), said
-    said = CliRunner().invoke(main, ["evolve", "--task", "follow-line", "--help"]).output
+    said = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
     assert all(option in said for option in ("--laps", "--within", "--direction", "--corner"))
