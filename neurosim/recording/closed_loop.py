@@ -120,7 +120,7 @@ class ClosedLoopSession(Session):
             self._odometry = Odometry(self._robot, self._seeing.start)
         with self._recording.observation_log(self._names) as log:
             self._seen_log = log
-            return super().run()
+            return self._run()
 
     def _drive(self) -> bool:
         """Ask for every command; a drive that was stopped is over, too."""

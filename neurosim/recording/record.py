@@ -299,7 +299,7 @@ _SAME: dict[str, tuple[str, ...] | None] = {
     "board": None,
     "robot": ("kind", "ports", "invert", "regulation", "dialect", "baud", "full_speed"),
     "camera": ("kind", "source", "size", "fps"),
-    "virtual_lab": ("robot_seed",),
+    "virtual_lab": ("robot_seed", "line"),
 }
 
 

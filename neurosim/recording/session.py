@@ -127,6 +127,7 @@ class Session:
             return self._run()
 
     def _run(self) -> bool:
+        """Drive; see :meth:`run`."""
         try:
             self._flash()
             self._learn_board()
@@ -251,7 +252,7 @@ class Session:
         """
         moving = command.left != 0 or command.right != 0
         guarded = self._guard.at_line != "ignore" and bool(self._board or self._spotter)
-        if moving and (guarded or self._readings):
+        if moving and (guarded or self._readings is not None):
             while (now := self._clock.now()) + 1.5 * took < end:
                 self._check_camera()
                 readings = self._lines()
@@ -274,7 +275,7 @@ class Session:
         return self._on_line(readings) or self._leaves() or self._is_blind()
 
     def _lines(self) -> dict[str, float]:
-        if not (self._board or self._readings):
+        if not self._board and self._readings is None:
             return {}
         assert isinstance(self._robot, Sensors)
         looked = round(self._clock.now(), 6)

@@ -93,7 +93,8 @@ class _Grid:
         if nx * ny > MOST_POINTS:
             raise UserError(
                 f"the readings are spread over {high[0] - low[0]:.0f} m by {high[1] - low[1]:.0f} "
-                "m, more than a map of a board can hold: are the poses right?"
+                "m, more than a map of a board can hold: are the poses right? --no-sensors leaves "
+                "the sensors out"
             )
         return cls(low, cell, (ny, nx))
 
@@ -199,10 +200,10 @@ def learn_sensors(
     every = _rows_of(readings)
     earlier = int(len(readings) * (1 - held_out))
     rows, later = every.take(np.arange(earlier)), every.take(np.arange(earlier, len(readings)))
-    if len(rows.part) < FEWEST:
+    if len(rows.part) < FEWEST or len(np.unique(rows.part)) < PARTS:
         raise UserError(
-            f"{len(readings)} readings are too few to learn sensors from, which takes {FEWEST}: "
-            "record longer"
+            f"{len(readings)} readings are too few to learn sensors from, which takes {FEWEST} "
+            f"over {PARTS * SPAN / (1 - held_out):.0f} s: record longer, or train with --no-sensors"
         )
     with Progress("sensors", 2 * len(names), "steps") if progress else _Quiet() as bar:
         mounts = np.zeros((len(names), 3))

@@ -311,7 +311,8 @@ def build(
         found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
         rows += [{"recording": name, **row} for row in found.rows]
         sent += found.sent
-        readings.append(sensor_readings.readings_of(recording, name, doubtful=doubtful))
+        seen = sensor_readings.readings_of(recording, name, doubtful=doubtful)
+        readings.append(seen)
         left_out.update(found.left_out)
         delays += [
             {
@@ -328,7 +329,7 @@ def build(
             markers.append(of | session.get("markers", {}))
         sources += [
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
-            for file in ("commands.csv", "poses.csv")
+            for file in ("commands.csv", "poses.csv", "observations.csv")[: 2 + (len(seen) > 0)]
         ]
         virtual = virtual or bool(is_virtual(recording.meta))
         if recording.meta["robot"] not in robots:
