@@ -19,6 +19,7 @@ from neurosim.simulators.export import export
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.noise import DRAWS
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
+from neurosim.testing import check_simulator
 
 STARTS = np.random.default_rng(3).normal(0, 0.4, (6, 3))
 
@@ -191,3 +192,7 @@ def test_an_adjusted_simulator_keeps_its_sensors():
     sim = simulator()
     values = [one.value for one in sim.parameters]
     assert sim.adjusted(np.array(values)).sensors is sim.sensors
+
+
+def test_it_is_a_simulator_as_any_other():
+    check_simulator(simulator())
