@@ -56,7 +56,7 @@ NAMED = _Named()
     help="A simulator with adjustable parameters.  [default: the walking robot's]",
 )
 @choice_options(
-    "--task", "neurosim.cli._tasks:FILES_AND_TASKS", default="walking", help="The task."
+    "--task", "neurosim.tasks.files:FILES_AND_TASKS", default="walking", help="The task."
 )
 @choice_options(
     "--controller",
@@ -142,10 +142,10 @@ def back_to_reality(
     from neurosim.back_to_reality.run import back_to_reality as run
     from neurosim.back_to_reality.run import start_genes
     from neurosim.back_to_reality.settings import settings_named
-    from neurosim.cli._tasks import read_task
     from neurosim.controllers import make_controller
     from neurosim.simulators import read_simulator
     from neurosim.simulators.legged.simulator import LeggedSimulator
+    from neurosim.tasks.files import read_task
     from neurosim.tasks.registry import make_task
 
     name, of_file = read_task(task)

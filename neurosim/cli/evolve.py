@@ -36,7 +36,7 @@ from neurosim.cli._types import PATH
 
 def _task(chosen: Chosen) -> Any:
     """Return the task that is chosen, with the settings of its file or its defaults."""
-    from neurosim.cli._tasks import FILES_AND_TASKS
+    from neurosim.tasks.files import FILES_AND_TASKS
 
     found = FILES_AND_TASKS.get(chosen["task"])
     try:
@@ -47,7 +47,7 @@ def _task(chosen: Chosen) -> Any:
 
 def _default_controller(chosen: Chosen) -> str:
     task = _task(chosen)
-    return "network" if task is not None and task.episode.readings else "plan"
+    return "plan" if task is None else task.usual_controller
 
 
 def _is_blind(chosen: Chosen) -> bool:
@@ -113,7 +113,7 @@ def changed(
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
 @choice_options(
     "--task",
-    "neurosim.cli._tasks:FILES_AND_TASKS",
+    "neurosim.tasks.files:FILES_AND_TASKS",
     default="nine-rectangles",
     help="The task, or a JSON file with its name and settings.",
 )
@@ -219,12 +219,12 @@ def evolve(
     1996). Any controller, task, simulator and optimiser can be combined; --help lists the options
     of those that are named before it.
     """
-    from neurosim.cli._tasks import read_task
     from neurosim.controllers import make_controller
     from neurosim.evolution.genetic import GeneticSettings
     from neurosim.loop.evolve import evolve as evolve_
     from neurosim.loop.settings import RobustSettings, default_settings
     from neurosim.simulators import read_simulator
+    from neurosim.tasks.files import read_task
     from neurosim.tasks.registry import make_task
 
     if not real_generations and (is_given("robot") or robot_options):

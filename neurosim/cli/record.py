@@ -45,15 +45,15 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 @settings_options(
     "settings",
     "neurosim.recording.settings:RecordSettings",
-    only=("commands", "battery_limit", "full_speed", "track"),
+    only=("commands", "readings", "battery_limit", "full_speed", "track"),
     names={"track": "wheel-track"},
 )
 @settings_options("source", "neurosim.recording.commands:RandomCommands", skip=("seed",))
 @settings_options(
     "guard",
     "neurosim.recording.settings:Guard",
-    only=("at_line", "contrast"),
-    names={"contrast": "line-contrast"},
+    only=("at_line", "contrast", "by"),
+    names={"contrast": "line-contrast", "by": "guard-by"},
 )
 @robot_option
 @camera_options

@@ -38,8 +38,8 @@ from neurosim.cli._types import PATH
 @settings_options(
     "guard",
     "neurosim.recording.settings:Guard",
-    only=("contrast",),
-    names={"contrast": "line-contrast"},
+    only=("contrast", "by"),
+    names={"contrast": "line-contrast", "by": "guard-by"},
 )
 @settings_options(
     "settings",

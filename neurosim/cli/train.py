@@ -37,7 +37,7 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 @settings_options(
     "options",
     "neurosim.training.train:train",
-    only=("members", "noise", "generations", "hidden", "activations", "device"),
+    only=("members", "noise", "generations", "hidden", "activations", "device", "sensors"),
     kinds={"activations": click.Tuple([_ACTIVATION, _ACTIVATION])},
 )
 @resume_option
@@ -69,6 +69,7 @@ def train(
     errors = simulator.meta["test_errors"]
     coverage = simulator.meta["test_coverage"]
     repeated = simulator.meta["training"]["repeated_rows"]
+    readings = simulator.meta.get("readings")
     if repeated:
         click.echo(
             f"neurosim: {repeated} of the rows of {dataset} are copies of others, to the last "
@@ -80,6 +81,7 @@ def train(
         "repeated_rows": repeated,
         "test_errors": errors,
         "test_coverage": coverage,
+        **({"readings": readings} if readings else {}),
         **simulator.meta["wall_clock"],
     }
     emit(
@@ -87,6 +89,7 @@ def train(
         as_json,
         f"{out}: mean absolute error on the held-out fifth: {_in_words(errors)} "
         f"({result['training_seconds']:.0f} s).{_coverage_in_words(coverage)}\n"
+        + _sensors_in_words(readings)
         + next_step(*_next(simulator.command_names, dataset, out)),
     )
 
@@ -113,6 +116,15 @@ def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
     ]
     levels = ", ".join(f"{100 * float(level):.0f}" for level in next(iter(coverage.values())))
     return f"\nIts {levels} % intervals hold, in %: {'; '.join(rows)}."
+
+
+def _sensors_in_words(readings: dict[str, Any] | None) -> str:
+    return "".join(
+        f"{one['name']}, {100 * one['ahead']:.1f} cm ahead and {100 * one['aside']:.1f} cm to the "
+        f"left: root mean square error {one['rms_error']:.3f} of readings that differ by "
+        f"{one['rms']:.3f}.\n"
+        for one in (readings or {}).get("sensors", ())
+    )
 
 
 @click.command()

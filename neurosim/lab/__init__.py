@@ -5,7 +5,7 @@ They are reached as real ones are: by a serial line, and by the frames of a came
 
 from neurosim.lab.khepera.params import KheperaParams, LabArena
 from neurosim.lab.khepera.rig import VirtualKheperaRig, sampling_places
-from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.rig import VirtualRig
 from neurosim.lab.nxt.world import Lab, Pacer, Truth, read_truth
 
@@ -16,6 +16,7 @@ __all__ = [
     "LabArena",
     "LabParams",
     "Pacer",
+    "PrintedLine",
     "Truth",
     "VirtualKheperaRig",
     "VirtualRig",

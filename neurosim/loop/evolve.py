@@ -553,7 +553,7 @@ def evolve(
     made_in = {} if source is None else named(source)
     task = make_task(task)
     if controller is None:
-        controller = "network" if task.episode.readings else "plan"
+        controller = task.usual_controller
     if isinstance(controller, str):
         controller = make_controller(controller, simulator, task)
     if settings is None:

@@ -105,13 +105,13 @@ class ClosedLoopSession(Session):
         super().__init__(recording, session, robot, source, *others)
         self.deadlines = Deadlines()
         self._seeing = source
-        self._recording = recording
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
         self._sensors = robot if isinstance(robot, Sensors) else None
         names = () if self._sensors is None else self._sensors.sensor_names
         # What guards the perimeter is read at every step, too.
-        guards = self._guard.at_line != "ignore" and not set(LINES).isdisjoint(names)
+        by_light = self._guard.at_line != "ignore" and self._guard.by == "both"
+        guards = by_light and not set(LINES).isdisjoint(names)
         self._names = names if source.reads or guards else ()
 
     def run(self) -> bool:
@@ -120,7 +120,7 @@ class ClosedLoopSession(Session):
             self._odometry = Odometry(self._robot, self._seeing.start)
         with self._recording.observation_log(self._names) as log:
             self._seen_log = log
-            return super().run()
+            return self._run()
 
     def _drive(self) -> bool:
         """Ask for every command; a drive that was stopped is over, too."""

@@ -21,7 +21,7 @@ from neurosim.recording.commands import CommandSource, SeeingSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
 from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.recording.spotter import Spotter
-from neurosim.robots.base import Robot
+from neurosim.robots.base import Robot, Sensors
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera, VideoSink
 from tracking.datasets.recordings import Recording
@@ -78,6 +78,7 @@ def record(
     out = Path(out)
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
+    _check_guard(settings, robot, camera, live and calibration is not None)
     if isinstance(source, SeeingSource):
         _check_source(source, robot, camera if live else None, calibration, resume)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
@@ -161,6 +162,21 @@ def record(
     return recording
 
 
+def _check_guard(
+    settings: RecordSettings, robot: Robot, camera: Camera | None, tracked: bool
+) -> None:
+    """Refuse what cannot keep the robot on the board, or cannot be kept, before anything moves."""
+    guard = settings.guard
+    if guard.by == "position" and guard.at_line != "ignore" and (camera is None or not tracked):
+        raise UserError(
+            "nothing keeps the robot on the board by its position, unless a camera tracks it while "
+            "it drives: give a camera and its calibration, or let the guard ignore the board's edge"
+        )
+    if settings.readings and not (isinstance(robot, Sensors) and robot.sensor_names):
+        kind = robot.describe().get("kind", "robot")
+        raise UserError(f"readings cannot be kept: this robot ({kind}) has no sensors")
+
+
 def _check_source(
     source: SeeingSource,
     robot: Robot,
@@ -233,13 +249,16 @@ def _wanted(
     source: CommandSource | SeeingSource,
     settings: RecordSettings,
 ) -> dict[str, Any]:
+    # What recordings of earlier versions say nothing of is said where it is not as it was then.
+    guard = {k: v for k, v in asdict(settings.guard).items() if (k, v) != ("by", "both")}
     wanted = {
         "robot": robot.describe(),
         "camera": camera.describe() if camera is not None else {"kind": "none"},
         "settings": {
             "commands": settings.commands,
             "source": source.describe(),
-            "guard": asdict(settings.guard),
+            "guard": guard,
+            **({"readings": True} if settings.readings else {}),
             "battery_limit": settings.battery_limit,
             "flashes": [list(flash) for flash in FLASHES],
         },
@@ -280,7 +299,7 @@ _SAME: dict[str, tuple[str, ...] | None] = {
     "board": None,
     "robot": ("kind", "ports", "invert", "regulation", "dialect", "baud", "full_speed"),
     "camera": ("kind", "source", "size", "fps"),
-    "virtual_lab": ("robot_seed",),
+    "virtual_lab": ("robot_seed", "line"),
 }
 
 

@@ -9,6 +9,7 @@ lamp that flashes into the camera so that the video's clock can be found.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections import deque
 from collections.abc import Callable, Mapping
@@ -92,6 +93,7 @@ class Session:
         )
         self._session = session
         self._path = recording.path
+        self._recording = recording
         self._robot = robot
         self._clock = robot.clock
         self._source = source
@@ -105,6 +107,7 @@ class Session:
         self._homing = Homing(settings.full_speed, settings.track)
         self._sent = 0.0
         self._board: dict[str, float] = {}
+        self._readings: LineLog | None = None
         # Random turns of the way back inside; not the commands' seed, and another one each
         # session, so that a robot that was stuck does not repeat itself.
         self._rng = np.random.default_rng([session, settings.commands])
@@ -117,6 +120,14 @@ class Session:
             BatteryLow: if the battery fell below the limit.
             UserError: if the robot does not find its way back, or is not seen for too long.
         """
+        with contextlib.ExitStack() as stack:
+            if self._settings.readings and isinstance(self._robot, Sensors):
+                log = self._recording.observation_log(self._robot.sensor_names)
+                self._readings = stack.enter_context(log)
+            return self._run()
+
+    def _run(self) -> bool:
+        """Drive; see :meth:`run`."""
         try:
             self._flash()
             self._learn_board()
@@ -240,13 +251,14 @@ class Session:
                 the next command late.
         """
         moving = command.left != 0 or command.right != 0
-        watched = self._guard.at_line != "ignore" and (self._board or self._spotter)
-        if moving and watched:
+        guarded = self._guard.at_line != "ignore" and bool(self._board or self._spotter)
+        if moving and (guarded or self._readings is not None):
             while (now := self._clock.now()) + 1.5 * took < end:
                 self._check_camera()
-                if self._must_stop(self._lines()):
+                readings = self._lines()
+                if guarded and self._must_stop(readings):
                     return False
-                if not self._board:
+                if not readings:
                     self._clock.sleep_until(min(now + LOOK_EVERY, end))
                 took = max(took, self._clock.now() - now)
         self._sleep_until(end)
@@ -263,14 +275,21 @@ class Session:
         return self._on_line(readings) or self._leaves() or self._is_blind()
 
     def _lines(self) -> dict[str, float]:
-        if not self._board:
+        if not self._board and self._readings is None:
             return {}
         assert isinstance(self._robot, Sensors)
-        return self._robot.read_sensors()
+        looked = round(self._clock.now(), 6)
+        readings = self._robot.read_sensors()
+        if self._readings is not None:
+            nowhere = (None,) * 3  # the camera says later where that was
+            self._readings.append(
+                self._session, self._running, looked, *nowhere, *readings.values()
+            )
+        return readings
 
     def _learn_board(self) -> None:
         """Read what the bare board looks like to the sensors that see lines."""
-        if self._guard.at_line == "ignore":
+        if self._guard.at_line == "ignore" or self._guard.by == "position":
             return
         robot = self._robot
         names = set(LINES) & set(robot.sensor_names if isinstance(robot, Sensors) else ())

@@ -27,6 +27,8 @@ class Guard:
         margin: by position, the middle of the axle stays so far inside the board's edge, m.
         unseen: without light sensors, a robot that was not seen for so many seconds is stopped
             until it is.
+        by: What keeps the robot on the board: light sensors and its tracked position, or its
+            position alone, where other lines than the perimeter's are on the board.
     """
 
     at_line: Literal["return", "end", "ignore"] = "return"
@@ -37,6 +39,7 @@ class Guard:
     lead_in: float = 0.6
     margin: float = 0.12
     unseen: float = 1.0
+    by: Literal["both", "position"] = "both"
 
 
 @dataclass(frozen=True)
@@ -50,6 +53,8 @@ class RecordSettings:
         full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
+        readings: Read the sensors all the time and keep what they read, so that a simulator can
+            learn them.
     """
 
     commands: int = 500
@@ -59,6 +64,7 @@ class RecordSettings:
     track: float = 0.13
     markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
     board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
+    readings: bool = False
 
     def __post_init__(self) -> None:
         if self.commands < 1:

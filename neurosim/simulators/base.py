@@ -36,6 +36,18 @@ ABOUT: dict[str, Shape] = {
         "kernel_units": int,
         "shares": {key: {"product_units": float, "process": float} for key in _OUTPUTS},
     },
+    "readings?": {
+        "rows": int,
+        "held_out": int,
+        "sensors": [
+            {
+                "name": str,
+                **dict.fromkeys(("ahead", "aside", "after", "noise", "place_noise"), float),
+                **dict.fromkeys(("rms_error", "rms"), float),
+                "map": int,
+            }
+        ],
+    },
     "robots?": [{"kind?": str, "virtual?": bool}],
     "virtual?": bool,
 }

@@ -74,6 +74,11 @@ class Task:
         """How a trial runs; by default 30 s of steps of 0.1 s, then the motors run down."""
         return Episode(rest=0.5)
 
+    @property
+    def usual_controller(self) -> str:
+        """The kind of controller, unless another is named: a network where readings are needed."""
+        return "network" if self.episode.readings else "plan"
+
     def judge(self, trajectory: Trajectory) -> Judgement:
         """Judge trajectories [...]; see :class:`Judgement`.
 

@@ -18,6 +18,7 @@ TASKS = Registry(
         "nine-rectangles": "neurosim.tasks.nine_rectangles:NineRectangles",
         "obstacle-avoidance": "neurosim.tasks.obstacle_avoidance:ObstacleAvoidance",
         "go-to": "neurosim.tasks.go_to:GoTo",
+        "follow-line": "neurosim.tasks.follow_line:FollowLine",
         "walking": "neurosim.tasks.walking:Walking",
     },
 )

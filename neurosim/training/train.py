@@ -23,6 +23,7 @@ from neurosim.simulators.motion.files import write_motion
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
+from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
 from neurosim.training.uncertainty.ensemble import EnsembleTrainer
 from tracking.datasets.dataset import Dataset
@@ -59,6 +60,7 @@ def train(
     activations: tuple[str, str] = ("linear", "linear"),
     settings: Mapping[str, Any] | None = None,
     device: str = "cpu",
+    sensors: bool = True,
     resume: bool = False,
     options: Mapping[str, Any] | None = None,
     checkpoint_every: float = 5.0,
@@ -83,6 +85,7 @@ def train(
             perceptron has its own.
         settings: the trainer's own settings that are not to be its defaults.
         device: Where to compute, as PyTorch names it.
+        sensors: Learn the sensors whose readings the dataset has.
         resume: go on with the interrupted training of ``out``.
         options: kept in the checkpoint, for whoever resumes.
         checkpoint_every: seconds between checkpoints; no more than this is lost.
@@ -136,6 +139,9 @@ def train(
     poses = Path(dataset) / "within.csv"
     if poses.exists():
         source["within_sha256"] = files.sha256(poses)
+    senses = sensors and len(rows.readings) > 0
+    if senses:
+        source["readings_sha256"] = files.sha256(Path(dataset) / "readings.csv")
     learner = new_learner(
         data,
         seed,
@@ -151,6 +157,8 @@ def train(
     checkpoint = Checkpoint(out, "training")
     settings_now = {**begun, "dataset_sha256": source["sha256"]}
     settings_now["within_sha256"] = source.get("within_sha256")
+    if senses:
+        settings_now["readings_sha256"] = source["readings_sha256"]
     run = _Training(learner)
     with checkpoint.held():
         if resume:
@@ -169,9 +177,15 @@ def train(
         began = time.monotonic()
         simulator = learner.result()
         simulator.known = domain_of(simulator, data, chosen)
+        readings = {}
+        if senses:
+            simulator.sensors, readings["readings"] = learn_sensors(
+                rows.readings, HELD_OUT, progress=progress
+            )
         run.seconds += time.monotonic() - began
         simulator.meta = {
             **simulator.meta,
+            **readings,
             "training": {
                 **begun,
                 "rows": len(earlier),

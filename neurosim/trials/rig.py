@@ -8,13 +8,17 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from neurosim.base.closed_line import SHAPES
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended
-from neurosim.lab import CameraParams, LabArena, VirtualKheperaRig, VirtualRig
+from neurosim.lab import CameraParams, LabArena, PrintedLine, VirtualKheperaRig, VirtualRig
 from neurosim.lab.khepera.rig import START
 from neurosim.robots.base import Robot
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.registry import ROBOTS
+from neurosim.tasks.files import read_task
+from neurosim.tasks.follow_line import FollowLine
+from neurosim.tasks.registry import make_task
 from tracking.camera.cameras import Camera, open_camera
 
 Pose = tuple[float, float, float]
@@ -104,13 +108,20 @@ def open_rig(
 
 
 @contextmanager
-def virtual(setup: Setup, *, lab_seed: int = 0, lamp: str | None = "A") -> Iterator[Rig]:
+def virtual(
+    setup: Setup, *, lab_seed: int = 0, lamp: str | None = "A", line: str | None = None
+) -> Iterator[Rig]:
     """Open the virtual lab's NXT under its roof camera.
 
     Args:
         setup: the rest.
         lab_seed: Which of the virtual lab's robots and boards.
         lamp: The lamp: that on motor port A, color:3 for the colour sensor's, or none.
+        line: A closed line printed on the board, and light sensors in front to follow it:
+            rectangle, ellipse, or a JSON file of the task follow-line.
+
+    Raises:
+        UserError: if there is no such line.
     """
     with VirtualRig(
         lab_seed,
@@ -120,8 +131,30 @@ def virtual(setup: Setup, *, lab_seed: int = 0, lamp: str | None = "A") -> Itera
         camera_size=setup.size or (640, 480),
         fps=setup.fps or 30.0,
         lamp=None if lamp == "none" else lamp,
+        line=None if line is None or line == "none" else printed_line(line),
     ) as rig:
         yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+
+
+def printed_line(text: str) -> PrintedLine:
+    """Return the line of the task follow-line: of a shape's name, or of a file of the task.
+
+    Raises:
+        UserError: if it is neither.
+    """
+    if not text.endswith(".json"):
+        shapes = [name for name in SHAPES if name != "points"]
+        if text not in shapes:
+            raise UserError(
+                f"line: {text!r} is none of {', '.join(shapes)}, and no JSON file of the task "
+                f"{FollowLine.name}"
+            )
+        return PrintedLine(make_task(FollowLine.name, shape=text).line)
+    name, settings = read_task(text)
+    task = make_task(name, **settings)
+    if not isinstance(task, FollowLine):
+        raise UserError(f"{text} is a file of the task {name}, which has no line")
+    return PrintedLine(task.line)
 
 
 @contextmanager

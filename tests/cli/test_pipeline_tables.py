@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import shutil
 
 import numpy as np
@@ -366,3 +367,32 @@ def test_broken_folders_are_named(folder, tmp_path):
         read_controller(tmp_path / "net")
     with pytest.raises(FileError, match="expected 'motion-network', found 'tables'"):
         read_motion(tmp_path / "sim")
+
+
+def test_a_network_drives_a_khepera_on_its_own_and_the_report_shows_its_path(folder, tmp_path):
+    done = call(
+        "run", folder / "net", "--robot", "virtual-khepera", "--lab-seed", 2, "--camera", "none",
+        "-o", tmp_path / "trial", "--json",
+    )  # fmt: skip
+    trial = json.loads((tmp_path / "trial" / "trial.json").read_text())
+    assert json.loads(done.stdout)["fitness"]["actual"] == trial["actual"]["fitness"] > 0
+    assert trial["kind"] == "network"
+    assert trial["virtual"] is True
+    assert trial["actual"]["seen_by"] == "counters"
+    # The counters' path is of the commands that were driven: half the sum of the wheels' ways.
+    path, commands = np.array(trial["actual"]["path"]), np.array(trial["commands"])
+    assert len(commands) == 50
+    assert len(path) == 52
+    way = np.linalg.norm(np.diff(path[:, 1:3], axis=0), axis=1).sum()
+    told = np.abs(commands[:, :2].mean(1)).sum() / 100 * 0.1 * 0.1  # 0.1 m/s at 100 %
+    assert 0.05 < way < 1.1 * told
+    call("report", folder / "sim", folder / "net", tmp_path / "trial", "-o", tmp_path / "r.html")
+    page = (tmp_path / "r.html").read_text()
+    assert "Its path is that of its own counters." in page
+    drawn = re.findall(r'<path d="([^"]+)"[^>]*stroke: var\(--actual\)', page)
+    points = np.array(max((re.findall(r"(-?[\d.]+) (-?[\d.]+)", d) for d in drawn), key=len), float)
+    # In the picture it is as long and as wide as it was, y upwards.
+    scale = np.ptp(points, axis=0) / np.ptp(path[:, 1:3], axis=0)
+    assert scale[0] == pytest.approx(scale[1], rel=0.02)
+    begin, end = points[[0, -1]] / scale[0] * [1, -1]
+    assert end - begin == pytest.approx(path[-1, 1:3] - path[0, 1:3], abs=0.002)

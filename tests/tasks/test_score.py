@@ -25,6 +25,7 @@ TASKS = {
     "obstacle-avoidance, cells": lambda: ns.make_task(
         "obstacle-avoidance", steps=40, starts=1, fitness="cells"
     ),
+    "follow-line": lambda: ns.make_task("follow-line", seconds=4.0, laps=0.1, within=0.2),
     "walking": lambda: ns.make_task("walking", seconds=1.0),
 }
 

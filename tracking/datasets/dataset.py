@@ -28,6 +28,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
 from neurosim.base.schema import Number, Rows, Shape
+from tracking.datasets import readings as sensor_readings
 from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
@@ -44,6 +45,7 @@ FIELDS: dict[str, Shape] = {
     "outputs": [_COLUMN],
     "rows": int,
     "within?": Number(0, whole=True),
+    "readings?": Number(0, whole=True),
     "sources": [{"path?": str, "name?": str, "sha256?": str}],
     "left_out": {str: int},
     "reasons?": {str: str},
@@ -82,6 +84,8 @@ class Dataset:
         within: poses at instants within the commands, columns row (place in ``table``), time
             (s since the command's beginning), dx, dy (m), dtheta (rad) since that beginning, in
             the robot's frame there; in the order of row and time, no lines where there are none.
+        readings: of the robot's sensors, and where it was then, as
+            :mod:`tracking.datasets.readings` says; of all recordings, whichever rows are kept.
     """
 
     table: pd.DataFrame
@@ -89,6 +93,7 @@ class Dataset:
     outputs: tuple[str, ...]
     meta: dict[str, Any]
     within: pd.DataFrame = field(default_factory=within_commands.none_within)
+    readings: pd.DataFrame = field(default_factory=sensor_readings.no_readings)
 
     def __len__(self) -> int:
         return len(self.table)
@@ -138,7 +143,7 @@ class Dataset:
         within = within_commands.rows_of(self.within, kept)
         table = self.table[kept].reset_index(drop=True)
         meta = {**self.meta, "rows": len(table), "within": len(within)}
-        return Dataset(table, self.inputs, self.outputs, meta, within)
+        return Dataset(table, self.inputs, self.outputs, meta, within, self.readings)
 
     def _is_repeated(self) -> NDArray[np.bool_]:
         columns = [*self.inputs, *self.outputs]
@@ -152,7 +157,7 @@ class Dataset:
         table = self.table.iloc[first:last].reset_index(drop=True)
         within = within_commands.part_of(self.within, first, last)
         meta = {**self.meta, "rows": len(table), "within": len(within)}
-        return Dataset(table, self.inputs, self.outputs, meta, within)
+        return Dataset(table, self.inputs, self.outputs, meta, within, self.readings)
 
     def write(self, folder: str | Path) -> None:
         """Write the dataset to a new folder, whole or not at all.
@@ -166,6 +171,9 @@ class Dataset:
             if len(self.within):
                 within_commands.write(partial / "within.csv", self.within)
             meta = {**self.meta, "within": len(self.within)}
+            if len(self.readings):
+                sensor_readings.write(partial / "readings.csv", self.readings)
+                meta["readings"] = len(self.readings)
             files.write_json(partial / "dataset.json", FORMAT, VERSION, meta)
 
     @classmethod
@@ -202,7 +210,8 @@ class Dataset:
         meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
         expected = meta.get("within")
         within = within_commands.read(folder / "within.csv", expected, table)
-        return cls(table, inputs, outputs, {**meta, "within": len(within)}, within)
+        readings = sensor_readings.read(folder / "readings.csv", meta.get("readings"))
+        return cls(table, inputs, outputs, {**meta, "within": len(within)}, within, readings)
 
 
 def _names(path: Path, field: str, columns: list[dict[str, str]]) -> tuple[str, ...]:
@@ -295,12 +304,15 @@ def build(
     delays: list[dict[str, Any]] = []
     clocks: list[dict[str, Any]] = []
     markers: list[dict[str, Any]] = []
+    readings: list[pd.DataFrame] = []
     sources, robots, virtual = [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
         found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
         rows += [{"recording": name, **row} for row in found.rows]
         sent += found.sent
+        seen = sensor_readings.readings_of(recording, name, doubtful=doubtful)
+        readings.append(seen)
         left_out.update(found.left_out)
         delays += [
             {
@@ -317,7 +329,7 @@ def build(
             markers.append(of | session.get("markers", {}))
         sources += [
             {"path": f"{name}/{file}", "sha256": files.sha256(path / file)}
-            for file in ("commands.csv", "poses.csv")
+            for file in ("commands.csv", "poses.csv", "observations.csv")[: 2 + (len(seen) > 0)]
         ]
         virtual = virtual or bool(is_virtual(recording.meta))
         if recording.meta["robot"] not in robots:
@@ -336,6 +348,7 @@ def build(
         robots=robots,
         virtual=virtual,
     )
+    dataset.readings = sensor_readings.joined(readings)
     dataset.write(out)
     return dataset
 

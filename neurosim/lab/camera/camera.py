@@ -10,7 +10,7 @@ import numpy as np
 
 from neurosim.lab.camera import scene
 from neurosim.lab.camera.optics import Optics
-from neurosim.lab.nxt.params import CameraParams
+from neurosim.lab.nxt.params import CameraParams, PrintedLine
 
 OnFrame = Callable[[float, np.ndarray], None]
 
@@ -36,13 +36,18 @@ class RoofCamera:
         params: optics, sensor and clock.
         seed: of the board's texture and all noise.
         now: returns the lab's time in seconds.
+        line: what is printed on the board, or None.
     """
 
     #: The lab's time stands still while a frame is taken.
     waits = True
 
     def __init__(
-        self, params: CameraParams, seed: int, now: Callable[[], float] = lambda: 0.0
+        self,
+        params: CameraParams,
+        seed: int,
+        now: Callable[[], float] = lambda: 0.0,
+        line: PrintedLine | None = None,
     ) -> None:
         self.params = params
         self.optics = Optics(params)
@@ -52,6 +57,10 @@ class RoofCamera:
         self._ground, self._light = scene.paint_ground(
             self.optics.plane_map(0.0), texture, params.gradient, params.vignetting
         )
+        if line is not None:
+            scene.print_line(
+                self._ground, self._light, self.optics.plane_map(0.0), line.line.points, line.width
+            )
         self._plane = self.optics.plane_map(scene.MARKER_HEIGHT)
         shape = (_NOISE_TILE, _NOISE_TILE, 3)
         self._noise = params.noise * self._rng.standard_normal(shape, np.float32)

@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 from numba import njit
 
+from neurosim.base.closed_line import distance_to
 from neurosim.lab.nxt.params import BOARD
 
 #: Markers and lamp in the robot frame (m).
@@ -132,6 +133,31 @@ def paint_ground(plane, texture, gradient, vignetting):
                 colour = _FLOOR_COLOUR[c] * (1.0 - inside) + _BOARD_COLOUR[c] * (inside - dark)
                 picture[v, u, c] = lit * (grey * colour + _LINE_COLOUR[c] * dark)
     return picture, light
+
+
+@njit(cache=True)
+def print_line(picture, light, plane, points, line_width):
+    """Print a closed line on the board of :func:`paint_ground`, in place.
+
+    Args:
+        picture: float32 [H, W, 3], changed.
+        light: that the picture stands in, float32 [H, W].
+        plane: board coordinates of every pixel's centre at height 0, [H, W, 2] (m).
+        points: of the line, [N, 2] (m).
+        line_width: m.
+    """
+    height, width = plane.shape[:2]
+    for v in range(height):
+        for u in range(width):
+            u0 = min(max(u, 1), width - 2)
+            breadth = 0.5 * math.hypot(
+                plane[v, u0 + 1, 0] - plane[v, u0 - 1, 0], plane[v, u0 + 1, 1] - plane[v, u0 - 1, 1]
+            )
+            away = distance_to(points, plane[v, u, 0], plane[v, u, 1])
+            share = _edge(0.5 * line_width - away, breadth)
+            for c in range(3):
+                ink = light[v, u] * _LINE_COLOUR[c]
+                picture[v, u, c] += share * (ink - picture[v, u, c])
 
 
 @njit(cache=True)

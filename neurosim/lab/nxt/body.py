@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from neurosim.lab.nxt import physics
-from neurosim.lab.nxt.params import BOARD, LabParams
+from neurosim.lab.nxt.params import BOARD, LabParams, PrintedLine
 from neurosim.lab.nxt.physics import S, U
 
 MODE_ON, MODE_BRAKE, MODE_REGULATED = 0x01, 0x02, 0x04
@@ -23,9 +23,6 @@ RUN_STATE_IDLE = 0x00
 TYPE_LIGHT_ACTIVE, TYPE_LIGHT_INACTIVE = 5, 6
 #: Full colour, red, green, blue: the types that light the colour sensor's lamp.
 TYPES_COLOUR_LIT = (13, 14, 15, 16)
-
-#: Where the light sensors look down, left and right (m, robot frame).
-LIGHT_SENSORS = ((0.06, 0.09), (0.06, -0.09))
 
 
 @dataclass(frozen=True)
@@ -75,6 +72,7 @@ class NxtBody:
         seed: of every random draw.
         pose: where it stands (m, m, rad, board frame).
         wiring: what is plugged in where.
+        line: what is printed on the board, or None.
     """
 
     def __init__(
@@ -83,9 +81,11 @@ class NxtBody:
         seed: int,
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         wiring: Wiring | None = None,
+        line: PrintedLine | None = None,
     ):
         self.params = params
         self.wiring = wiring or Wiring()
+        self.line = line
         self.state = physics.new_state(params, seed, pose)
         self._inputs = physics.new_inputs()
         self._coefficients = params.coefficients()
@@ -230,16 +230,18 @@ class NxtBody:
 
         Edges are blurred by the round spot that the sensor sees, as a linear ramp.
         """
-        ahead, aside = LIGHT_SENSORS[side]
+        ahead, aside = self.params.light_ahead, (1 - 2 * side) * self.params.light_aside
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
-        x, y = abs(x + cos * ahead - sin * aside), abs(y + sin * ahead + cos * aside)
+        x, y = x + cos * ahead - sin * aside, y + sin * ahead + cos * aside
         spot = self.params.light_spot
-        inside = min(BOARD.length / 2 - x, BOARD.width / 2 - y)
+        inside = min(BOARD.length / 2 - abs(x), BOARD.width / 2 - abs(y))
         from_line = abs(inside - BOARD.line_inset)
         line = _share((BOARD.line_width / 2 - from_line) / spot)
         board = _share(inside / spot)
         light = BOARD.light + (BOARD.line_light - BOARD.light) * line
+        if self.line is not None:
+            light += (self.line.light - light) * self.line.share(x, y, spot)
         return BOARD.floor_light + (light - BOARD.floor_light) * board
 
     def battery_millivolts(self) -> int:

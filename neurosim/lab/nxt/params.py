@@ -7,11 +7,14 @@ and what can be (lag, dead band, unequal motors, caster) to many times that.
 
 from __future__ import annotations
 
+import math
 from collections import namedtuple
 from dataclasses import dataclass, fields, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+
+from neurosim.base.closed_line import ClosedLine, distance_to
 
 
 class Board(NamedTuple):
@@ -33,6 +36,42 @@ class Board(NamedTuple):
 
 
 BOARD = Board()
+
+
+@dataclass(frozen=True, eq=False)
+class PrintedLine:
+    """A closed line that is printed on the board.
+
+    Attributes:
+        line: where its middle runs.
+        width: of the print, m.
+        light: reflected light, 0..1, as a light sensor close to it sees it.
+    """
+
+    line: ClosedLine
+    width: float = 0.04
+    light: float = 0.2
+
+    def share(self, x: float, y: float, spot: float) -> float:
+        """Return the share of a round spot around a place that is printed.
+
+        Args:
+            x, y: m, board frame.
+            spot: radius, m; small beside the line's bends.
+        """
+        away = distance_to(self.line.points, x, y)
+        near, far = self.width / 2 - away, self.width / 2 + away
+        return _of_disc(near / spot) + _of_disc(far / spot) - 1.0
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the same line again, ready for JSON."""
+        return {**self.line.describe(), "width": self.width, "light": self.light}
+
+
+def _of_disc(depth: float) -> float:
+    """Return the share of a unit disc on the near side of an edge, its centre so deep inside."""
+    d = min(max(depth, -1.0), 1.0)
+    return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
 
 
 @dataclass(frozen=True)
@@ -105,6 +144,9 @@ class LabParams:
     #: The room's walls stand this far (m) beyond the board's edge.
     room: float = 0.8
 
+    #: Light sensors look down so far ahead of the axle and to either side (m).
+    light_ahead: float = 0.06
+    light_aside: float = 0.09
     #: Light sensors: noise of a reading (0..1) and the radius of the spot they see (m).
     light_noise: float = 0.006
     light_spot: float = 0.008

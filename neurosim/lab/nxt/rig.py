@@ -19,13 +19,16 @@ from neurosim.base.errors import RobotError
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.body import Wiring
 from neurosim.lab.nxt.brick import VirtualBrick
-from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.lab.nxt.world import Lab
 from neurosim.robots.nxt.driver import NXT
 
 #: How well a person puts a robot down at a mark: standard deviations, m and rad.
 PLACING = (0.003, math.radians(0.5))
+#: On a board with a line the light sensors are mounted for following it: so far ahead of the axle
+#: and to either side (m), and how exactly that is built, which differs from robot to robot.
+FOLLOWING, BUILT = {"light_ahead": 0.07, "light_aside": 0.025}, 0.002
 
 
 class VirtualRig:
@@ -47,6 +50,8 @@ class VirtualRig:
         real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
         changes: fields of :class:`LabParams` in which robot and ground differ from those of the
             seed, such as another floor's slip.
+        line: a closed line that is printed on the board; the robot's light sensors are then mounted
+            in front, to follow it.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -69,10 +74,14 @@ class VirtualRig:
         port: int = 0,
         real_time: bool = False,
         changes: Mapping[str, float] | None = None,
+        line: PrintedLine | None = None,
     ):
         self._about: dict[str, Any] = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         if changes:
             self._about["changes"] = dict(changes)
+        if line is not None:
+            self._about["line"] = line.describe()
+            changes = {**_following(robot_seed), **(changes or {})}
         rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
         spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
         x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
@@ -82,6 +91,7 @@ class VirtualRig:
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=(float(x), float(y), float(theta)),
             wiring=Wiring(),
+            line=line,
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
         # A lone telegram waits for company: in the lab's own time for longer than the slowest
@@ -120,6 +130,12 @@ class VirtualRig:
         self.close()
         if self._server.error is not None:
             raise self._server.error
+
+
+def _following(robot_seed: int) -> dict[str, float]:
+    """Return where a robot's light sensors are that was built to follow a line."""
+    rng = np.random.default_rng([robot_seed, 0x11E5])
+    return {name: place + BUILT * rng.standard_normal() for name, place in FOLLOWING.items()}
 
 
 def _serve(radio: Radio, device: str | None, port: int) -> PtyServer | SocketServer:

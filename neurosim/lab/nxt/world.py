@@ -13,7 +13,7 @@ import numpy as np
 from neurosim.base.files import number, read_csv
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.body import NxtBody, Wiring
-from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
+from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams, PrintedLine
 
 _TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
 
@@ -75,6 +75,7 @@ class Lab(LabTime):
         start: where the robot stands at first (m, m, rad, board frame).
         wiring: what is plugged into the brick.
         truth_rate: true poses kept per second of lab time; 0 for none.
+        line: what is printed on the board, or None.
     """
 
     def __init__(
@@ -86,13 +87,14 @@ class Lab(LabTime):
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         wiring: Wiring | None = None,
         truth_rate: float = 100.0,
+        line: PrintedLine | None = None,
     ):
         self.seed = seed
         super().__init__()
         self.params = LabParams.drawn(seed) if params is None else params
-        self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring)
+        self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, line)
         self.place(*start)
-        self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time)
+        self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time, line)
         self._truth_rate = truth_rate
         self._truth = np.empty((1024, len(_TRUTH_COLUMNS)))
         self._kept = self._written = self._ticks = 0

@@ -18,7 +18,9 @@ from neurosim.networks.control_kernels import act, observe
 from neurosim.simulators.base import draw_outcomes
 from neurosim.simulators.closed_loop import ClosedLoop
 from neurosim.simulators.motion.kernels import SIZES, Arrays, shake, spread, tell
+from neurosim.simulators.motion.noise import DRAWS
 from neurosim.simulators.motion.plan_kernels import Ensemble, displacements, lay_out, scratch
+from neurosim.simulators.motion.sensors import sense
 
 
 class MotionClosedLoop(ClosedLoop):
@@ -30,6 +32,7 @@ class MotionClosedLoop(ClosedLoop):
         self._arrays = simulator.arrays()
         self._ensemble = lay_out_each(self._arrays)
         self._source = simulator.input_sources()
+        self._sensors = simulator.sensor_arrays()
 
     def draw(
         self,
@@ -51,6 +54,7 @@ class MotionClosedLoop(ClosedLoop):
             self._ensemble,
             self._arrays,
             self._source,
+            self._sensors,
             self.loop,
             genes,
             starts,
@@ -59,6 +63,7 @@ class MotionClosedLoop(ClosedLoop):
             self.room,
             poses,
             commands,
+            readings,
         )
         return self.trajectory(poses, commands, readings)
 
@@ -125,30 +130,33 @@ def network_of(e, member):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
+def drive(e, a, source, s, loop, genes, starts, member, z, room, poses, commands, readings):
     """Drive every network from every start, where the robot stands still at first.
 
     Args:
         e: of :func:`lay_out_each`.
         a: :class:`~neurosim.simulators.motion.kernels.Arrays`, for the noise.
         source: [I] of the motion network's inputs, see :meth:`MotionNetwork.input_sources`.
+        s: :class:`~neurosim.simulators.motion.sensors.SensorArrays`.
         loop: :class:`~neurosim.networks.control_kernels.Loop`.
         genes: [P, G].
         starts: [R, 3] poses.
         member: [R] of the ensemble, -1 for the mean.
-        z: [R, T, DRAWS] draws of the noise; T = 0: there is none.
+        z: [R, T, DRAWS + S] draws of the noise; T = 0: there is none.
         room: see :func:`~neurosim.networks.control_kernels.room`.
         poses: [P, R, T + 1, 3], written: before the first of T steps and after each.
         commands: [P, R, T, C], written: without the duration.
+        readings: [P, R, T, S], written: before each step; T = 0: they are not kept.
     """
     count, steps, width = len(starts), commands.shape[2], commands.shape[3]
-    noisy = a.noisy and z.shape[1] > 0
+    noisy, sensors = a.noisy and z.shape[1] > 0, len(s.mount)
+    kept = readings.shape[2] > 0
     remembered = 2 * len(a.driven) + 2
     for job in prange(len(genes) * count):
         p, r = job // count, job % count
         one = network_of(e, member[r])
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)
-        values, net, unread = np.zeros(room), genes[p], np.empty(0, np.float32)
+        values, net, read, still = np.zeros(room), genes[p], np.empty(sensors), np.empty(0)
         given = e.linear.shape[2]
         x, inner, memory = np.empty(given), scratch(one), np.zeros(remembered)
         size, moved = np.empty(SIZES), np.empty((1, 3))
@@ -159,8 +167,12 @@ def drive(e, a, source, loop, genes, starts, member, z, room, poses, commands):
         for k in range(steps):
             poses[p, r, k, 0], poses[p, r, k, 1], poses[p, r, k, 2] = px, py, theta
             cos, sin = math.cos(theta), math.sin(theta)
+            if sensors > 0:
+                sense(s, px, py, cos, sin, z[r, k] if z.shape[1] > 0 else still, DRAWS, read)
+                for n in range(sensors * kept):
+                    readings[p, r, k, n] = read[n]
             if k < loop.steps:
-                goal = observe(loop, px, py, cos, sin, goal, k * loop.step, unread, values)
+                goal = observe(loop, px, py, cos, sin, goal, k * loop.step, read, values)
                 act(*shape, net, values, command)
             else:
                 command[:width] = 0.0

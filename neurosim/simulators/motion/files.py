@@ -15,6 +15,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError
 from neurosim.base.schema import Maybe, Number, OneOf, Only, Rows, Shape, fields_of
 from neurosim.networks import Perceptron, ProductSummationNetwork
+from neurosim.networks.control import NOT_READINGS
 from neurosim.simulators.base import ABOUT, FORMAT, VERSION
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
@@ -31,6 +32,7 @@ from neurosim.simulators.motion.noise import (
     CommandFeatures,
     NoiseModel,
 )
+from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")
@@ -60,6 +62,7 @@ FIELDS: dict[str, Shape] = {
     "central?": bool,
     "noise?": dict,
     "domain?": {"commands": {str: Rows(2)}, "rows": _COUNT, "reach": float},
+    "sensors?": {"names": [str], "cell": Number(above=0.0, high=1e3)},
     "correction?": Only({one.name: float for one in fields(Correction)}),
 }
 
@@ -67,7 +70,7 @@ FIELDS: dict[str, Shape] = {
 def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
     """Write simulator.json and weights.safetensors into an existing folder."""
     folder = Path(folder)
-    correction = simulator.correction
+    correction, sensors = simulator.correction, simulator.sensors
     corrects = None if correction == Correction() else asdict(correction)
     content = {
         "kind": simulator.kind,
@@ -89,6 +92,11 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         "noise": None if simulator.noise is None else NOISE,
         **({} if corrects is None else {"correction": corrects}),
         **({} if simulator.known is None else {"domain": _said_of(simulator.known)}),
+        **(
+            {}
+            if sensors is None
+            else {"sensors": {"names": list(sensors.names), "cell": sensors.cell}}
+        ),
         **simulator.meta,
     }
     tensors = {
@@ -103,6 +111,8 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
         tensors |= {f"noise.{k}": v.numpy() for k, v in simulator.noise.tensors().items()}
     if simulator.known is not None:
         tensors["domain.seen"] = simulator.known.seen
+    if sensors is not None:
+        tensors |= {f"sensors.{k}": _numbers(sensors, k) for k in TENSORS}
     files.write_tensors(folder / "weights.safetensors", tensors)
     files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
 
@@ -159,6 +169,11 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     said = content.get("domain")
     if said is not None:
         expected["domain.seen"] = (None,) * sum(not i["name"].startswith("prev_") for i in inputs)
+    if content.get("sensors") is not None:
+        count = len(content["sensors"]["names"])
+        expected |= {"sensors.mount": (count, 2), "sensors.noise": (count, 2)}
+        expected |= {"sensors.place": (count,), "sensors.origin": (2,)}
+        expected["sensors.maps"] = (None, None, None)
     if content["version"] == 1:
         expected |= {name: expected[name][1:] for name in ("genes", "output_scale")}
         del expected["dead_zone"]
@@ -187,6 +202,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             KernelUnits(**_part(loaded, "kernel.")) if units else None,
             known,
             _correction(path, content),
+            _sensors(path, content, loaded),
         )
     except ValueError as error:
         raise FileError(path, f"is no motion network ({error})") from None
@@ -242,6 +258,22 @@ def _correction(path: Path, content: Mapping[str, Any]) -> Correction:
         return Correction(**{one.name: float(found[one.name]) for one in fields(Correction)})
     except ValueError as error:
         raise FileError(path, str(error), field="correction") from None
+
+
+def _sensors(
+    path: Path, content: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]
+) -> Sensors | None:
+    said = content.get("sensors")
+    if said is None:
+        return None
+    for name in said["names"]:
+        if not name or name in NOT_READINGS:
+            raise FileError(path, f"{name!r:.60} is no name of a sensor", field="sensors.names")
+    try:
+        return Sensors(tuple(said["names"]), cell=float(said["cell"]), **_part(loaded, "sensors."))
+    except ValueError as error:
+        weights = path.with_name("weights.safetensors")
+        raise FileError(weights, str(error), field="sensors") from None
 
 
 def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[np.uint8]) -> Domain:

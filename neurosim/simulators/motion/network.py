@@ -36,8 +36,9 @@ from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import Arrays
-from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb
+from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb, draw
 from neurosim.simulators.motion.plans import MotionPlans
+from neurosim.simulators.motion.sensors import SensorArrays, Sensors, no_sensors
 from neurosim.simulators.motion.stepper import MotionStepper
 
 OUTPUTS = ("dx", "dy", "dtheta")
@@ -80,6 +81,7 @@ class MotionNetwork(Simulator):
         known: the commands that it has learned from; None: but the largest are not known.
         correction: of drive model and networks, all members alike, where another floor or robot
             is to be simulated than was learned from.
+        sensors: what its sensors read where on the board; None: it has none.
         meta: what else simulator.json says: training, test errors, source.
         longest: the longest command that it has learned from, s; infinite without a duration.
     """
@@ -103,6 +105,7 @@ class MotionNetwork(Simulator):
         kernel_units: KernelUnits | None = None,
         known: Domain | None = None,
         correction: Correction | None = None,
+        sensors: Sensors | None = None,
     ):
         """Make a simulator.
 
@@ -158,6 +161,7 @@ class MotionNetwork(Simulator):
         self.kernel_units = kernel_units
         self.known = known
         self.correction = correction
+        self.sensors = sensors
         self._corrected = None if drive is None else correction.of_drive(drive)
         self.columns = columns
         place = columns.duration
@@ -201,13 +205,18 @@ class MotionNetwork(Simulator):
 
     @property
     def has_noise(self) -> bool:  # type: ignore[override]
-        """Whether there is a noise model."""
-        return self.noise is not None
+        """Whether there is a noise model, or sensors, whose readings always have noise."""
+        return self.noise is not None or self.sensors is not None
 
     @property
     def noise_width(self) -> int:  # type: ignore[override]
-        """How many numbers the noise of a command is made of."""
-        return 0 if self.noise is None else DRAWS
+        """How many numbers the noise of a command is made of, those of the sensors' last."""
+        return (DRAWS + len(self.reading_names)) * self.has_noise
+
+    @property
+    def reading_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Names of the sensors; none where it has none."""
+        return () if self.sensors is None else self.sensors.names
 
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
@@ -236,8 +245,7 @@ class MotionNetwork(Simulator):
 
     def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
-        assert self.noise is not None
-        return self.noise.draw(rows, steps, generator)
+        return draw(rows, steps, generator, self.noise_width)
 
     def start(
         self,
@@ -286,8 +294,7 @@ class MotionNetwork(Simulator):
         member = state[:, -1].long() if self.members > 1 else -1
         if generator is not None and self.noise is not None:
             z = self.noise.draw(len(state), 1, generator)[:, 0]
-        if self.noise is None:
-            z = None
+        z = None if self.noise is None or z is None else z[:, :DRAWS]
         if self.drive is not None:
             return self._step_within(state, command, member, z)
         given = torch.cat([state[:, self._remembered], command], dim=1)
@@ -295,6 +302,20 @@ class MotionNetwork(Simulator):
         moved = self._moved(x, member, z)
         pose = se2.compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], state[:, self._remembered.stop :]], dim=1)
+
+    def sense(
+        self, state: Tensor, generator: torch.Generator | None = None, z: Tensor | None = None
+    ) -> Tensor:
+        """Return the readings [B, len(reading_names)], 0..1, of robots in ``state`` [B, S].
+
+        With a generator fresh noise is drawn for every row; or it is made of the numbers ``z`` [B,
+        noise_width]. Without either there is none.
+        """
+        if self.sensors is None:
+            return super().sense(state, generator)
+        if generator is not None:
+            z = self.draw_noise(len(state), 1, generator)[:, 0]
+        return self.sensors.read(state[:, :3], None if z is None else z[:, DRAWS:])
 
     def _step_within(
         self, state: Tensor, command: Tensor, member: Tensor | int, z: Tensor | None
@@ -467,6 +488,7 @@ class MotionNetwork(Simulator):
             self.kernel_units,
             self.known,
             correction,
+            self.sensors,
         )
 
     def conditions(self) -> dict[str, Any]:
@@ -475,7 +497,16 @@ class MotionNetwork(Simulator):
         return {} if none else {"correction": asdict(self.correction)}
 
     def for_export(self, dtype: torch.dtype) -> MotionNetwork:
-        """Return this simulator computing in ``dtype``."""
+        """Return this simulator computing in ``dtype``.
+
+        Raises:
+            UserError: if it has sensors: what is exported is a step alone.
+        """
+        if self.sensors is not None:
+            raise UserError(
+                f"this simulator has sensors ({', '.join(self.sensors.names)}), and a program of "
+                "its step would be without them: export one that was trained with --no-sensors"
+            )
         return _in(dtype, self)
 
     def stepper(self) -> Stepper:
@@ -486,7 +517,8 @@ class MotionNetwork(Simulator):
         """Return compiled rollouts where the units are linear and the commands are these."""
         if not self.network.linear:
             return None
-        if controller.blind and tuple(controller.outputs) == self.command_names:
+        unread = not (self.sensors and episode.readings)
+        if controller.blind and unread and tuple(controller.outputs) == self.command_names:
             return MotionPlans(self, controller, episode)
         # A step's duration is put behind the outputs, where it is a command.
         outputs = tuple(controller.outputs)
@@ -508,6 +540,10 @@ class MotionNetwork(Simulator):
             ],
             np.int64,
         )
+
+    def sensor_arrays(self) -> SensorArrays:
+        """Return what compiled code computes readings with."""
+        return no_sensors() if self.sensors is None else self.sensors.arrays()
 
     def arrays(self) -> Arrays:
         """Return what :mod:`neurosim.simulators.motion.kernels` computes with.

@@ -115,9 +115,14 @@ class NoiseModel:
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""
-        return torch.randn(
-            rows, steps, DRAWS, generator=generator, dtype=torch.float64, device=generator.device
-        )
+        return draw(rows, steps, generator)
+
+
+def draw(rows: int, steps: int, generator: torch.Generator, width: int = DRAWS) -> Tensor:
+    """Return standard normal draws [rows, steps, width], on the generator's device."""
+    return torch.randn(
+        rows, steps, width, generator=generator, dtype=torch.float64, device=generator.device
+    )
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from neurosim.simulators.motion.closed_loop import lay_out_each, network_of
 from neurosim.simulators.motion.kernels import SIZES, shake, spread, tell
 from neurosim.simulators.motion.noise import DRAWS
 from neurosim.simulators.motion.plan_kernels import displacements, scratch
+from neurosim.simulators.motion.sensors import sensed
 from neurosim.simulators.numbers import NORMAL, numbers_at
 
 #: Robots that a core steps before it takes others.
@@ -31,14 +32,21 @@ class MotionStepper(Stepper):
         self._arrays = simulator.arrays()
         self._ensemble = lay_out_each(self._arrays)
         self._source = simulator.input_sources()
+        self._sensors = simulator.sensor_arrays()
         names = [name for name in simulator.input_names if name.startswith("prev_")]
         self._next = np.array(
             [simulator.command_names.index(name.removeprefix("prev_")) for name in names], np.int64
         )
 
     def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
-        """Return standard normal numbers [B, DRAWS]."""
-        return numbers_at(NORMAL, seeds, steps, DRAWS)
+        """Return standard normal numbers [B, noise_width]."""
+        return numbers_at(NORMAL, seeds, steps, max(DRAWS, self.simulator.noise_width))
+
+    def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
+        """Return the readings [B, R] in 0..1 in states [B, S]."""
+        if not self.simulator.reading_names:
+            return super().sense(state, noise)
+        return sensed(self._sensors, state[:, :3], noise, DRAWS)
 
     def step(
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
@@ -65,7 +73,7 @@ def _step(e, a, source, following, has_member, state, command, z):
         has_member: whether the last column names a member.
         state: [B, S], changed.
         command: [B, C].
-        z: [B, DRAWS] draws of the noise.
+        z: [B, DRAWS or more] draws of the noise.
     """
     rows, count = len(state), len(a.driven)
     behind = 3 + 2 * count + 1  # where a drive model's displacement until now stands

@@ -1,0 +1,161 @@
+"""Closed lines in the plane: where a point stands along one, and how far from it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from numba import njit, prange
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base.errors import UserError
+
+Shape = Literal["rectangle", "ellipse", "points"]
+SHAPES: tuple[Shape, ...] = ("rectangle", "ellipse", "points")
+
+#: Arcs are made of pieces of at most so much, m: on a radius of 0.2 m 0.25 mm off at most.
+_PIECE = 0.02
+
+
+class ClosedLine:
+    """A closed line: a polygon whose last point is joined to its first.
+
+    Attributes:
+        points: [N, 2] m, in the board's frame, in the order in which it is gone along.
+        length: all the way round, m.
+    """
+
+    def __init__(self, points: ArrayLike):
+        """Make one of points.
+
+        Raises:
+            UserError: if they are no closed line: fewer than 3, not finite, or on one spot.
+        """
+        found = np.ascontiguousarray(points, np.float64)
+        if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3:
+            raise UserError("a closed line takes three or more points, x and y (m) of each")
+        if not np.isfinite(found).all() or np.abs(found).max() > 1e3:
+            raise UserError("the points of a closed line must be finite, and within 1000 m")
+        sides = np.linalg.norm(np.roll(found, -1, axis=0) - found, axis=1)
+        found = found[sides > 1e-9]
+        if len(found) < 3:
+            raise UserError("the points of a closed line must be at least three different ones")
+        self.points: NDArray[np.float64] = found
+        ends = np.roll(found, -1, axis=0) - found
+        self._sides = np.linalg.norm(ends, axis=1)
+        self._until = np.concatenate([[0.0], np.cumsum(self._sides)])
+        self._headings = np.arctan2(ends[:, 1], ends[:, 0])
+        self.length = float(self._until[-1])
+
+    @classmethod
+    def of(
+        cls,
+        shape: str,
+        length: float,
+        width: float,
+        corner: float = 0.0,
+        points: Sequence[Sequence[float]] = (),
+    ) -> ClosedLine:
+        """Make one around the board's middle, counter-clockwise; or of points, in their order.
+
+        Args:
+            shape: one of :data:`SHAPES`.
+            length: along x, m.
+            width: along y, m.
+            corner: radius of a rectangle's corners, m.
+            points: of the shape ``points``, m.
+
+        Raises:
+            UserError: if there is no such line.
+        """
+        if shape not in SHAPES:
+            raise UserError(f"a closed line is one of {', '.join(SHAPES)}, not {shape!r}")
+        if shape == "points":
+            return cls(points)
+        if not (0 < length < 1e3 and 0 < width < 1e3):
+            raise UserError(f"a line of {length:g} m by {width:g} m is none")
+        if shape == "ellipse":
+            count = max(math.ceil(math.pi * (length + width) / 2 / _PIECE), 8)
+            turn = 2 * np.pi * np.arange(count) / count
+            return cls(np.stack([length / 2 * np.cos(turn), width / 2 * np.sin(turn)], axis=1))
+        if not 0 <= corner <= min(length, width) / 2:
+            raise UserError(
+                f"corners of {corner:g} m do not fit into a line of {length:g} m by {width:g} m"
+            )
+        pieces = max(math.ceil(math.pi / 2 * corner / _PIECE), 1)
+        arc = np.pi / 2 * np.arange(pieces + 1) / pieces
+        parts = []
+        for quarter, (right, upper) in enumerate(((1, 1), (-1, 1), (-1, -1), (1, -1))):
+            middle = np.array([right * (length / 2 - corner), upper * (width / 2 - corner)])
+            turn = arc + quarter * np.pi / 2
+            parts.append(middle + corner * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+        return cls(np.concatenate(parts))
+
+    def nearest(self, places: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return how far places [..., 2] are from the line, and where along it, m, [...] each."""
+        given = np.asarray(places, np.float64)
+        flat = np.ascontiguousarray(given.reshape(-1, 2))
+        distance, along = _nearest(self.points, self._sides, self._until, flat)
+        along = np.remainder(along, self.length)  # its end is its beginning
+        return distance.reshape(given.shape[:-1]), along.reshape(given.shape[:-1])
+
+    def poses(self, along: ArrayLike, backwards: ArrayLike = False) -> NDArray[np.float64]:
+        """Return poses [..., 3] on the line, facing along it, or against it.
+
+        Args:
+            along: [...] where, m.
+            backwards: [...] whether against its points' order.
+        """
+        way = np.remainder(np.asarray(along, np.float64), self.length)
+        side = np.clip(np.searchsorted(self._until, way, "right") - 1, 0, len(self.points) - 1)
+        share = (way - self._until[side]) / self._sides[side]
+        ends = np.roll(self.points, -1, axis=0)
+        place = self.points[side] + share[..., None] * (ends[side] - self.points[side])
+        heading = self._headings[side] + np.where(backwards, np.pi, 0.0)
+        heading = np.remainder(heading + np.pi, 2 * np.pi) - np.pi
+        return np.concatenate([place, heading[..., None]], axis=-1)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the same line again, ready for JSON."""
+        return {"points": np.round(self.points, 6).tolist()}
+
+
+@njit(cache=True, error_model="numpy")
+def distance_to(points: NDArray[np.float64], x: float, y: float) -> float:
+    """Return how far a place (m) is from the closed line of points [N, 2]."""
+    least = np.inf
+    for i in range(len(points)):
+        j = i + 1 if i + 1 < len(points) else 0
+        ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
+        px, py = x - points[i, 0], y - points[i, 1]
+        share = min(max((px * ax + py * ay) / (ax * ax + ay * ay), 0.0), 1.0)
+        dx, dy = px - share * ax, py - share * ay
+        least = min(least, dx * dx + dy * dy)
+    return math.sqrt(least)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def _nearest(
+    points: NDArray[np.float64],
+    sides: NDArray[np.float64],
+    until: NDArray[np.float64],
+    places: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return distance [B] and way along [B] of places [B, 2]."""
+    distance, along = np.empty(len(places)), np.empty(len(places))
+    for b in prange(len(places)):
+        least, where = np.inf, 0.0
+        for i in range(len(points)):
+            j = i + 1 if i + 1 < len(points) else 0
+            ax = (points[j, 0] - points[i, 0]) / sides[i]
+            ay = (points[j, 1] - points[i, 1]) / sides[i]
+            px, py = places[b, 0] - points[i, 0], places[b, 1] - points[i, 1]
+            on = min(max(px * ax + py * ay, 0.0), sides[i])
+            dx, dy = px - on * ax, py - on * ay
+            square = dx * dx + dy * dy
+            if square < least:
+                least, where = square, until[i] + on
+        distance[b], along[b] = math.sqrt(least), where
+    return distance, along

@@ -1,0 +1,182 @@
+"""Follow a closed line, lap after lap, without losing it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.closed_line import ClosedLine
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.score import Rows, Score
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class FollowLine(Task):
+    """Follow a closed line on the board.
+
+    Fitness is the way made along the line in laps, in the direction in which the robot was put
+    down, until it loses the line or the time is up. The way back counts against it.
+
+    Attributes:
+        shape: The line: a rectangle with round corners or an ellipse around the board's middle, or
+            points.
+        length: Of a rectangle or ellipse, along the board's x, m.
+        width: Of a rectangle or ellipse, along the board's y, m.
+        corner: Radius of a rectangle's corners, m.
+        points: List of points of a line: x (m), y (m) of each; the last is joined to the first.
+        laps: Laps without losing the line that count as success.
+        within: The line is lost where the middle of the axle is further from it, m.
+        direction: Which way trials go round: along the line (counter-clockwise, or in the points'
+            order), against it, or both, each as often in random starts.
+        step: Time between two commands, s.
+        seconds: Time that a trial has, s.
+    """
+
+    name: ClassVar[str] = "follow-line"
+    reasons: ClassVar[tuple[str, ...]] = ("lost the line", "did not make all laps in its time")
+
+    shape: Literal["rectangle", "ellipse", "points"] = "rectangle"
+    length: float = 1.4
+    width: float = 0.8
+    corner: float = 0.3
+    points: tuple[tuple[float, float], ...] = ()
+    laps: float = 10.0
+    within: float = 0.08
+    direction: Literal["both", "along", "against"] = "both"
+    step: float = 0.2
+    seconds: float = 400.0
+
+    def __post_init__(self) -> None:
+        try:
+            rows = tuple(tuple(float(value) for value in row) for row in self.points)
+        except (TypeError, ValueError):
+            raise UserError("points of a line are x and y (m) of each") from None
+        object.__setattr__(self, "points", rows)
+        if self.direction not in ("both", "along", "against"):
+            raise UserError(f"direction is both, along or against, not {self.direction!r}")
+        sizes = (self.laps, self.within, self.step, self.seconds)
+        if not all(0 < value < math.inf for value in sizes):
+            raise UserError("laps, within, step and seconds must be above 0")
+        if any(len(row) != 2 for row in rows):
+            raise UserError("points of a line are x and y (m) of each")
+        if not self.within < self.line.length / 4:
+            raise UserError(f"a line of {self.line.length:g} m is too short to be lost")
+
+    @cached_property
+    def line(self) -> ClosedLine:
+        """The line, in the order in which it is gone along."""
+        return ClosedLine.of(self.shape, self.length, self.width, self.corner, self.points)
+
+    @property
+    def start(self) -> Pose:  # type: ignore[override]
+        """The beginning of the line, facing along it, or against it where trials go that way."""
+        x, y, heading = self.line.poses(0.0, self.direction == "against").tolist()
+        return x, y, heading
+
+    @property
+    def episode(self) -> Episode:
+        """Steps for ``seconds``; a trial ends moving."""
+        return Episode(self.step, max(round(self.seconds / self.step), 1))
+
+    @property
+    def usual_controller(self) -> str:
+        """A network: nobody follows a line blindly."""
+        return "network"
+
+    def draw_starts(
+        self, simulator: Simulator, count: int, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return poses [count, 3] anywhere on the line, facing along it or against it."""
+        along = rng.uniform(0.0, self.line.length, count)
+        backwards = rng.permutation(count) % 2 == rng.integers(2)
+        if self.direction != "both":
+            backwards = np.full(count, self.direction == "against")
+        return self.line.poses(along, backwards)
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        """Judge trajectories by their poses.
+
+        Raises:
+            UserError: if there are no poses.
+        """
+        if trajectory.poses is None:
+            raise UserError(f"{self.name} can only be judged where the robot's poses are known")
+        poses = np.asarray(trajectory.poses, np.float64)
+        away, along, sense = self._seen(poses)
+        lost = np.logical_or.accumulate(away > self.within, axis=-1)
+        steps = self._forward(along[..., :-1], along[..., 1:]) * sense[..., :1]
+        made = np.cumsum(np.where(lost[..., 1:], 0.0, steps), axis=-1) / self.line.length
+        laps = made[..., -1]
+        success = made.max(axis=-1) >= self.laps
+        gone = lost.any(axis=-1)
+        last = np.where(gone, lost.argmax(axis=-1) - 1, poses.shape[-2] - 2).clip(0)
+        segment = last if trajectory.segment is None else trajectory.segment[last]
+        kept = ~lost
+        mean = (np.where(kept, away, 0.0)).sum(-1) / np.maximum(kept.sum(-1), 1)
+        return Judgement.of(laps, success, np.where(gone, 0, 1), segment, laps=laps, distance=mean)
+
+    def score(self, count: int, columns: int, sensors: int) -> Score:
+        """Return what follows the way along the line step by step."""
+        return _OnTheLine(self, count)
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return the line."""
+        points = np.concatenate([self.line.points, self.line.points[:1]])
+        pieces = zip(points[:-1].tolist(), points[1:].tolist(), strict=True)
+        return [{"polygon": [list(a), list(b)]} for a, b in pieces]
+
+    def _seen(self, poses: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
+        """Return of poses [..., 3] the distance from the line, the way along it, and the sense.
+
+        [...] each, m, m, and 1 where the robot faces along the line, else -1. Poses that are none
+        are far away.
+        """
+        away, along = self.line.nearest(np.nan_to_num(poses[..., :2], nan=1e6))
+        heading = self.line.poses(along)[..., 2]
+        return away, along, np.where(np.cos(poses[..., 2] - heading) >= 0, 1.0, -1.0)
+
+    def _forward(self, before: NDArray, after: NDArray) -> NDArray[np.float64]:
+        """Return by how much a way along the line went on, m, the shorter way round."""
+        length = self.line.length
+        return np.remainder(after - before + length / 2, length) - length / 2
+
+
+class _OnTheLine(Score):
+    """The way along the line of trials under way."""
+
+    def __init__(self, task: FollowLine, count: int):
+        super().__init__(task, count)
+        self._along = np.zeros(count)
+        self._sense = np.zeros(count)
+
+    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
+        away, self._along[rows], self._sense[rows] = self.task._seen(poses)
+        self.progress[rows], self.success[rows] = 0.0, False
+        self.over[rows] = away > self.task.within
+
+    def add(
+        self,
+        rows: Rows,
+        poses: NDArray[np.float64],
+        commands: NDArray[np.float64],
+        readings: NDArray | None,
+        duration: float,
+        active: bool = True,
+    ) -> None:
+        task = self.task
+        away, along, _ = task._seen(poses)
+        over = self.over[rows] | (away > task.within)
+        made = task._forward(self._along[rows], along) * self._sense[rows] / task.line.length
+        self.progress[rows] += np.where(over, 0.0, made)
+        self.success[rows] |= self.progress[rows] >= task.laps
+        self._along[rows], self.over[rows] = along, over

@@ -1,0 +1,171 @@
+"""Sensors from a recording to a drive: recorded, learned, evolved in, and driven by."""
+
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+import neurosim as ns
+from neurosim.base.errors import FileError, UserError
+from neurosim.cli.main import cli
+from neurosim.lab import PrintedLine, VirtualRig
+from neurosim.recording.commands import RandomCommands
+from neurosim.recording.record import record
+from neurosim.recording.settings import Guard, RecordSettings
+from neurosim.trials.rig import Setup, open_rig, printed_line
+from neurosim.trials.trial import run_trial
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.dataset import Dataset, build
+from tracking.datasets.recordings import Recording
+
+SIZE = (320, 240)
+TASK = ns.make_task("follow-line", seconds=3.0, laps=0.05)
+POSITION = Guard(by="position")
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """Forty commands are no data to learn a board from, but every stage has its turn."""
+    folder = tmp_path_factory.mktemp("line")
+    with VirtualRig(2, noise_seed=3, camera_size=SIZE, line=PrintedLine(TASK.line)) as rig:
+        optics = rig.camera.optics
+        lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
+        CameraModel(SIZE, *lens).write(folder / "calibration.json")
+        record(
+            folder / "recording",
+            rig.robot,
+            rig.camera,
+            RandomCommands(seed=1),
+            RecordSettings(40, POSITION, readings=True),
+            calibration=folder / "calibration.json",
+            finish=rig.write_truth,
+            lab=rig.describe(),
+        )
+    build([folder / "recording"], folder / "dataset")
+    ns.train(folder / "dataset", folder / "simulator", members=1, noise=False, progress=False)
+    return folder
+
+
+def test_readings_are_kept_all_the_time(made):
+    recording = Recording(made / "recording")
+    seen = recording.observations()
+    assert seen.names == ("line_left", "line_right")
+    assert recording.meta["settings"]["readings"] is True
+    assert recording.meta["settings"]["guard"]["by"] == "position"
+    # A pair of readings takes two round trips of 40 ms.
+    driven = sum(line.duration for line in recording.commands() if line.kind == "command")
+    assert len(seen.time) > 5 * driven * 0.8
+    sent = {line.command for line in recording.commands() if line.kind == "command"}
+    assert set(seen.command) - {-1} <= sent
+    # It drives over the line and is not stopped by it.
+    assert (seen.readings.min(axis=0) < 0.3).all()
+
+
+def test_a_dataset_says_where_readings_were_taken(made):
+    dataset = Dataset.read(made / "dataset")
+    assert json.loads((made / "dataset" / "dataset.json").read_text())["readings"] > 300
+    table = dataset.readings
+    assert dataset.split()[0].readings is table
+    # By the lab's own board: where the left sensor truly looked when it was read.
+    with VirtualRig(2, noise_seed=3, camera=False, line=PrintedLine(TASK.line)) as rig:
+        light = []
+        for row in table.itertuples():
+            rig.lab.place(row.x, row.y, row.theta)
+            light.append(rig.lab.body.reflected_light(0))
+    off = table["line_left"].to_numpy() - light
+    assert np.abs(np.median(off)) < 0.01
+    assert np.sqrt(np.mean(off**2)) < 0.4 * table["line_left"].std()
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace("omega", "spin", 1), "expected the columns recording"),
+        (lambda text: text.rsplit("\n", 2)[0] + "\n", "cut short"),
+        (lambda text: text.replace("\n", "\nx,", 1), "readings.csv"),
+    ],
+)
+def test_damaged_readings_are_refused(made, tmp_path, change, words):
+    Dataset.read(made / "dataset").write(tmp_path / "d")
+    path = tmp_path / "d" / "readings.csv"
+    path.write_text(change(path.read_text()))
+    with pytest.raises(FileError, match=words):
+        Dataset.read(tmp_path / "d")
+
+
+def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp_path):
+    simulator = ns.load(made / "simulator")
+    assert simulator.reading_names == ("line_left", "line_right")
+    about = simulator.meta["readings"]
+    assert [one["name"] for one in about["sensors"]] == ["line_left", "line_right"]
+    network = ns.make_controller("network", simulator, TASK, scale=40.0)
+    best = ns.evolve(
+        simulator, TASK, network, generations=2, seed=1, out=tmp_path / "c", progress=False
+    )[0]
+    assert best.controller.inputs == ("line_left", "line_right")
+    with VirtualRig(
+        2, noise_seed=9, start=TASK.start, camera_size=SIZE, line=PrintedLine(TASK.line)
+    ) as rig:
+        report = run_trial(
+            tmp_path / "c",
+            tmp_path / "t",
+            rig.robot,
+            rig.camera,
+            calibration=made / "calibration.json",
+            guard=Guard("end", by="position"),
+            lab=rig.describe(),
+        )
+    assert report["ended_early"] is False
+    assert report["actual"]["seen_by"] == "camera"
+    assert len(report["commands"]) == 15
+    seen = Recording(tmp_path / "t").observations()
+    genes = best.genes.reshape(2, 3)
+    wanted = 40 * np.tanh(seen.readings[:15] @ genes[:, :2].T + genes[:, 2])
+    np.testing.assert_allclose([command[:2] for command in report["commands"]], wanted, atol=1e-6)
+
+
+def test_without_sensors_it_is_another_simulator(made, tmp_path):
+    plain = ns.train(
+        made / "dataset", tmp_path / "s", members=1, noise=False, sensors=False, progress=False
+    )
+    assert plain.reading_names == ()
+    assert "readings" not in plain.meta
+    with pytest.raises(UserError, match="line_left"):
+        ns.evaluate(plain, TASK, ns.make_controller("network", inputs=("line_left",)))
+
+
+def test_what_cannot_guard_is_refused(tmp_path):
+    with VirtualRig(2, camera=False) as rig:
+        args = (tmp_path / "r", rig.robot, None, RandomCommands())
+        with pytest.raises(UserError, match="by its position"):
+            record(*args, RecordSettings(3, POSITION))
+    assert not (tmp_path / "r").exists()
+
+
+def test_lines_by_name_and_by_file(tmp_path):
+    assert printed_line("ellipse").line.length < printed_line("rectangle").line.length
+    path = tmp_path / "line.json"
+    said = {"format": "neurosim-task", "version": 1, "name": "follow-line"}
+    path.write_text(json.dumps(said | {"settings": {"length": 1.0, "corner": 0.2}}))
+    assert printed_line(str(path)).line.length < 3.6
+    path.write_text(json.dumps(said | {"name": "go-to", "settings": {}}))
+    with pytest.raises(UserError, match="which has no line"):
+        printed_line(str(path))
+    with (
+        pytest.raises(UserError, match="none of rectangle, ellipse"),
+        open_rig("virtual", {"line": "circle"}, Setup()),
+    ):
+        pass
+
+
+def test_the_options_are_there():
+    for verb, options in {
+        "record": ("--readings", "--guard-by", "--line "),
+        "run": ("--guard-by", "--line "),
+        "train": ("--sensors",),
+    }.items():
+        said = CliRunner().invoke(cli, [verb, "--help"]).output
+        assert all(option in said for option in options), said
+    said = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
+    assert all(option in said for option in ("--laps", "--within", "--direction", "--corner"))

@@ -1,0 +1,157 @@
+"""Readings of sensors, and where the robot was and how it moved when they were taken.
+
+While a recording is made, the robot's sensors may be read all the time (``observations.csv``).
+``readings.csv`` in the folder of a dataset holds those that were taken where the camera saw the
+robot, with the columns ``recording, time, x, y, theta, vx, vy, omega`` and one for each sensor:
+
+- ``time``: when the look began, s on the clock of the recording's robot; never decreasing within
+  a session;
+- ``x, y`` (m), ``theta`` (rad): the robot's pose then, in the board's frame;
+- ``vx, vy`` (m/s), ``omega`` (rad/s): how it moved, in the board's frame. A sensor is read some
+  time after the look began, each at another one; by these the pose follows it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from neurosim.base import files
+from neurosim.base.errors import FileError, UserError
+from tracking.datasets.recordings import Recording
+
+PLACE = ("x", "y", "theta", "vx", "vy", "omega")
+COLUMNS = ("recording", "time", *PLACE)
+
+#: A pose between two frames is known where these are not further apart, s; how the robot moved is
+#: taken from the frames so many before and after.
+GAP, AROUND = 0.1, 2
+
+_DIGITS = 6
+
+
+def sensors_of(readings: pd.DataFrame) -> tuple[str, ...]:
+    """Return the names of the sensors that a table has columns of."""
+    return tuple(readings.columns[len(COLUMNS) :])
+
+
+def no_readings() -> pd.DataFrame:
+    """Return a table without readings."""
+    return pd.DataFrame({name: [] for name in COLUMNS})
+
+
+def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> pd.DataFrame:
+    """Return the readings of a recording that were taken where the robot was seen.
+
+    Args:
+        recording: tracked.
+        name: of it, in the table.
+        doubtful: whether poses of what may not be the robot count as well.
+    """
+    observed = recording.observations()
+    if observed is None or not observed.names:
+        return no_readings()
+    poses = recording.poses()
+    parts = []
+    for session in np.unique(observed.session):
+        track = poses.of_session(session)
+        track = track if doubtful else track.certain()
+        seen = np.isfinite(track.pose).all(axis=1)
+        looks = observed.of_session(session)
+        known, where = _motion_at(track.time[seen], track.pose[seen], looks.time)
+        found = pd.DataFrame(where[known].round(_DIGITS), columns=list(PLACE))
+        found.insert(0, "time", looks.time[known])
+        found.insert(0, "recording", name)
+        for place, sensor in enumerate(observed.names):
+            found[sensor] = looks.readings[known, place].round(_DIGITS)
+        parts.append(found)
+    return pd.concat(parts, ignore_index=True) if parts else no_readings()
+
+
+def _motion_at(
+    times: NDArray, poses: NDArray, at: NDArray
+) -> tuple[NDArray[np.bool_], NDArray[np.float64]]:
+    """Return whether a track knows where the robot was at instants [N], and pose and motion [N, 6].
+
+    Args:
+        times: [M] of the frames that saw the robot, increasing, s.
+        poses: [M, 3].
+        at: [N] s.
+    """
+    where = np.zeros((len(at), 6))
+    if len(times) < 2:
+        return np.zeros(len(at), bool), where
+    after = np.searchsorted(times, at)
+    known = (after > 0) & (after < len(times))
+    after = after.clip(1, len(times) - 1)
+    begin, end = times[after - 1], times[after]
+    known &= end - begin <= GAP
+    share = ((at - begin) / (end - begin))[:, None]
+    where[:, :3] = poses[after - 1] + share * (poses[after] - poses[after - 1])
+    first = (after - AROUND).clip(0)
+    last = (after + AROUND - 1).clip(max=len(times) - 1)
+    known &= times[last] - times[first] <= 2 * AROUND * GAP
+    where[:, 3:] = (poses[last] - poses[first]) / (times[last] - times[first])[:, None]
+    return known, where
+
+
+def joined(tables: Sequence[pd.DataFrame]) -> pd.DataFrame:
+    """Return the readings of several recordings; those without any add nothing.
+
+    Raises:
+        UserError: if they are of different sensors.
+    """
+    tables = [table for table in tables if len(table)]
+    if not tables:
+        return no_readings()
+    first = sensors_of(tables[0])
+    for table in tables:
+        if sensors_of(table) != first:
+            raise UserError(
+                f"the recordings are of different sensors ({', '.join(first)}; "
+                f"{', '.join(sensors_of(table))}): make a dataset of each"
+            )
+    return pd.concat(tables, ignore_index=True)
+
+
+def write(path: Path, readings: pd.DataFrame) -> None:
+    """Write readings.csv."""
+    files.write_csv(path, {name: readings[name].tolist() for name in readings.columns})
+
+
+def read(path: Path, expected: Any) -> pd.DataFrame:
+    """Read and check readings.csv; without the file and a count of its readings there are none.
+
+    Args:
+        path: of readings.csv.
+        expected: how many dataset.json says that there are, None where it says nothing.
+
+    Raises:
+        FileError: naming line and field of what is wrong, or if readings are missing.
+    """
+    if not path.exists() and not expected:
+        return no_readings()
+    names = files.read_header(path)
+    sensors = names[len(COLUMNS) :]
+    if names[: len(COLUMNS)] != COLUMNS or not all(sensors) or not sensors:
+        raise FileError(path, f"expected the columns {', '.join(COLUMNS)} and sensors", line=1)
+    columns = {"recording": str} | dict.fromkeys(names[1:], files.number)
+    readings = pd.DataFrame(files.read_csv(path, columns))
+    if expected is not None and len(readings) != expected:
+        raise FileError(
+            path,
+            f"holds {len(readings)} readings where dataset.json says {expected}; "
+            "it may have been cut short",
+        )
+    for name in sensors:
+        values = readings[name].to_numpy()
+        wrong = (values < 0) | (values > 1)
+        if wrong.any():
+            line = int(np.argmax(wrong)) + 2
+            raise FileError(path, "expected a reading from 0 to 1", line=line, field=name)
+    return readings
