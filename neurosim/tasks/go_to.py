@@ -43,6 +43,7 @@ class GoTo(Task):
     """
 
     name: ClassVar[str] = "go-to"
+    replanned: ClassVar[bool] = True
     reasons: ClassVar[tuple[str, ...]] = (
         "touched a wall",
         "did not pass all goals",

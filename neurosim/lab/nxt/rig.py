@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from neurosim.lab.nxt.body import Wiring
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
-from neurosim.lab.nxt.world import Lab
+from neurosim.lab.nxt.world import Lab, Push
 from neurosim.robots.nxt.driver import NXT
 
 #: How well a person puts a robot down at a mark: standard deviations, m and rad.
@@ -47,6 +47,7 @@ class VirtualRig:
         real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
         changes: fields of :class:`LabParams` in which robot and ground differ from those of the
             seed, such as another floor's slip.
+        push: what pushes the robot while it drives, or None.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -69,10 +70,13 @@ class VirtualRig:
         port: int = 0,
         real_time: bool = False,
         changes: Mapping[str, float] | None = None,
+        push: Push | None = None,
     ):
         self._about: dict[str, Any] = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         if changes:
             self._about["changes"] = dict(changes)
+        if push is not None:
+            self._about["push"] = asdict(push)
         rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
         spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
         x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
@@ -82,6 +86,7 @@ class VirtualRig:
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=(float(x), float(y), float(theta)),
             wiring=Wiring(),
+            push=push,
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
         # A lone telegram waits for company: in the lab's own time for longer than the slowest
