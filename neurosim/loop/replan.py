@@ -47,9 +47,7 @@ class Clock(Protocol):
 
 
 #: Near the rest of the plan so far, where a search begins.
-GENETIC = GeneticSettings(
-    population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05
-)
+GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05)
 
 
 @dataclass(frozen=True)
@@ -179,8 +177,8 @@ class Replanner:
         after = self._stepper.step(self._state, np.array([command]), None)[0, :3]
         here = self._state[0, :3]
         seconds = 0.0 if self._clock is None else self._clock.now() - began
-        poses = (tuple(map(float, one)) for one in (here, after, rest))
-        self.foreseen.append(Foreseen(*poses, probability, generations, seconds))
+        known = probability, generations, seconds
+        self.foreseen.append(Foreseen(_tuple(here), _tuple(after), _tuple(rest), *known))
         if self._clock is not None:
             self._clock.sleep_until(began + self._settings.think)
         self._commands.append(command)
@@ -211,9 +209,7 @@ class Replanner:
         self._state[0, :3] = se2.compose(true, se2.between(seen, self._state[0, :3]))
         self._poses.append(self._state[0, :3].copy())
 
-    def _search(
-        self, began: float
-    ) -> tuple[NDArray[np.float64], float, NDArray[np.float64], int]:
+    def _search(self, began: float) -> tuple[NDArray[np.float64], float, NDArray[np.float64], int]:
         """Return the best plan [G] found in time, and what is expected of it.
 
         That is the probability of success, and the pose [3] where the plan leads. Where nothing
@@ -263,6 +259,10 @@ class Replanner:
         return first
 
 
+def _tuple(pose: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(map(float, pose))
+
+
 class _Onward(Evaluator):
     """Judges the rest of plans, from where the robot is, with what it has done so far."""
 
@@ -299,7 +299,7 @@ class _Rest(Task):
     name = "rest"
 
     def __init__(self, task: Task):
-        self._task, self.reasons = task, task.reasons
+        self._task = task
         self.poses, self.commands = np.empty((1, 3)), np.empty((0, 3))
 
     @property

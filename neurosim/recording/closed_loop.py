@@ -186,9 +186,9 @@ class ClosedLoopSession(Session):
             pose = self._odometry.read()
         elif (tracked := self._pose(due)) is not None:
             time, pose = due, tracked
-            assert self._spotter is not None and self._spotter.last is not None
-            at, where = self._spotter.last
-            sight = where, due - at
+            assert self._spotter is not None
+            last = self._spotter.last
+            sight = None if last is None else (last[1], due - last[0])
         readings = self._sensors.read_sensors() if self._sensors and self._names else {}
         return time, Observation(since, pose, readings, sight)
 

@@ -143,17 +143,20 @@ def virtual(
             raise UserError(f"a push is of 0 to 1 m, at 0 s or later, not {push:g} m")
         direction = np.random.default_rng([setup.seed, 0x9054]).uniform(-math.pi, math.pi)
         hand = Push(push, push_after, float(direction))
-    with VirtualRig(
-        lab_seed,
-        noise_seed=setup.seed,
-        start=setup.start or (0.0, 0.0, 0.0),
-        camera=_has_camera(setup),
-        camera_size=setup.size or (640, 480),
-        fps=setup.fps or 30.0,
-        lamp=None if lamp == "none" else lamp,
-        real_time=real_time,
-        push=hand,
-    ) as rig, Pacer(rig.lab) if real_time else nullcontext():
+    with (
+        VirtualRig(
+            lab_seed,
+            noise_seed=setup.seed,
+            start=setup.start or (0.0, 0.0, 0.0),
+            camera=_has_camera(setup),
+            camera_size=setup.size or (640, 480),
+            fps=setup.fps or 30.0,
+            lamp=None if lamp == "none" else lamp,
+            real_time=real_time,
+            push=hand,
+        ) as rig,
+        Pacer(rig.lab) if real_time else nullcontext(),
+    ):
         yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
 
 
