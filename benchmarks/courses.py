@@ -39,10 +39,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from guided_recording import random_rows
 from reality_gap import make_calibration
 
@@ -84,13 +86,14 @@ def main() -> None:
     parser.add_argument("--poses", type=int, default=12, help="to go to, of each robot")
     parser.add_argument("--camera", type=int, default=0, help="courses of each the long way, too")
     parser.add_argument("--generations", type=int, default=200, help="of plans, without noise")
-    parser.add_argument("--network-generations", type=int, default=60)
+    parser.add_argument("--robust-generations", type=int, default=100)
+    parser.add_argument("--network-generations", type=int, default=40)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     if options.quick:
         options.robots, options.courses, options.poses = options.robots[:1], 2, 5
-        options.generations, options.network_generations = 100, 20
+        options.generations, options.robust_generations, options.network_generations = 100, 20, 20
     drives: list[dict] = []
     goes: list[dict] = []
     with tempfile.TemporaryDirectory() as name:
@@ -99,7 +102,6 @@ def main() -> None:
         for robot in options.robots:
             began = time.monotonic()
             one = Prepared(robot, options)
-            print(f"robot {robot}: ready in {time.monotonic() - began:.0f} s", file=sys.stderr)
             for course in range(options.courses):
                 drives += one.course(course)
             for course in range(options.camera):
@@ -157,30 +159,40 @@ class Physics:
 class Prepared:
     """A robot, the simulator that is learned of it, and what is evolved there."""
 
+    family = Plan()
+    network = Network(("goal_distance", "goal_bearing"), scale=45.0)
+
     def __init__(self, robot: int, options: argparse.Namespace):
-        self.robot = robot
+        self.robot, self._options = robot, options
         rows, _ = random_rows(robot, robot, COMMANDS)
         self.simulator = learn(rows, robot)
-        plan = Plan()
-        how = default_settings(
-            plan, TASK, generations=options.generations, runs=4, robust=RobustSettings()
-        )
-        self.family = plan
-        self.plan: Result = evolve_in(self.simulator, TASK, plan, how, seed=robot, progress=False)[
-            0
-        ]
-        self.network = Network(("goal_distance", "goal_bearing"), scale=45.0)
-        how = default_settings(self.network, TASK, generations=options.network_generations)
-        found = evolve_in(self.simulator, TASK, self.network, how, seed=robot, progress=False)
-        self.genes = found[0].genes
+
+    @cached_property
+    def plan(self) -> Result:
+        """The plan."""
+        options = self._options
+        robust = RobustSettings(generations=options.robust_generations)
+        how = {"generations": options.generations, "runs": 2, "robust": robust}
+        return self._evolved(self.family, how)
+
+    @cached_property
+    def genes(self) -> np.ndarray:
+        """Of the network, [G]."""
+        return self._evolved(self.network, {"generations": self._options.network_generations}).genes
+
+    def _evolved(self, family: Any, how: dict[str, Any]) -> Result:
+        settings = default_settings(family, TASK, **how)
+        found = evolve_in(self.simulator, TASK, family, settings, seed=self.robot, progress=False)
+        return found[0]
+
+    @cached_property
+    def expected(self) -> dict[str, np.ndarray]:
+        """Where each is expected to drive, paths [N, 3]."""
         evaluator = Evaluator(self.simulator, TASK, self.network)
-        expected = evaluator.run(self.genes[None], evaluator.expectation()).poses
-        assert expected is not None
-        self.expected = {
-            "network": expected[0, 0],
-            "blind": predicted(self.simulator, self.plan.commands, TASK.start),
-        }
-        self.expected["replanned"] = self.expected["blind"]
+        poses = evaluator.run(self.genes[None], evaluator.expectation()).poses
+        assert poses is not None
+        blind = predicted(self.simulator, self.plan.commands, TASK.start)
+        return {"network": poses[0, 0], "blind": blind, "replanned": blind}
 
     def push(self, kind: str, number: int) -> Push:
         """Return a push halfway along what is expected, within the rectangle there."""
@@ -240,8 +252,6 @@ class Prepared:
         return predicted(self.simulator, physics.commands, poses=poses)
 
     def _network(self, physics: Physics, noise: int) -> np.ndarray:
-        import torch
-
         genes = torch.from_numpy(self.genes[None])
         episode, memory = TASK.episode, self.network.start(1)
         goals = Goals(episode, 1)

@@ -46,6 +46,9 @@ class Clock(Protocol):
         ...
 
 
+#: A robot that need not do more, with so much probability, is done; another one that knows of
+#: nothing better to do thinks again.
+DONE = 0.5
 #: Near the rest of the plan so far, where a search begins.
 GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05)
 
@@ -154,7 +157,7 @@ class Replanner:
         self.foreseen: list[Foreseen] = []
 
     def next(self, pose: NDArray[np.float64], ahead: float = 0.0) -> Command | None:
-        """Return the next command; None: there is nothing more to do.
+        """Return the next command; None: the task is done as far as is known.
 
         Args:
             pose: [3] where the robot was seen (m, m, rad), its heading up to whole turns.
@@ -170,7 +173,7 @@ class Replanner:
             command = slots[place]
             assert command is not None
             self._genes = self._of(slots[place + 1 :])
-        elif any(self._commands[-1][:2] if self._commands else ()):
+        elif self._moves or probability < DONE:
             command = 0.0, 0.0, self._settings.settle
         else:
             return None
@@ -183,6 +186,11 @@ class Replanner:
             self._clock.sleep_until(began + self._settings.think)
         self._commands.append(command)
         return command
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the last command made the robot move."""
+        return bool(self._commands) and any(self._commands[-1][:2])
 
     def _of(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
         """Return the genes of as many commands as there are slots, the last ones null."""
@@ -248,14 +256,20 @@ class Replanner:
         return both[best], (found, stands)[best], expected.poses[0, 0, -1], search.done
 
     def _first(self) -> NDArray[np.float64]:
-        """Return a first population [P, G]: most of it near the rest of the plan so far."""
+        """Return a first population [P, G]: most of it near the rest of the plan, if there is one.
+
+        One of it does nothing more.
+        """
         genetic = self._settings.genetic
         first = self._rng.random((genetic.population, self._plan.genes))
+        first[-1] = self._nothing
+        if not any(commands_of(self._plan, self._genes)):
+            return first
         near = 3 * genetic.population // 4
         changed = self._rng.random((near, self._plan.genes)) < 2.0 * genetic.mutation
         noise = genetic.mutation_scale * self._rng.standard_normal(changed.shape)
         first[:near] = np.clip(self._genes + np.where(changed, noise, 0.0), 0.0, 1.0)
-        first[0], first[-1] = self._genes, self._nothing
+        first[0] = self._genes
         return first
 
 
