@@ -103,7 +103,7 @@ def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
     assert np.abs(twist).max() > 0.1
     # Elsewhere than expected, 0.2 s before the end, and some turns on.
     seen = np.array([0.4, -0.3, 1.0])
-    replanner.next(seen + [0.0, 0.0, 4 * math.pi], 0.2)
+    replanner.next(seen + np.array([0.0, 0.0, 4 * math.pi]), 0.2)
     wanted, found = se2.compose(seen, se2.exp(0.2 * twist)), np.array(replanner.foreseen[-1].pose)
     assert found[:2] == pytest.approx(wanted[:2])
     assert math.remainder(found[2] - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
