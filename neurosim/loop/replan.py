@@ -205,13 +205,12 @@ class Replanner:
             return
         left, right, duration = self._commands[-1]
         ahead = min(max(ahead, 0.0), duration)
+        seen = self._state[0, :3]
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
             if part > 0:
                 command = np.array([[left, right, part]])
                 self._state = self._stepper.step(self._state, command, None)
-        if ahead == 0.0:
-            seen = self._state[0, :3]
         turned = seen[2] + math.remainder(pose[2] - seen[2], 2.0 * math.pi)
         true = np.array([pose[0], pose[1], turned])
         self._state[0, :3] = se2.compose(true, se2.between(seen, self._state[0, :3]))
