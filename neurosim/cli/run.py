@@ -47,6 +47,23 @@ from neurosim.cli._types import PATH
     only=("battery_limit",),
     helps={"battery_limit": "Voltage below which the trial does not start, V."},
 )
+@click.option(
+    "--replan/--no-replan",
+    default=None,
+    help="Plans: plan again after every command, from where the camera sees the robot.  [default: "
+    "for the tasks that are about where exactly the robot stops: go-to]",
+)
+@click.option(
+    "--simulator",
+    type=PATH,
+    help="The simulator in which it is planned again.  [default: that of the plan]",
+)
+@settings_options(
+    "replanning",
+    "neurosim.loop.replan:ReplanSettings",
+    only=("generations", "think", "draws"),
+    names={"generations": "replan-generations", "draws": "replan-draws"},
+)
 @markers_option
 @seed_option
 @json_option
@@ -60,6 +77,9 @@ def run(
     at_line: Any,
     guard: dict[str, Any],
     settings: dict[str, Any],
+    replan: bool | None,
+    simulator: Path | None,
+    replanning: dict[str, Any],
     markers: str | None,
     seed: int,
     as_json: bool,
@@ -70,6 +90,9 @@ def run(
     rectangle, facing rectangle 1, the top-left one. A controller that sees is asked at the steps of
     its task; what the robot lacks for it is said before anything moves. With --camera none the
     robot's path is that of its wheels' counters, where it has them.
+
+    With --replan a plan is planned again after every command, in its simulator, from where the
+    robot is then; the command before goes on meanwhile.
     """
     from neurosim.controllers import read_controller
     from neurosim.recording.markers import marker_settings
@@ -84,6 +107,7 @@ def run(
             "go by the counters of the robot's wheels"
         )
     saved = read_controller(controller)
+    again = _replanning(saved, replan, simulator, replanning)
     setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved))
     marked = marker_settings(markers, robot)
     with open_rig(robot, robot_options, setup) as rig:
@@ -99,6 +123,8 @@ def run(
             settings={"markers": marked, **settings},
             finish=rig.finish,
             lab=rig.lab,
+            replan=again,
+            seed=seed,
         )
     result = {
         "trial": str(out),
@@ -114,18 +140,49 @@ def run(
     emit(result, as_json, _text(out, controller, report))
 
 
-def _arena(saved: Any) -> Any:
-    """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
-    from neurosim.base.files import sha256
-    from neurosim.lab import LabArena
+def _replanning(
+    saved: Any, wanted: bool | None, simulator: Path | None, settings: dict[str, Any]
+) -> Any:
+    """Return in which simulator a plan is planned again, and how; None: it is not."""
+    from neurosim.loop.replan import ReplanSettings
     from neurosim.simulators import read_simulator
+    from neurosim.tasks.registry import make_task
+
+    if wanted is None:
+        # Where the options say how, or the task asks for it.
+        asked = simulator is not None or bool(settings)
+        wanted = asked or (bool(saved.commands) and make_task(saved.task).replanned)
+    if not wanted:
+        if simulator is not None or settings:
+            raise UserError("--simulator and how it is planned again are options of --replan")
+        return None
+    folder = simulator or _simulator(saved)
+    if folder is None:
+        raise UserError(
+            "the simulator that the plan was evolved in is not where it was, or was changed: name "
+            "one with --simulator, or send the plan as it is with --no-replan"
+        )
+    return read_simulator(folder), ReplanSettings(**settings)
+
+
+def _simulator(saved: Any) -> Path | None:
+    """Return the folder of the simulator in which a controller was evolved; None: unknown."""
+    from neurosim.base.files import sha256
 
     # Only the very simulator that the controller names: a path of somebody else's is no proof.
     file = Path(str(saved.simulator.get("path", ""))) / "simulator.json"
     if not file.is_file() or sha256(file) != saved.simulator.get("sha256"):
         return None
-    folder = file.parent
-    arena = getattr(read_simulator(folder), "arena", None)
+    return file.parent
+
+
+def _arena(saved: Any) -> Any:
+    """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
+    from neurosim.lab import LabArena
+    from neurosim.simulators import read_simulator
+
+    folder = _simulator(saved)
+    arena = None if folder is None else getattr(read_simulator(folder), "arena", None)
     return None if arena is None else LabArena.of(arena)
 
 

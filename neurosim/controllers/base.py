@@ -6,6 +6,7 @@ all the rest. An individual is a row of genes. A batch of B individuals acts at 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, ClassVar
 
@@ -15,7 +16,13 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks.control import GOAL_INPUTS, POSE_INPUTS, TIME_INPUTS, NetworkArrays
+from neurosim.networks.control import (
+    GOAL_INPUTS,
+    POLAR_INPUTS,
+    POSE_INPUTS,
+    TIME_INPUTS,
+    NetworkArrays,
+)
 
 #: The command columns of a robot with two driven wheels, %.
 WHEELS = ("left", "right")
@@ -27,7 +34,8 @@ class Controller:
     Attributes:
         kind: its name in files and on the command line.
         inputs: what it observes, by name: readings of sensors as the simulator and the robot name
-            them, or :data:`POSE_INPUTS`, :data:`GOAL_INPUTS`, :data:`TIME_INPUTS`.
+            them, or :data:`POSE_INPUTS`, :data:`GOAL_INPUTS`, :data:`POLAR_INPUTS`,
+            :data:`TIME_INPUTS`.
         outputs: columns of the commands that it gives, without a duration: a controller that sees
             is asked again after every step of the trial.
         genes: how many an individual has.
@@ -98,11 +106,12 @@ def check_inputs(controller: Controller, readings: Sequence[str], goals: bool, w
     Raises:
         UserError: naming what is missing.
     """
-    known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(GOAL_INPUTS if goals else ())}
+    of_goals = (*GOAL_INPUTS, *POLAR_INPUTS)
+    known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(of_goals if goals else ())}
     missing = [name for name in controller.inputs if name not in known]
     if missing:
         there = ", ".join(readings) if readings else "no sensors"
-        why = "the task gives no goals" if set(missing) <= set(GOAL_INPUTS) else f"it has {there}"
+        why = "the task gives no goals" if set(missing) <= set(of_goals) else f"it has {there}"
         raise UserError(
             f"the controller ({controller.kind}) needs {', '.join(missing)}, which {where} does "
             f"not offer: {why}"
@@ -136,12 +145,24 @@ def observe(
             assert goal is not None
             place, away = GOAL_INPUTS.index(name), se2.between(pose, goal)
             columns.append(away[:, place] if place < 2 else _circle(away[:, 2], place - 2))
+        elif name in POLAR_INPUTS:
+            assert goal is not None
+            columns.append(_polar(se2.between(pose, goal))[POLAR_INPUTS.index(name)])
         elif name in TIME_INPUTS:
             columns.append(torch.full_like(pose[:, 0], time))
         else:
             assert readings is not None
             columns.append(readings[:, list(reading_names).index(name)].to(pose))
     return torch.stack(columns, dim=1) if columns else pose.new_zeros(len(pose), 0)
+
+
+def _polar(away: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Return distance, bearing and approach [B] of goals [B, 3] in the robot's frame."""
+    ahead, left, turn = away.unbind(1)
+    side = torch.where(ahead >= 0.0, 1.0, -1.0).to(away)
+    bearing = torch.atan2(side * left, side * ahead)
+    approach = torch.remainder(turn - bearing + math.pi, 2.0 * math.pi) - math.pi
+    return side * torch.hypot(ahead, left), bearing, approach
 
 
 def _circle(angle: Tensor, place: int) -> Tensor:

@@ -21,6 +21,7 @@ from neurosim.networks.control import (
     FEED_FORWARD,
     GOAL_INPUTS,
     NOT_READINGS,
+    POLAR_INPUTS,
     POSE_INPUTS,
     TIME_INPUTS,
     NetworkArrays,
@@ -66,7 +67,7 @@ class Face:
         self.simulator, self.task, self.episode = simulator, task, task.episode
         check_readings(simulator, task)
         self.names = tuple(names or usual_inputs(simulator, task)) or (*POSE_INPUTS, *TIME_INPUTS)
-        goals = GOAL_INPUTS if self.episode.goals is not None else ()
+        goals = (*GOAL_INPUTS, *POLAR_INPUTS) if self.episode.goals is not None else ()
         known = (*simulator.reading_names, *POSE_INPUTS, *goals, *TIME_INPUTS)
         missing = [name for name in self.names if name not in known]
         if missing:
@@ -101,7 +102,8 @@ class Face:
         limits = {
             **dict.fromkeys(self.simulator.reading_names, (0.0, 1.0)),
             **dict.fromkeys((*POSE_INPUTS, *GOAL_INPUTS), (-1.0, 1.0)),
-            **dict.fromkeys(GOAL_INPUTS[:2], (-far, far)),
+            **dict.fromkeys((*GOAL_INPUTS[:2], POLAR_INPUTS[0]), (-far, far)),
+            **dict.fromkeys(POLAR_INPUTS[1:], (-math.pi, math.pi)),
             **{name: (low[k], high[k]) for k, name in enumerate(POSE_INPUTS[:2])},
             **dict.fromkeys(TIME_INPUTS, (0.0, seconds)),
         }

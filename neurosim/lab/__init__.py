@@ -7,7 +7,7 @@ from neurosim.lab.khepera.params import KheperaParams, LabArena
 from neurosim.lab.khepera.rig import VirtualKheperaRig, sampling_places
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.rig import VirtualRig
-from neurosim.lab.nxt.world import Lab, Pacer, Truth, read_truth
+from neurosim.lab.nxt.world import Lab, Pacer, Push, Truth, read_truth
 
 __all__ = [
     "CameraParams",
@@ -17,6 +17,7 @@ __all__ = [
     "LabParams",
     "Pacer",
     "PrintedLine",
+    "Push",
     "Truth",
     "VirtualKheperaRig",
     "VirtualRig",

@@ -84,6 +84,9 @@ class _Trial:
             self._state = simulator.start(starts, self._generator)
         else:
             self._state = simulator.start_as(starts, self._each(torch.from_numpy(draws.member)))
+        if draws.state is not None:
+            own = [name not in ("x", "y", "theta", "member") for name in simulator.state_names]
+            self._state[:, own] = torch.from_numpy(draws.state)[own]
         self._poses = [self._state[:, :3]]
         self._readings: list[Tensor] = []
 

@@ -24,7 +24,14 @@ from numpy.typing import NDArray
 POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
 GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")
 TIME_INPUTS = ("time",)
-NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS)
+#: The next goal in polar coordinates (Aicardi, Casalino, Bicchi, Balestrino 1995, Closed loop
+#: steering of unicycle-like vehicles via Lyapunov techniques), folded for robots that drive forward
+#: and back alike: the distance (m), negative where the goal is behind; the turn (rad, -pi/2 to
+#: pi/2) until the line to the goal is straight ahead or straight behind; and the turn (rad, -pi to
+#: pi) from that line to the goal's heading. All three are zero at the goal, and bearing and
+#: approach are zero for a robot that only has to drive straight on.
+POLAR_INPUTS = ("goal_distance", "goal_bearing", "goal_approach")
+NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS, *POLAR_INPUTS)
 
 #: Values of :attr:`NetworkArrays.recurrence`.
 FEED_FORWARD, ELMAN, CTRNN = 0, 1, 2

@@ -17,12 +17,14 @@ from neurosim.networks.control import (
     CTRNN,
     FEED_FORWARD,
     GOAL_INPUTS,
+    POLAR_INPUTS,
     NetworkArrays,
     input_sources,
 )
 
 #: Inputs, as their sources, that take the heading's cosine and sine.
-_TURNED = input_sources(("cos_heading", "sin_heading", *GOAL_INPUTS), ())
+_TURNED = input_sources(("cos_heading", "sin_heading", *GOAL_INPUTS, *POLAR_INPUTS), ())
+_POLAR = input_sources(POLAR_INPUTS, ())
 
 #: Sums keep their order: the same genes give the same commands in every simulator.
 _MATHS = {"contract", "nsz"}
@@ -36,6 +38,7 @@ class Loop(NamedTuple):
     scale: np.ndarray
     recurrence: int
     turned: bool  #: whether the cosine and sine of the heading are needed
+    polar: bool  #: whether the goal's polar coordinates are needed
     goals: np.ndarray  #: [N, 4] x, y, cosine and sine of the heading; N = 0: there are none
     reach: float  #: as in Episode, like the next three
     step: float
@@ -53,6 +56,7 @@ def make_loop(net: NetworkArrays, source: np.ndarray, episode: Episode) -> Loop:
         net.scale,
         net.recurrence,
         bool(np.isin(source, _TURNED).any()),
+        bool(np.isin(source, _POLAR).any()),
         np.stack([x, y, np.cos(heading), np.sin(heading)], axis=1),
         float(episode.reach),
         float(episode.step),
@@ -89,7 +93,14 @@ def observe(loop, x, y, cos, sin, goal, time, readings, seen):
         ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
         goal_cos = loop.goals[goal, 2] * cos + loop.goals[goal, 3] * sin
         goal_sin = loop.goals[goal, 3] * cos - loop.goals[goal, 2] * sin
-    known = (x, y, cos, sin, ahead, left, goal_cos, goal_sin, time)
+    distance, bearing, approach = 0.0, 0.0, 0.0
+    if loop.polar:
+        side = 1.0 if ahead >= 0.0 else -1.0
+        distance = side * math.sqrt(ahead * ahead + left * left)
+        bearing = math.atan2(side * left, side * ahead)
+        approach = math.atan2(goal_sin, goal_cos) - bearing
+        approach -= 2.0 * math.pi * math.floor(approach / (2.0 * math.pi) + 0.5)
+    known = (x, y, cos, sin, ahead, left, goal_cos, goal_sin, time, distance, bearing, approach)
     for i in range(len(loop.source)):
         source = loop.source[i]
         seen[i] = readings[source] if source >= 0 else known[-1 - source]

@@ -139,6 +139,8 @@ class ClosedLoopSession(Session):
                 self._keep(time, seen, number)
                 command = source.react(seen)
                 self._took.append(self._clock.now() - looked)
+                if command is None:
+                    break
                 self._clock.sleep_until(due)
                 self._write("command", command.left, command.right, command.duration, number)
                 missed = self.deadlines.sent(self._sent - due, command.duration)
@@ -179,13 +181,16 @@ class ClosedLoopSession(Session):
             When the robot was at the pose (or looked for the readings, if there is none), by its
             clock, and what it sees.
         """
-        time, pose = self._clock.now(), None
+        time, pose, sight = self._clock.now(), None, None
         if self._odometry is not None:
             pose = self._odometry.read()
         elif (tracked := self._pose(due)) is not None:
             time, pose = due, tracked
+            assert self._spotter is not None
+            last = self._spotter.last
+            sight = None if last is None else (last[1], due - last[0])
         readings = self._sensors.read_sensors() if self._sensors and self._names else {}
-        return time, Observation(since, pose, readings)
+        return time, Observation(since, pose, readings, sight)
 
     def _keep(self, time: float, seen: Observation, number: int | None = None) -> None:
         """Write down what was seen, and the command that follows from it, if one does."""

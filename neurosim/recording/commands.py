@@ -49,11 +49,14 @@ class Observation:
         time: since the first command was due, s.
         pose: where the robot is, [3] (m, m, rad, board frame), or None where nothing says it.
         readings: of its sensors by name, 0..1.
+        sight: where a camera last saw it, [3], and how long before the command is due that was, s;
+            None where no camera tells.
     """
 
     time: float
     pose: NDArray[np.float64] | None
     readings: Mapping[str, float]
+    sight: tuple[NDArray[np.float64], float] | None = None
 
 
 @runtime_checkable
@@ -80,8 +83,8 @@ class SeeingSource(Protocol):
         """Begin a trial: whatever was seen before is forgotten."""
         ...
 
-    def react(self, seen: Observation) -> Command:
-        """Return the command that follows; it holds for its duration."""
+    def react(self, seen: Observation) -> Command | None:
+        """Return the command that follows, which holds for its duration; None: it was the last."""
         ...
 
     def describe(self) -> dict[str, Any]:

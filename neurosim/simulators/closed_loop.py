@@ -42,6 +42,8 @@ class ClosedLoop:
         """
         if genes.ndim != 2 or genes.shape[1] != self._genes:
             raise ValueError(f"expected genes [P, {self._genes}], got {list(genes.shape)}")
+        if draws.state is not None:
+            raise ValueError("compiled controllers that see begin with a robot that stands still")
         noise, width = draws.noise, self.simulator.noise_width
         if noise is None:
             noise = np.empty((len(draws), 0, width))

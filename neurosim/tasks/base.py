@@ -61,6 +61,8 @@ class Task:
         start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
         trial_starts: a trial is made from so many starts.
         highest_fitness: no trial is worth more; None: nothing is known of that.
+        replanned: whether a plan is to be planned again after every command where nothing else is
+            said, because no blind one does the task.
     """
 
     name: ClassVar[str]
@@ -68,6 +70,7 @@ class Task:
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     trial_starts: int = 1
     highest_fitness: float | None = None
+    replanned: ClassVar[bool] = False
 
     @property
     def episode(self) -> Episode:

@@ -15,7 +15,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Rows, Score
+from neurosim.tasks.score import Interval, Rows, Score
 
 Pose = tuple[float, float, float]
 
@@ -164,17 +164,9 @@ class _OnTheLine(Score):
         self.progress[rows], self.success[rows] = 0.0, False
         self.over[rows] = away > self.task.within
 
-    def add(
-        self,
-        rows: Rows,
-        poses: NDArray[np.float64],
-        commands: NDArray[np.float64],
-        readings: NDArray | None,
-        duration: float,
-        active: bool = True,
-    ) -> None:
+    def add(self, rows: Rows, interval: Interval) -> None:
         task = self.task
-        away, along, _ = task._seen(poses)
+        away, along, _ = task._seen(interval.poses)
         over = self.over[rows] | (away > task.within)
         made = task._forward(self._along[rows], along) * self._sense[rows] / task.line.length
         self.progress[rows] += np.where(over, 0.0, made)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.score import Interval, Rows, Score
+
+if TYPE_CHECKING:
+    from neurosim.simulators.base import Simulator
 
 Pose = tuple[float, float, float]
 
@@ -40,9 +44,14 @@ class GoTo(Task):
             rad; by default its heading does not matter.
         step: Time between two commands of a controller that sees, s.
         seconds: Time that a controller that sees has, s.
+        area: Length and width of a board, m: trials start anywhere on it, and end at a last goal
+            that is anywhere on it, too. Both are moved together until the goal is where the task
+            has it, so a controller that knows only where its goal is learns to go anywhere. By
+            default all trials start at begin.
     """
 
     name: ClassVar[str] = "go-to"
+    replanned: ClassVar[bool] = True
     reasons: ClassVar[tuple[str, ...]] = (
         "touched a wall",
         "did not pass all goals",
@@ -59,6 +68,7 @@ class GoTo(Task):
     heading_tolerance: float | None = None
     step: float = 0.1
     seconds: float = 15.0
+    area: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name, width in (("goals", 3), ("walls", 4)):
@@ -72,6 +82,12 @@ class GoTo(Task):
         sizes = (self.within, self.tolerance, self.step, self.seconds)
         if not all(value > 0 for value in sizes) or self.radius < 0:
             raise UserError("within, tolerance, step and seconds must be above 0, radius not below")
+        if self.area is not None:
+            object.__setattr__(self, "area", tuple(map(float, self.area)))
+            if len(self.area) != 2 or not all(0 < side < math.inf for side in self.area):
+                raise UserError(f"area is length and width above 0, m, not {self.area}")
+            if len(self.goals) > 1 or self.walls:
+                raise UserError("starts are drawn for a single goal, without walls: leave out area")
 
     @property
     def start(self) -> Pose:  # type: ignore[override]
@@ -88,6 +104,15 @@ class GoTo(Task):
         """Steps for ``seconds``, then the motors run down."""
         steps = max(round(self.seconds / self.step), 1)
         return Episode(self.step, steps, RUN_DOWN, np.array(self.goals), self.within)
+
+    def draw_starts(
+        self, simulator: Simulator, count: int, rng: np.random.Generator
+    ) -> NDArray[np.float64] | None:
+        """Return start poses [count, 3] as ``area`` says, or None."""
+        if self.area is None:
+            return None
+        start, goal = (anywhere(self.area, count, rng) for _ in range(2))
+        return se2.compose(np.array(self.goals[-1]), se2.between(goal, start))
 
     def judge(self, trajectory: Trajectory) -> Judgement:
         """Judge trajectories by their poses; between two, the robot moves straight.
@@ -148,6 +173,8 @@ class GoTo(Task):
         away = np.linalg.norm(end[:, :2] - goals[last, :2], axis=-1)
         turned = np.abs(np.remainder(end[:, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
         legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
+        if self.area is not None:
+            legs[0] = math.hypot(*self.area)
         rows, goal = np.arange(len(end)), np.minimum(passed, last)
         fitness = passed + np.clip(1.0 - nearest[rows, goal] / np.maximum(legs[goal], 1e-6), 0, 1)
         there = (passed >= len(goals)) & ~touched
@@ -208,6 +235,14 @@ class GoTo(Task):
         least = np.minimum(nearest[rows, goal], distance)
         nearest[rows, goal] = np.where(counts, least, nearest[rows, goal])
         passed += counts & (distance <= self.within) & (passed < len(goals))
+
+
+def anywhere(
+    area: tuple[float, float], count: int, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return poses [count, 3] (m, m, rad) anywhere on a board of this length and width, m."""
+    half = np.array([*area, 2.0 * math.pi]) / 2.0
+    return rng.uniform(-half, half, (count, 3))
 
 
 class _OnTheWay(Score):

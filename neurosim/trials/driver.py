@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,13 +13,15 @@ import torch
 
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
-from neurosim.controllers import SavedController
+from neurosim.controllers import FixedPlan, Plan, SavedController, make_controller
 from neurosim.controllers.base import WHEELS, observe
 from neurosim.controllers.goals import Goals
-from neurosim.networks.control import GOAL_INPUTS, NOT_READINGS, POSE_INPUTS
+from neurosim.loop.replan import Clock, Replanner, ReplanSettings
+from neurosim.networks.control import GOAL_INPUTS, NOT_READINGS, POLAR_INPUTS, POSE_INPUTS
 from neurosim.recording import closed_loop
-from neurosim.recording.commands import Command, Observation
+from neurosim.recording.commands import Command, Observation, SeeingSource
 from neurosim.robots.base import Counters, Robot, Sensors
+from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
@@ -57,7 +60,8 @@ class Driver:
         self._plan = plan_of(saved)
         self.sensors = tuple(name for name in family.inputs if name not in NOT_READINGS)
         self.reads = bool(self.sensors) or episode.readings
-        self.needs_pose = not {*POSE_INPUTS, *GOAL_INPUTS}.isdisjoint(family.inputs)
+        where = {*POSE_INPUTS, *GOAL_INPUTS, *POLAR_INPUTS}
+        self.needs_pose = not where.isdisjoint(family.inputs)
         self.steps = len(self._plan) if family.blind else episode.steps
         self.rest, self.start = episode.rest, saved.start
         self.begin()
@@ -106,6 +110,70 @@ class Driver:
         return {"kind": self._family.kind, "controller": self._about}
 
 
+class Replanned:
+    """Drives a robot with a plan that is planned again after every command.
+
+    It is a :class:`~neurosim.recording.commands.SeeingSource`, as :class:`Driver` is.
+
+    Args:
+        saved: a plan.
+        task: that is to be done.
+        simulator: in which it is planned again.
+        settings: how.
+        clock: the robot's.
+        about: what names the controller in the recording.
+        seed: of the searches.
+
+    Attributes:
+        replanner: what plans.
+        steps, rest, start, sensors, reads, needs_pose: as a session takes them.
+
+    Raises:
+        UserError: if the controller is no plan, or the simulator does not take its commands.
+    """
+
+    sensors: tuple[str, ...] = ()
+    needs_pose = True
+
+    def __init__(
+        self,
+        saved: SavedController,
+        task: Task,
+        simulator: Simulator,
+        settings: ReplanSettings,
+        clock: Clock,
+        about: Mapping[str, Any],
+        seed: int = 0,
+    ):
+        if not isinstance(saved.controller, FixedPlan):
+            raise UserError(
+                f"a {saved.kind} cannot be planned again after every command: only a plan can"
+            )
+        family = make_controller("plan", simulator, task, slots=len(saved.commands))
+        assert isinstance(family, Plan)
+        self.replanner = Replanner(
+            simulator, task, family, saved.commands, settings, clock=clock, seed=seed
+        )
+        self.settings, self._about = settings, dict(about)
+        self.steps, self.rest, self.start = self.replanner.steps, task.episode.rest, saved.start
+        self.reads = task.episode.readings
+
+    def begin(self) -> None:
+        """Begin a trial: the plan is the first one again."""
+        self.replanner.begin()
+
+    def react(self, seen: Observation) -> Command | None:
+        """Return the first command of what is planned now; None: there is nothing more to do."""
+        pose, ahead = (seen.pose, 0.0) if seen.sight is None else seen.sight
+        assert pose is not None
+        command = self.replanner.next(pose, ahead)
+        return None if command is None else Command(*command)
+
+    def describe(self) -> dict[str, Any]:
+        """Return how it is planned again, and the origin of the plan."""
+        return {"kind": "replanned", "controller": self._about, **asdict(self.settings)}
+
+
 def missing(
     saved: SavedController,
     robot: Robot,
@@ -113,6 +181,7 @@ def missing(
     task: Task,
     *,
     calibration: str | Path | None = None,
+    source: SeeingSource | None = None,
 ) -> list[str]:
     """Return what is missing for a trial, a sentence for each thing; none: it can be made.
 
@@ -122,8 +191,9 @@ def missing(
         camera: what films it, or None.
         task: that the trial is judged by.
         calibration: the camera's.
+        source: what drives the robot with the controller; by default a :class:`Driver`.
     """
-    driver, kind = Driver(saved, task.episode, {}), robot.describe().get("kind", "robot")
+    driver, kind = source or Driver(saved, task.episode, {}), robot.describe().get("kind", "robot")
     columns = [name for name in saved.controller.outputs if name != "duration"]
     found = []
     if sorted(columns) != sorted(WHEELS):
@@ -131,7 +201,7 @@ def missing(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
             f"{' and '.join(WHEELS)}"
         )
-    goals = [name for name in saved.controller.inputs if name in GOAL_INPUTS]
+    goals = [name for name in saved.controller.inputs if name in (*GOAL_INPUTS, *POLAR_INPUTS)]
     if goals and task.episode.goals is None:
         found.append(
             f"the controller needs {', '.join(goals)}, and the task {task.name} gives no goals"

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from neurosim.base.closed_line import SHAPES
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended
-from neurosim.lab import CameraParams, LabArena, PrintedLine, VirtualKheperaRig, VirtualRig
+from neurosim.lab import (
+    CameraParams,
+    LabArena,
+    Pacer,
+    PrintedLine,
+    Push,
+    VirtualKheperaRig,
+    VirtualRig,
+)
 from neurosim.lab.khepera.rig import START
 from neurosim.robots.base import Robot
 from neurosim.robots.khepera.dialects import dialect_named
@@ -109,7 +120,14 @@ def open_rig(
 
 @contextmanager
 def virtual(
-    setup: Setup, *, lab_seed: int = 0, lamp: str | None = "A", line: str | None = None
+    setup: Setup,
+    *,
+    lab_seed: int = 0,
+    lamp: str | None = "A",
+    line: str | None = None,
+    push: float = 0.0,
+    push_after: float = 5.0,
+    real_time: bool = False,
 ) -> Iterator[Rig]:
     """Open the virtual lab's NXT under its roof camera.
 
@@ -119,20 +137,35 @@ def virtual(
         lamp: The lamp: that on motor port A, color:3 for the colour sensor's, or none.
         line: A closed line printed on the board, and light sensors in front to follow it:
             rectangle, ellipse, or a JSON file of the task follow-line.
+        push: A hand pushes the robot aside by so much while it drives, m; in which direction the
+            random seed says.
+        push_after: So long after it began to drive, s.
+        real_time: The lab's time is the wall clock's.
 
     Raises:
-        UserError: if there is no such line.
+        UserError: if it cannot be pushed so, or there is no such line.
     """
-    with VirtualRig(
-        lab_seed,
-        noise_seed=setup.seed,
-        start=setup.start or (0.0, 0.0, 0.0),
-        camera=_has_camera(setup),
-        camera_size=setup.size or (640, 480),
-        fps=setup.fps or 30.0,
-        lamp=None if lamp == "none" else lamp,
-        line=None if line is None or line == "none" else printed_line(line),
-    ) as rig:
+    hand = None
+    if push:
+        if not (0.0 < push <= 1.0 and push_after >= 0.0):
+            raise UserError(f"a push is of 0 to 1 m, at 0 s or later, not {push:g} m")
+        direction = np.random.default_rng([setup.seed, 0x9054]).uniform(-math.pi, math.pi)
+        hand = Push(push, push_after, float(direction))
+    with (
+        VirtualRig(
+            lab_seed,
+            noise_seed=setup.seed,
+            start=setup.start or (0.0, 0.0, 0.0),
+            camera=_has_camera(setup),
+            camera_size=setup.size or (640, 480),
+            fps=setup.fps or 30.0,
+            lamp=None if lamp == "none" else lamp,
+            real_time=real_time,
+            line=None if line is None or line == "none" else printed_line(line),
+            push=hand,
+        ) as rig,
+        Pacer(rig.lab) if real_time else nullcontext(),
+    ):
         yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
 
 

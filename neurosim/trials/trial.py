@@ -19,22 +19,40 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import sha256, write_json
+from neurosim.base.files import read_json, sha256, write_json
 from neurosim.base.provenance import is_virtual
+from neurosim.base.schema import Number, Shape
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import read_controller
+from neurosim.controllers.files import POSE
+from neurosim.loop.replan import Foreseen, ReplanSettings
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.robots.base import Counters, Robot, WholeSpeeds
+from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
-from neurosim.trials.driver import Driver, missing, plan_of
+from neurosim.trials.driver import Driver, Replanned, missing, plan_of
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
 from tracking.datasets.displacements import Track
 from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
 
 FORMAT, VERSION = "neurosim-trial", 1
+#: Beside a plan that was planned again after every command stands what was known at each.
+FORESEEN, FORMAT_FORESEEN = "foreseen.json", "neurosim-foreseen"
+_FORESEEN: dict[str, Shape] = {
+    "commands": [
+        {
+            "pose": POSE,
+            "after": POSE,
+            "rest": POSE,
+            "probability": Number(0.0, 1.0),
+            "generations": int,
+            "seconds": float,
+        }
+    ]
+}
 
 #: x (m), y (m), heading (rad), or None where nobody knows.
 Pose = list[float] | None
@@ -52,11 +70,14 @@ def run_trial(
     settings: dict[str, Any] | None = None,
     finish: Callable[[Path, int], None] | None = None,
     lab: dict[str, Any] | None = None,
+    replan: tuple[Simulator, ReplanSettings] | None = None,
+    seed: int = 0,
 ) -> dict[str, Any]:
     """Drive a robot with a controller, record and track it, and compare.
 
-    A plan is sent as it is; a controller that sees is asked at the steps of its task. Where the
-    robot is a camera says, or, without one, the counters of its wheels from the start pose on.
+    A plan is sent as it is, or planned again after every command; a controller that sees is asked
+    at the steps of its task. Where the robot is a camera says, or, without one, the counters of its
+    wheels from the start pose on.
 
     The trial ends where a light sensor meets the perimeter line, unless the guard says otherwise:
     the robot is then at the grid's edge or beyond, with little left to win and a fall to fear.
@@ -71,6 +92,9 @@ def run_trial(
         guard: of the perimeter line.
         settings: of :class:`~neurosim.recording.record.RecordSettings`, beside commands and guard.
         finish, lab: as :func:`neurosim.recording.record.record` takes them.
+        replan: the simulator in which a plan is planned again after every command, and how; None:
+            it is not.
+        seed: of that.
 
     Returns:
         What trial.json says.
@@ -86,11 +110,16 @@ def run_trial(
             f"{calibration} has no points on the board, so poses cannot be held against the plan; "
             "run neurosim calibrate with at least 4 marked points"
         )
-    lacks = missing(saved, robot, camera, task, calibration=calibration)
+    source: CommandSource | SeeingSource | None = None
+    if replan is not None:
+        about = _source(Path(controller))
+        source = Replanned(saved, task, *replan, clock=robot.clock, about=about, seed=seed)
+    lacks = missing(saved, robot, camera, task, calibration=calibration, source=source)
     if lacks:
         raise UserError("; ".join(lacks))
-    source: CommandSource | SeeingSource
-    if saved.controller.blind and camera is not None and not task.episode.readings:
+    if source is not None:
+        count = source.steps
+    elif saved.controller.blind and camera is not None and not task.episode.readings:
         source = FixedCommands(plan_of(saved))
         count = len(source.commands)
     else:
@@ -106,6 +135,8 @@ def run_trial(
         finish=finish,
         lab=lab,
     )
+    if isinstance(source, Replanned):
+        _write_foreseen(Path(out) / FORESEEN, source.replanner.foreseen)
     if camera is not None and not Recording(out).is_tracked and track is not None:
         track(Path(out))
     return compare(controller, out)
@@ -120,20 +151,27 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     """
     saved, recording = read_controller(controller), Recording(out)
     source, plan = _source(Path(controller)), plan_of(saved)
-    driven = _Drive.read(recording)
-    if plan:
+    driven, foreseen = _Drive.read(recording), _read_foreseen(recording.path / FORESEEN)
+    by_command = bool(plan)
+    if foreseen is not None:
+        # The plan was another one after every command: what was sent is what there is.
+        plan = [Command(line.left, line.right, line.duration) for line in driven.sent]
+        _check_driver(source, recording)
+    elif plan:
         _check_same(plan, driven.sent, recording.path)
     else:
         _check_driver(source, recording)
     task = make_task(saved.task)
     # A robot that is to stop is watched as it does; a plan's always was.
-    trajectory = driven.trajectory(bool(plan), bool(plan) or task.episode.rest > 0)
+    trajectory = driven.trajectory(by_command, by_command or task.episode.rest > 0)
     judged = task.judge(trajectory)
     ended_early = driven.cut or len(driven.sent) < (len(plan) or task.episode.steps)
     completes = bool(judged.success) and not ended_early
     predicted, actual = saved.predicted, driven.at
     # Where a command was cut short is not where it would have led.
     reached = actual[:-1] if driven.cut else actual
+    if foreseen is not None:
+        predicted = {**predicted, **foreseen}
     poses = predicted.get("poses")
     boundaries = len(plan or driven.sent) + 1
     report = {
@@ -160,6 +198,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         },
         "errors": [],
         "ended_early": ended_early,
+        "replanned": foreseen is not None,
         "deadlines": recording.meta.get("deadlines"),
         "observations": driven.summary(),
         "created": datetime.datetime.now().astimezone().isoformat(timespec="seconds"),
@@ -174,6 +213,28 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         ]
     write_json(recording.path / "trial.json", FORMAT, VERSION, report)
     return report
+
+
+def _write_foreseen(path: Path, foreseen: list[Foreseen]) -> None:
+    """Write what was known as each command of a plan that is planned again was given."""
+    commands = [one._asdict() for one in foreseen]
+    write_json(path, FORMAT_FORESEEN, VERSION, {"commands": commands})
+
+
+def _read_foreseen(path: Path) -> dict[str, Any] | None:
+    """Return what was predicted of a plan that was planned again: poses, and the rest.
+
+    The poses are where it was to begin, and where each command was expected to lead as it was
+    given. None: it was not planned again.
+    """
+    if not path.exists():
+        return None
+    content = read_json(path, FORMAT_FORESEEN, VERSION, _FORESEEN)
+    commands = content["commands"]
+    if not commands:
+        return None
+    poses = [commands[0]["pose"], *(one["after"] for one in commands)]
+    return {"poses": poses, "rest": commands[-1]["rest"]}
 
 
 @dataclass(frozen=True)

@@ -172,6 +172,27 @@ def test_a_calibration_is_looked_at_before_anything_moves(refused, copy, tmp_pat
     assert "lens.json" in said
 
 
+def test_a_plan_is_planned_again_in_a_simulator_only(refused, copy, tmp_path):
+    copy("controller")
+    copy("calibration.json")
+    words = ["run", "controller", "-o", "t", "--calibration", "calibration.json"]
+    # The simulator is not where it was, or was changed since.
+    file = tmp_path / "controller" / "controller.json"
+    plan = json.loads(file.read_text())
+    plan["simulator"]["path"] = "elsewhere"
+    file.write_text(json.dumps(plan))
+    assert "name one with --simulator" in refused(*words, "--replan")
+    plan["task"] = {"name": "go-to", "settings": {}}
+    file.write_text(json.dumps(plan))
+    assert "with --no-replan" in refused(*words)
+    assert "options of --replan" in refused(*words, "--no-replan", "--think", "0.2")
+    copy("simulator")
+    few = [*words, "--simulator", "simulator", "--replan-generations", "0"]
+    assert "at least 1 generation" in refused(*few)
+    far = [*words, "--simulator", "simulator", "--push", "3"]
+    assert "a push is of 0 to 1 m" in refused(*far)
+
+
 def test_markers_that_the_virtual_robot_does_not_carry(refused):
     assert "pink and blue" in refused("record", "r", "--markers", "green,orange")
     assert "mauve" in refused("record", "r", "--markers", "mauve,blue")

@@ -1,6 +1,7 @@
 """Controllers survive the disk, and what is wrong with a file is named."""
 
 import json
+import math
 from dataclasses import asdict
 
 import numpy as np
@@ -20,8 +21,10 @@ from neurosim.controllers import (
     SavedController,
     read_controller,
 )
+from neurosim.controllers.base import observe
 from neurosim.loop.check import check
 from neurosim.loop.evaluate import Evaluator
+from neurosim.networks.control import POLAR_INPUTS
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.nine_rectangles import NineRectangles
 
@@ -212,6 +215,24 @@ def test_a_network_without_hidden_units_by_hand():
     command, _ = family.act(genes, seen, family.start(1))
     expected = [100 * np.tanh(0.25 - 1.0 + 0.5), 50 * np.tanh(0.5)]
     assert command[0].tolist() == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("pose", "goal", "polar"),
+    [
+        # Ahead to the left, and to be left facing back.
+        ((0.0, 0.0, 0.0), (1.0, 1.0, math.pi), (2**0.5, math.pi / 4, 3 * math.pi / 4)),
+        # Behind to the left: straight behind after a turn to the right.
+        ((0.0, 0.0, 0.0), (-1.0, 1.0, 0.0), (-(2**0.5), -math.pi / 4, math.pi / 4)),
+        # Straight behind in another frame, the same heading some turns on.
+        ((2.0, 1.0, math.pi / 2), (2.0, 0.7, 4.5 * math.pi), (-0.3, 0.0, 0.0)),
+        ((2.0, 1.0, 1.0), (2.0, 1.0, 1.5), (0.0, 0.0, 0.5)),
+    ],
+)
+def test_goals_in_polar_coordinates_by_hand(pose, goal, polar):
+    rows = [torch.tensor([one], dtype=torch.float64) for one in (pose, goal)]
+    seen = observe(POLAR_INPUTS, None, (), *rows, 0.0)
+    assert seen[0].tolist() == pytest.approx(polar, abs=1e-12)
 
 
 @pytest.mark.parametrize("dynamics", ["elman", "ctrnn"])

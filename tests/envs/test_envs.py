@@ -1,5 +1,6 @@
 """Environments: what Gymnasium and learners expect, and what the loop says of the same trial."""
 
+import math
 import warnings
 
 import gymnasium
@@ -234,6 +235,19 @@ def test_what_is_observed_can_be_chosen():
     assert seen.shape == (3,)
     assert seen[1] == 0
     assert env.step(np.zeros(2, np.float32))[0][1] == pytest.approx(0.1)
+
+
+def test_a_goal_is_observed_in_polar_coordinates_too():
+    env = single("go-to", observe=["goal_x", "goal_y", "goal_distance", "goal_bearing"])
+    for seed in range(3):
+        seen, _ = env.reset(seed=seed)
+        for _ in range(3):
+            ahead, left, distance, bearing = seen.tolist()
+            side = 1.0 if ahead >= 0.0 else -1.0
+            assert distance == pytest.approx(side * math.hypot(ahead, left), abs=1e-6)
+            assert bearing == pytest.approx(math.atan2(side * left, side * ahead), abs=1e-5)
+            assert env.observation_space.contains(seen)
+            seen = env.step(np.array([40.0, -10.0], np.float32))[0]
 
 
 def test_the_same_seed_gives_the_same_and_episodes_differ():

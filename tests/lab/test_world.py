@@ -10,7 +10,7 @@ import pytest
 from neurosim.base.errors import FileError
 from neurosim.lab.nxt.body import NxtBody, Wiring
 from neurosim.lab.nxt.params import CameraParams, LabParams
-from neurosim.lab.nxt.world import Lab, Pacer, read_truth
+from neurosim.lab.nxt.world import Lab, Pacer, Push, read_truth
 
 ON, BRAKE, REGULATED = 1, 2, 4
 RUNNING = 0x20
@@ -102,6 +102,24 @@ def test_a_camera_does_not_change_the_drive():
             lab.advance_to(until)
         poses.append(lab.body.pose)
     assert poses[0] == pytest.approx(poses[1], abs=1e-4)
+
+
+def test_a_push_moves_a_robot_that_drives_aside():
+    push = Push(0.1, after=0.5, direction=math.pi / 2)
+    labs = [Lab(5, params=IDEAL, camera=None, push=one) for one in (None, push)]
+    for lab in labs:
+        lab.advance_to(2.0)  # nobody drives yet
+        assert lab.body.pose == pytest.approx([0.0, 0.0, 0.0])
+        run_motor(lab.body, 1, 40)
+        run_motor(lab.body, 2, 40)
+        lab.advance_to(4.0)
+    left, pushed = (lab.truth for lab in labs)
+    aside = pushed.poses - left.poses
+    assert aside[-1] == pytest.approx([0.0, 0.1, 0.0], abs=1e-9)
+    times = np.array([2.5, 2.65, 2.8])
+    assert np.interp(times, left.times, aside[:, 1]) == pytest.approx([0.0, 0.05, 0.1], abs=1e-3)
+    with pytest.raises(ValueError, match="a push has"):
+        Push(math.nan, 0.5, 0.0)
 
 
 def test_tacho_counts_the_wheels_degrees():

@@ -97,7 +97,7 @@ def test_the_same_outcome_is_the_same_for_all():
 def test_what_kernels_do_not_look_at_is_refused():
     sim, family = random_motion_network(), families(POSES_GOALS_TIME)["hidden"]
     rollouts = sim.rollouts(family, EPISODE)
-    with pytest.raises(ValueError, match=r"expected genes \[P, 62\], got \[4, 61\]"):
+    with pytest.raises(ValueError, match=r"expected genes \[P, 77\], got \[4, 76\]"):
         rollouts.run(genes_of(family)[:, 1:], Draws(STARTS))
     with pytest.raises(ValueError, match=r"expected noise \[8, 26, 4\], got \[8, 25, 4\]"):
         rollouts.run(genes_of(family), Draws(STARTS, noise=np.zeros((8, 25, 4))))

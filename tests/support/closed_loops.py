@@ -9,6 +9,7 @@ from neurosim.loop.stepped import SteppedRollouts
 POSES_GOALS_TIME = (
     *("x", "y", "cos_heading", "sin_heading"),
     *("goal_x", "goal_y", "goal_cos", "goal_sin", "time"),
+    *("goal_distance", "goal_bearing", "goal_approach"),
 )
 
 

@@ -107,6 +107,20 @@ def test_a_task_is_made_from_its_description():
     assert sum(shape.get("forbidden", False) for shape in shapes) == 1
 
 
+def test_starts_anywhere_on_a_board_are_seen_from_a_goal_anywhere_on_it():
+    goal = (0.3, -0.2, 2.0)
+    task = make_task(json.loads(json.dumps(GoTo(goals=(goal,), area=(2.0, 1.0)).describe())))
+    starts = task.draw_starts(None, 4000, np.random.default_rng(1))
+    assert np.array_equal(starts, task.draw_starts(None, 4000, np.random.default_rng(1)))
+    away = np.linalg.norm(starts[:, :2] - goal[:2], axis=1)
+    assert away.max() < math.hypot(2.0, 1.0)
+    # The mean distance of two points drawn in a rectangle, by the integral of Ghosh (1951).
+    assert away.mean() == pytest.approx(0.8046, abs=0.02)
+    turned = np.abs(np.remainder(starts[:, 2] - goal[2] + np.pi, 2 * np.pi) - np.pi)
+    assert turned.mean() == pytest.approx(np.pi / 2, abs=0.05)
+    assert TASK.draw_starts(None, 3, np.random.default_rng(0)) is None
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
@@ -117,6 +131,10 @@ def test_a_task_is_made_from_its_description():
         ({"begin": (0.0, 1.0)}, "a start pose"),
         ({"tolerance": 0.0}, "must be above 0"),
         ({"radius": -1.0}, "radius not below"),
+        ({"area": (1.0, 0.0)}, "area is length and width above 0"),
+        ({"area": (1.0, math.inf)}, "area is length and width above 0"),
+        ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "for a single goal"),
+        ({"area": (1.0, 1.0), "walls": ((0.0, 1.0, 2.0, 3.0),)}, "for a single goal"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

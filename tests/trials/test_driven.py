@@ -8,13 +8,15 @@ from typing import ClassVar
 import numpy as np
 import pytest
 import torch
+from ideal_simulator import SlippingWheels
 
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode
 from neurosim.controllers import FixedPlan, Function, Network, Recurrent, SavedController
 from neurosim.controllers.base import observe
 from neurosim.controllers.goals import Goals
-from neurosim.lab import VirtualKheperaRig, VirtualRig, read_truth
+from neurosim.lab import Push, VirtualKheperaRig, VirtualRig, read_truth
+from neurosim.loop.replan import ReplanSettings
 from neurosim.recording.commands import Observation
 from neurosim.recording.record import Guard
 from neurosim.tasks.base import Judgement, Task
@@ -132,6 +134,55 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
     other = saved(tmp_path / "other", family, np.add(weights, 0.1), task)
     with pytest.raises(UserError, match="driven by another controller"):
         compare(other, tmp_path / "t")
+
+
+def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed(tmp_path):
+    goal = (0.5, 0.15, 0.6)
+    task = GoTo(goals=(goal,), tolerance=0.03, heading_tolerance=0.09)
+    # Straight on: as it is, it leads elsewhere; and what pushes the robot leads it farther away.
+    family = FixedPlan(((40.0, 40.0, 2.0), None, None, None))
+    said = {
+        "poses": [[0.0, 0.0, 0.0], [0.4, 0.0, 0.0]], "rest": [0.4, 0.0, 0.0], "fitness": 0.5,
+        "completes": False,
+    }  # fmt: skip
+    folder = tmp_path / "c"
+    SavedController(family, np.empty(0), task.describe(), predicted=said).write(folder)
+    push = Push(0.1, after=1.0, direction=-math.pi / 2)
+    how = ReplanSettings(generations=20, draws=8)
+    with VirtualRig(2, noise_seed=5, camera_size=SIZE, push=push) as rig:
+        optics = rig.camera.optics
+        calibration = tmp_path / "calibration.json"
+        CameraModel(
+            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        ).write(calibration)
+        report = run_trial(
+            folder, tmp_path / "t", rig.robot, rig.camera, calibration=calibration,
+            finish=rig.write_truth, lab=rig.describe(), replan=(SlippingWheels(), how), seed=1,
+        )  # fmt: skip
+    truth = read_truth(tmp_path / "t").poses[-1]
+    assert math.hypot(*(truth - goal)[:2]) < 0.04
+    assert abs(math.remainder(truth[2] - goal[2], 2 * math.pi)) < 0.12
+    assert report["actual"]["completes"] is True
+    assert report["replanned"] is True
+    assert report["deadlines"]["steps"] == len(report["commands"])
+    assert report["deadlines"]["missed"] == 0
+    # Every command is held against what was predicted as it was given, the start before them.
+    assert len(report["predicted"]["poses"]) == len(report["errors"]) == len(report["commands"]) + 1
+    off = [error["position"] for error in report["errors"]]
+    assert max(off) > 0.05  # the push
+    assert sorted(off)[-3] < 0.04
+    assert {**compare(folder, tmp_path / "t"), "created": ""} == {**report, "created": ""}
+    file = tmp_path / "t" / "foreseen.json"
+    file.write_text(file.read_text().replace('"probability": ', '"probability": 1', 1))
+    with pytest.raises(UserError, match=r"foreseen.json.*probability"):
+        compare(folder, tmp_path / "t")
+    network = saved(tmp_path / "n", Network(("goal_x",)), np.zeros((2, 2)), task)
+    with pytest.raises(UserError, match="a network cannot be planned again"):
+        run_trial(
+            network, tmp_path / "no", rig.robot, rig.camera, calibration=calibration,
+            replan=(SlippingWheels(), how),
+        )  # fmt: skip
+    assert not (tmp_path / "no").exists()
 
 
 def test_a_network_of_eight_sensors_on_the_khepera_and_its_path_by_odometry(tmp_path):

@@ -95,6 +95,8 @@ class NxtBody:
         self._zeros = [[0.0, 0.0] for _ in range(3)]  # block and rotation, degrees
         self._types = [(0, 0)] * 4
         self._lamp = _Lamp(params.lamp_lag)
+        #: When a wheel was first told to turn, s; None: none was.
+        self.driven_at: float | None = None
         self._compile()
 
     def _compile(self) -> None:
@@ -121,6 +123,11 @@ class NxtBody:
     def place(self, x: float, y: float, theta: float) -> None:
         """Pick the robot up and put it down at a pose (m, m, rad, board frame)."""
         self.state[S.X], self.state[S.Y], self.state[S.THETA] = x, y, theta
+
+    def shove(self, x: float, y: float) -> None:
+        """Push the robot aside by so much (m, board frame), its wheels skidding."""
+        self.state[S.X] += x
+        self.state[S.Y] += y
 
     def advance(self, until: float) -> None:
         """Drive on to the time ``until`` (s); earlier times change nothing."""
@@ -183,6 +190,8 @@ class NxtBody:
         else:
             drive = physics.COAST
         moves = drive >= physics.OPEN_LOOP
+        if moves and self.driven_at is None:
+            self.driven_at = self.time
         self._inputs[U.MODE + wheel] = drive
         self._inputs[U.POWER + wheel] = output.power if moves else 0.0
         self._inputs[U.LIMIT + wheel] = np.nan

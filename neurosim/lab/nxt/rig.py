@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ from neurosim.lab.nxt.body import Wiring
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
-from neurosim.lab.nxt.world import Lab
+from neurosim.lab.nxt.world import Lab, Push
 from neurosim.robots.nxt.driver import NXT
 
 #: How well a person puts a robot down at a mark: standard deviations, m and rad.
@@ -52,6 +52,7 @@ class VirtualRig:
             seed, such as another floor's slip.
         line: a closed line that is printed on the board; the robot's light sensors are then mounted
             in front, to follow it.
+        push: what pushes the robot while it drives, or None.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -75,6 +76,7 @@ class VirtualRig:
         real_time: bool = False,
         changes: Mapping[str, float] | None = None,
         line: PrintedLine | None = None,
+        push: Push | None = None,
     ):
         self._about: dict[str, Any] = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         if changes:
@@ -82,6 +84,8 @@ class VirtualRig:
         if line is not None:
             self._about["line"] = line.describe()
             changes = {**_following(robot_seed), **(changes or {})}
+        if push is not None:
+            self._about["push"] = asdict(push)
         rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
         spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
         x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
@@ -92,6 +96,7 @@ class VirtualRig:
             start=(float(x), float(y), float(theta)),
             wiring=Wiring(),
             line=line,
+            push=push,
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
         # A lone telegram waits for company: in the lab's own time for longer than the slowest

@@ -7,6 +7,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +33,30 @@ class Truth:
         """Return the poses [..., 3] at given times, linear between what was kept."""
         columns = [np.interp(times, self.times, self.poses[:, i]) for i in range(3)]
         return np.stack(columns, axis=-1)
+
+
+@dataclass(frozen=True)
+class Push:
+    """A hand that pushes the robot aside while it drives, whatever its wheels do.
+
+    Attributes:
+        metres: how far.
+        after: so long after a wheel was first told to turn, s.
+        direction: rad, board frame.
+        seconds: for so long, at a steady speed.
+    """
+
+    metres: float
+    after: float
+    direction: float
+    seconds: float = 0.3
+
+    #: It moves so many times.
+    STEPS: ClassVar[int] = 30
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.metres) and self.after >= 0 and self.seconds > 0):
+            raise ValueError(f"a push has a length, a time and a duration, not {self}")
 
 
 class LabTime:
@@ -76,6 +101,7 @@ class Lab(LabTime):
         wiring: what is plugged into the brick.
         truth_rate: true poses kept per second of lab time; 0 for none.
         line: what is printed on the board, or None.
+        push: what pushes the robot, or None.
     """
 
     def __init__(
@@ -88,8 +114,10 @@ class Lab(LabTime):
         wiring: Wiring | None = None,
         truth_rate: float = 100.0,
         line: PrintedLine | None = None,
+        push: Push | None = None,
     ):
         self.seed = seed
+        self._push, self._pushed = push, 0
         super().__init__()
         self.params = LabParams.drawn(seed) if params is None else params
         self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, line)
@@ -121,15 +149,32 @@ class Lab(LabTime):
         while True:
             truth_due = self._ticks / self._truth_rate if self._truth_rate > 0 else math.inf
             camera_due = math.inf if self.camera is None else self.camera.due
-            due = min(truth_due, camera_due)
+            push_due = self._push_due()
+            due = min(truth_due, camera_due, push_due)
             if due > time:
                 break
             self.body.advance(due)
+            if push_due <= due:
+                self._shove()
             if truth_due <= due:
                 self._keep_truth()
             if camera_due <= due:
                 self.camera.look(self.body.pose, self.body.lamp_light())
         self.body.advance(time)
+
+    def _push_due(self) -> float:
+        """Return when the robot is next pushed (s), infinity for never."""
+        push, began = self._push, self.body.driven_at
+        if push is None or began is None or self._pushed == push.STEPS:
+            return math.inf
+        return began + push.after + push.seconds * (self._pushed + 1) / push.STEPS
+
+    def _shove(self) -> None:
+        push = self._push
+        assert push is not None
+        self._pushed += 1
+        way = push.metres / push.STEPS
+        self.body.shove(way * math.cos(push.direction), way * math.sin(push.direction))
 
     def _keep_truth(self) -> None:
         if self._kept == len(self._truth):

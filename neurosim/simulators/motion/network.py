@@ -273,6 +273,21 @@ class MotionNetwork(Simulator):
         """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
         return self.start(pose, member=member)
 
+    def remembered(self, state: Tensor) -> Tensor:
+        """Return what motions from ``state`` [B, S] on depend on beside pose and member.
+
+        With a drive model the actuators' speeds and, of the last command, what they were told
+        [B, 2 A]; without, the last command [B, C]. It is over: given again, it begins anew.
+        """
+        if self.drive is None:
+            found = state.new_zeros(len(state), len(self.command_names))
+            found[:, self._next] = state[:, self._remembered]
+            return found
+        count = len(self.columns.driven)
+        speed, told = state[:, 3 : 3 + count], state[:, 3 + count : 3 + 2 * count]
+        reached = self.drive.reached(speed, self._speeds(told), state[:, 3 + 2 * count])
+        return torch.cat([reached, told], dim=1)
+
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
         """Return a member for each trajectory, [rows], all alike probable."""
         device = generator.device

@@ -298,7 +298,7 @@ def displacements(e, x, room, out):
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def mean_poses(e, source, start, commands, given, rests):
+def mean_poses(e, source, start, begun, commands, given, rests):
     """Drive plans as the mean of the ensemble says.
 
     Args:
@@ -306,6 +306,7 @@ def mean_poses(e, source, start, commands, given, rests):
         source: [I] where each input comes from: c for column c of the command, -c - 1 for column
             c of the command before.
         start: [3] pose.
+        begun: what :func:`~neurosim.simulators.motion.kernels.tell` remembers of the robot there.
         commands: [B, T, C].
         given: [B, T] bool; a command that is not given leaves the robot as it is.
         rests: whether the last command, which stops the robot, is sent though not given.
@@ -314,10 +315,9 @@ def mean_poses(e, source, start, commands, given, rests):
         [B, T + 1, 3].
     """
     batch, count = commands.shape[:2]
-    remembered = 2 * len(e.driven) + 2
     poses = np.empty((batch, count + 1, 3))
     for b in prange(batch):
-        x, room, memory = np.empty(len(e.exponents)), scratch(e), np.zeros(remembered)
+        x, room, memory = np.empty(len(e.exponents)), scratch(e), begun.copy()
         moved = np.empty((1, 3))
         px, py, theta = start[0], start[1], start[2]
         for k in range(count):
@@ -335,13 +335,13 @@ def mean_poses(e, source, start, commands, given, rests):
 
 
 @njit(cache=True, error_model="numpy", parallel=True)
-def drawn_poses(e, a, source, starts, member, z, commands, given, rests):
+def drawn_poses(e, a, source, starts, member, z, begun, commands, given, rests):
     """Drive every plan through the same drawn outcomes.
 
     Args:
         e: :class:`Ensemble` of all members.
         a: :class:`neurosim.simulators.motion.kernels.Arrays`, for the noise.
-        source, commands, given, rests: as :func:`mean_poses` takes them.
+        source, begun, commands, given, rests: as :func:`mean_poses` takes them.
         starts: [R, 3] poses.
         member: [R] of the ensemble; below 0 in none.
         z: [R, T, DRAWS] draws for the n-th command that is sent.
@@ -350,11 +350,10 @@ def drawn_poses(e, a, source, starts, member, z, commands, given, rests):
         [B, R, T + 1, 3].
     """
     batch, count = commands.shape[:2]
-    remembered = 2 * len(e.driven) + 2
     draws = len(starts)
     poses = np.empty((batch, draws, count + 1, 3))
     for b in prange(batch):
-        x, room, memory = np.empty(len(e.exponents)), scratch(e), np.zeros(remembered)
+        x, room, memory = np.empty(len(e.exponents)), scratch(e), begun.copy()
         means, sizes = np.empty((e.members, 3)), np.empty((e.members, SIZES))
         moved = np.empty(3)
         poses[b, :, 0] = starts

@@ -5,10 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned
 from neurosim.simulators.base import draw_outcomes
+from neurosim.simulators.motion.kernels import memory_size
 from neurosim.simulators.motion.plan_kernels import drawn_poses, lay_out, mean_poses
 
 
@@ -46,8 +48,12 @@ class MotionPlans:
         plans = np.ascontiguousarray(commands, np.float64), np.ascontiguousarray(active, np.bool_)
         rests = self._rest > 0
         member, noise = draws.member, draws.noise
+        begun = self._begun(draws.state)
         if noise is None and (member is None or (member < 0).all()):
-            each = [mean_poses(self._mean, self._source, s, *plans, rests) for s in draws.starts]
+            each = [
+                mean_poses(self._mean, self._source, start, begun, *plans, rests)
+                for start in draws.starts
+            ]
             poses = each[0][:, None] if len(each) == 1 else np.stack(each, axis=1)
         else:
             count = len(draws)
@@ -56,5 +62,15 @@ class MotionPlans:
             if noise is None:
                 noise = np.zeros((count, commands.shape[1], self._simulator.noise_width))
             outcomes = draws.starts, member, noise
-            poses = drawn_poses(self._members, self._arrays, self._source, *outcomes, *plans, rests)
+            poses = drawn_poses(
+                self._members, self._arrays, self._source, *outcomes, begun, *plans, rests
+            )
         return planned(poses, commands, active, self._rest)
+
+    def _begun(self, state: NDArray[np.float64] | None) -> NDArray[np.float64]:
+        """Return what the kernels remember of a robot that goes on from a state [S], or stands."""
+        found = np.zeros(memory_size(self._mean))
+        if state is not None:
+            remembered = self._simulator.remembered(torch.from_numpy(state[None]))[0].numpy()
+            found[: len(remembered)] = remembered
+        return found

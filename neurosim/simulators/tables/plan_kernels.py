@@ -51,12 +51,13 @@ def carry_out(t, timing, pose, speeds, goals, command, z, kept):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def drive_plans(t, starts, z, commands, parts, given, rests):
-    """Drive every plan from every start, where the robot stands still at first.
+def drive_plans(t, starts, begun, z, commands, parts, given, rests):
+    """Drive every plan from every start.
 
     Args:
         t: :class:`~neurosim.simulators.tables.kernels.TableArrays`.
         starts: [R, 3] poses.
+        begun: [4] the wheels' speeds there and what they were told last, %.
         z: [R, T, 3] the noise of the n-th command that is sent, the same for all plans.
         commands: [B, T, 3] left, right (%), duration (s).
         parts: [B, T] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
@@ -71,7 +72,7 @@ def drive_plans(t, starts, z, commands, parts, given, rests):
     poses = np.empty((plans, count, length + 1, 3))
     for job in prange(plans * count):
         b, r = job // count, job % count
-        pose, speeds, goals = starts[r].copy(), np.zeros(2), np.zeros(2)
+        pose, speeds, goals = starts[r].copy(), begun[:2].copy(), begun[2:].copy()
         kept = np.empty((3, 3))
         poses[b, r, 0] = pose
         sent = 0

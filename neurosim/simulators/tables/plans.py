@@ -46,6 +46,7 @@ class TablePlans:
         poses = drive_plans(
             self._simulator.arrays,
             np.ascontiguousarray(draws.starts, np.float64),
+            np.zeros(4) if draws.state is None else np.array(draws.state[3:7], np.float64),
             noise,
             commands,
             self._simulator.substeps(commands[..., 2]),

@@ -1,0 +1,342 @@
+"""Receding horizon: a plan that is planned again after every command, in a learned simulator.
+
+Before each command the robot is looked at. Where it is, after what it was told, the rest of the
+plan is searched again: from the rest of the plan so far, over drawn outcomes, for the probability
+that the task will be done. The first command of what is found is given; then all of it is done
+again. So errors do not add up, and a robot that was pushed finds another way.
+
+Mayne, Rawlings, Rao and Scokaert, Constrained model predictive control: stability and optimality,
+Automatica 36, 2000, describe the principle; the search is the genetic algorithm of plans.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from neurosim.base.errors import UserError
+from neurosim.base.threads import one_core, one_thread
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers.plan import Command, Plan, commands_of
+from neurosim.evolution.genetic import GeneticSettings
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.optimisers import make_optimiser
+from neurosim.loop.search import Search
+from neurosim.loop.settings import EvolveSettings
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.base import Judgement, Task
+
+
+class Clock(Protocol):
+    """A robot's clock, as :class:`neurosim.robots.base.Robot` has it."""
+
+    def now(self) -> float:
+        """Return the time, s."""
+        ...
+
+    def sleep_until(self, time: float) -> None:
+        """Return at a time, s."""
+        ...
+
+
+#: A robot that need not do more, with so much probability, is done; another one that knows of
+#: nothing better to do thinks again.
+DONE = 0.5
+#: Near the rest of the plan so far, where a search begins.
+GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, mutation_scale=0.05)
+
+
+@dataclass(frozen=True)
+class ReplanSettings:
+    """How a plan is planned again.
+
+    Attributes:
+        generations: Generations of a search, if there is time for all.
+        think: Time that a search may take while the command before goes on, s.
+        draws: Outcomes that every plan of a search meets.
+        placing: how exactly the robot's pose is known: standard deviations, m and rad.
+        settle: a robot that may be done stands for so long and is looked at again, s.
+        most: so many times as many commands as the plan has slots are given at most.
+        genetic: the genetic algorithm of a search.
+    """
+
+    generations: int = 30
+    think: float = 0.3
+    draws: int = 24
+    placing: tuple[float, float] = (0.002, math.radians(0.5))
+    settle: float = 0.5
+    most: int = 3
+    genetic: GeneticSettings = GENETIC
+
+    def __post_init__(self) -> None:
+        if min(self.generations, self.draws, self.most) < 1 or self.think < 0:
+            raise UserError(
+                "a plan is planned again in at least 1 generation, over at least 1 outcome, and "
+                "in no negative time"
+            )
+
+
+class Foreseen(NamedTuple):
+    """What was known as a command was given.
+
+    Attributes:
+        pose: [3] where the robot was expected to be as the command began (m, m, rad).
+        after: [3] where the command was expected to lead.
+        rest: [3] where all of the plan was expected to lead.
+        probability: that the task will be done, by the outcomes of the search.
+        generations: of the search.
+        seconds: that it took, by the clock.
+    """
+
+    pose: tuple[float, ...]
+    after: tuple[float, ...]
+    rest: tuple[float, ...]
+    probability: float
+    generations: int
+    seconds: float
+
+
+class Replanner:
+    """Plans the rest of a task again and again; see the module.
+
+    Attributes:
+        steps: how many commands are given at most.
+        foreseen: what was known as each command so far was given.
+    """
+
+    def __init__(
+        self,
+        simulator: Simulator,
+        task: Task,
+        plan: Plan,
+        commands: Sequence[Command | None] = (),
+        settings: ReplanSettings | None = None,
+        *,
+        seed: int = 0,
+        clock: Clock | None = None,
+    ):
+        """Prepare a trial.
+
+        Args:
+            simulator: in which it is planned.
+            task: to be done.
+            plan: the family of plans; the rest of one has no more commands than these have slots.
+            commands: of the plan to begin with, at most as many.
+            settings: how.
+            seed: of the searches.
+            clock: by which a search takes time: it ends in time, and where it ends earlier the
+                rest of the time is waited for, so that in a lab whose time stands still meanwhile
+                it takes as long as on a robot. None: time does not matter.
+
+        Raises:
+            UserError: if the plan's commands are not those of the simulator.
+        """
+        self._settings = settings or ReplanSettings()
+        self._simulator, self._plan, self._seed, self._clock = simulator, plan, seed, clock
+        self._given = list(commands)[: plan.slots]
+        self._stepper = simulator.stepper()
+        self._onward = _Onward(simulator, task, plan, placing=self._settings.placing)
+        self._nothing = plan.encode([None] * plan.slots)
+        self.steps = self._settings.most * plan.slots
+        self.begin()
+
+    def begin(self) -> None:
+        """Begin a trial: the plan is the first one again, and nothing was driven."""
+        self._genes = self._of(self._given)
+        self._rng = np.random.default_rng([self._seed, 0x4EC4])
+        self._state = np.empty((0, 0))
+        self._commands: list[Command] = []
+        self._poses: list[NDArray[np.float64]] = []
+        self.foreseen: list[Foreseen] = []
+
+    def next(self, pose: NDArray[np.float64], ahead: float = 0.0) -> Command | None:
+        """Return the next command; None: the task is done as far as is known.
+
+        Args:
+            pose: [3] where the robot was seen (m, m, rad), its heading up to whole turns.
+            ahead: so long before the command is to begin, s.
+        """
+        began = 0.0 if self._clock is None else self._clock.now()
+        self._arrive(np.asarray(pose, np.float64), ahead)
+        self._onward.here(self._state[0], np.array(self._poses), np.array(self._commands))
+        self._genes, probability, rest, generations = self._search(began)
+        slots = commands_of(self._plan, self._genes)
+        place = next((i for i, command in enumerate(slots) if command is not None), None)
+        if place is not None:
+            command = slots[place]
+            assert command is not None
+            self._genes = self._of(slots[place + 1 :])
+        elif self._moves or probability < DONE:
+            command = 0.0, 0.0, self._settings.settle
+        else:
+            return None
+        after = self._stepper.step(self._state, np.array([command]), None)[0, :3]
+        here = self._state[0, :3]
+        seconds = 0.0 if self._clock is None else self._clock.now() - began
+        known = probability, generations, seconds
+        self.foreseen.append(Foreseen(_tuple(here), _tuple(after), _tuple(rest), *known))
+        if self._clock is not None:
+            self._clock.sleep_until(began + self._settings.think)
+        self._commands.append(command)
+        return command
+
+    @property
+    def _moves(self) -> bool:
+        """Whether the last command made the robot move."""
+        return bool(self._commands) and any(self._commands[-1][:2])
+
+    def _of(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
+        """Return the genes of as many commands as there are slots, the last ones null."""
+        missing = self._plan.slots - len(commands)
+        return self._plan.encode([*commands, *[None] * missing])
+
+    def _arrive(self, pose: NDArray[np.float64], ahead: float) -> None:
+        """Go on in the simulator by the last command, and believe what was seen on the way."""
+        if not self._commands:
+            self._state = self._stepper.start(pose[None])
+            self._poses.append(pose)
+            return
+        left, right, duration = self._commands[-1]
+        ahead = min(max(ahead, 0.0), duration)
+        seen = self._state[0, :3]
+        for part in (duration - ahead, ahead):
+            seen = self._state[0, :3]
+            if part > 0:
+                command = np.array([[left, right, part]])
+                self._state = self._stepper.step(self._state, command, None)
+        turned = seen[2] + math.remainder(pose[2] - seen[2], 2.0 * math.pi)
+        true = np.array([pose[0], pose[1], turned])
+        self._state[0, :3] = se2.compose(true, se2.between(seen, self._state[0, :3]))
+        self._poses.append(self._state[0, :3].copy())
+
+    def _search(self, began: float) -> tuple[NDArray[np.float64], float, NDArray[np.float64], int]:
+        """Return the best plan [G] found in time, and what is expected of it.
+
+        That is the probability of success, and the pose [3] where the plan leads. Where nothing
+        more needs to be done, the plan is that.
+        """
+        how, onward = self._settings, self._onward
+        optimiser = make_optimiser(
+            "ga",
+            self._plan,
+            EvolveSettings(genetic=how.genetic),
+            int(self._rng.integers(2**31)),
+            self._first()[None],
+        )
+        uncertain = self._simulator.uncertain
+        search = Search(
+            onward,
+            optimiser,
+            objective="probability",
+            outcomes=how.draws if uncertain else 0,
+            refresh=how.generations,
+            rng=self._rng,
+        )
+        while search.done < how.generations:
+            search.generation()
+            if self._clock is not None and self._clock.now() - began > how.think:
+                break
+        # Told from other outcomes than it was chosen by.
+        both = np.stack([search.top[0], self._nothing])
+        draws = onward.draw(4 * how.draws, self._rng) if uncertain else onward.expectation()
+        with onward.threads_for(len(draws)):
+            judged, _ = onward.judge(both, draws)
+            found, stands = judged.success.mean(axis=1).tolist()
+            best = int(stands > 0.0 and stands >= found)
+            expected = onward.run(both[[best]], onward.expectation())
+        assert expected.poses is not None
+        return both[best], (found, stands)[best], expected.poses[0, 0, -1], search.done
+
+    def _first(self) -> NDArray[np.float64]:
+        """Return a first population [P, G]: most of it near the rest of the plan, if there is one.
+
+        One of it does nothing more.
+        """
+        genetic = self._settings.genetic
+        first = self._rng.random((genetic.population, self._plan.genes))
+        first[-1] = self._nothing
+        if not any(commands_of(self._plan, self._genes)):
+            return first
+        near = 3 * genetic.population // 4
+        changed = self._rng.random((near, self._plan.genes)) < 2.0 * genetic.mutation
+        noise = genetic.mutation_scale * self._rng.standard_normal(changed.shape)
+        first[:near] = np.clip(self._genes + np.where(changed, noise, 0.0), 0.0, 1.0)
+        first[0] = self._genes
+        return first
+
+
+def _tuple(pose: NDArray[np.float64]) -> tuple[float, ...]:
+    return tuple(map(float, pose))
+
+
+class _Onward(Evaluator):
+    """Judges the rest of plans, from where the robot is, with what it has done so far."""
+
+    def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
+        """Be in a state [S], after poses [K + 1, 3] and commands [K, 3]."""
+        done = self.task if isinstance(self.task, _Rest) else _Rest(self.task)
+        done.poses, done.commands = poses, commands
+        self.task, self._state = done, state
+
+    @contextmanager
+    def threads_for(self, individuals: int) -> Iterator[None]:
+        # What has a deadline does not wait for a core that others are using.
+        with one_core(True), one_thread():
+            yield
+
+    def starts(self, count: int, rng: np.random.Generator) -> tuple[NDArray[np.float64], bool]:
+        return np.tile(self._state[:3], (count, 1)), False
+
+    def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
+        return replace(super().draw(trials, rng, repeats), state=self._state)
+
+    def expectation(self, seed: int = 0) -> Draws:
+        return replace(super().expectation(seed), state=self._state)
+
+
+class _Rest(Task):
+    """The rest of a task: trajectories are judged together with what was driven before.
+
+    Attributes:
+        poses: [K + 1, 3] of what was driven, the last where the rest begins.
+        commands: [K, 3].
+    """
+
+    name = "rest"
+
+    def __init__(self, task: Task):
+        self._task = task
+        self.poses, self.commands = np.empty((1, 3)), np.empty((0, 3))
+
+    @property
+    def episode(self) -> Episode:
+        return self._task.episode
+
+    def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
+        return self._task.region(poses)
+
+    def judge(self, trajectory: Trajectory) -> Judgement:
+        count, shape = len(self.commands), trajectory.shape
+        if count == 0:
+            return self._task.judge(trajectory)
+
+        def whole(driven: NDArray, planned: Any) -> NDArray:
+            axis = len(shape)
+            wide = np.broadcast_to(driven, (*shape, *driven.shape))
+            return np.concatenate([wide, planned], axis=axis)
+
+        return self._task.judge(
+            Trajectory(
+                whole(self.poses[:-1], trajectory.poses),
+                whole(self.commands, trajectory.commands),
+                whole(self.commands[:, 2], trajectory.durations),
+                active=whole(np.ones(count, np.bool_), trajectory.active),
+            )
+        )

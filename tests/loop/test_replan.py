@@ -1,0 +1,157 @@
+"""Plans that are planned again after every command, and rollouts of robots that are under way."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from given_plans import EPISODE, GivenPlans
+from ideal_simulator import IdealWheels, SlippingWheels
+from motion_networks import random_motion_network
+from simulators_of_tests import tables
+
+from neurosim.base import se2
+from neurosim.base.errors import UserError
+from neurosim.base.trajectory import Draws
+from neurosim.controllers import Plan
+from neurosim.loop.replan import Replanner, ReplanSettings
+from neurosim.loop.stepped import SteppedRollouts
+from neurosim.simulators.tables.reaction import Reaction
+from neurosim.tasks.go_to import GoTo
+
+TASK = GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.02, heading_tolerance=math.radians(3.0))
+FAMILY = Plan(slots=5)
+QUICK = ReplanSettings(generations=25, draws=8)
+
+
+def simulators():
+    """Return simulators by name, with compiled rollouts of plans."""
+    form = {"members": 3, "units": 0, "size": 0.2}
+    return {
+        "drive model": random_motion_network(**form),
+        "drive model, no noise": random_motion_network(noise=False, **form),
+        "displacements": random_motion_network(drives=False, **form),
+        "tables": replace(tables(), reaction=Reaction(answer=0.1, lag=(0.2, 0.3))),
+    }
+
+
+@pytest.mark.parametrize("name", simulators())
+def test_a_robot_that_is_under_way_goes_on_from_there(name):
+    sim = simulators()[name]
+    rng = np.random.default_rng(0)
+    fastest = 0.2 * sim.domain["left"][1]
+    commands = rng.uniform((-fastest, -fastest, 0.5), (fastest, fastest, 2), (5, 4, 3))
+    family = GivenPlans(commands, rng.random((5, 4)) < 0.8)
+    moving = sim.step(sim.start(torch.zeros(1, 3)), torch.tensor([[fastest, -0.7 * fastest, 0.2]]))
+    compiled, stepped = sim.rollouts(family, EPISODE), SteppedRollouts(sim, family, EPISODE)
+    starts = 0.1 + rng.uniform(0.0, 0.05, (6, 3))
+    standing = compiled.draw(starts, 3)
+    for draws in (standing, Draws(starts)):
+        under_way = replace(draws, state=moving[0].numpy())
+        found = compiled.run(family.rows, under_way).poses
+        np.testing.assert_allclose(found, stepped.run(family.rows, under_way).poses, atol=1e-6)
+        # What was driven before makes a difference, but not to where it begins.
+        assert np.abs(found[:, :, 0] - starts).max() == 0.0
+        assert np.abs(found - compiled.run(family.rows, draws).poses).max() > 1e-3
+
+
+class Driven:
+    """A robot on ideal wheels that slip by a few percent, seen exactly."""
+
+    def __init__(self, seed, start=(0.0, 0.0, 0.0)):
+        self.sim, self.generator = SlippingWheels(), torch.Generator().manual_seed(seed)
+        self.state = self.sim.start(torch.tensor([start], dtype=torch.float64))
+
+    @property
+    def pose(self):
+        return self.state[0, :3].numpy()
+
+    def drive(self, command):
+        given = torch.tensor([command], dtype=torch.float64)
+        self.state = self.sim.step(self.state, given, self.generator)
+
+
+def go(seed, push=(0.0, 0.0), commands=()):
+    """Return the judgement of a drive with a push after the first command, and the replanner."""
+    robot = Driven(seed)
+    replanner = Replanner(SlippingWheels(), TASK, FAMILY, commands, QUICK, seed=seed)
+    poses, given = [robot.pose], []
+    for _ in range(replanner.steps):
+        command = replanner.next(robot.pose)
+        if command is None:
+            break
+        robot.drive(command)
+        if not given:
+            robot.state[0, :2] += torch.tensor(push)
+        given.append(command)
+        poses.append(robot.pose)
+    away, turned = np.array(poses[-1]) - TASK.goals[0], poses[-1][2] - TASK.goals[0][2]
+    off = abs(math.remainder(turned, 2 * math.pi))
+    return math.hypot(*away[:2]), off, replanner, given
+
+
+@pytest.mark.parametrize("push", [(0.0, 0.0), (-0.06, 0.08)])
+def test_a_robot_arrives_though_it_slips_and_is_pushed(push):
+    there = [go(seed, push) for seed in range(3)]
+    assert all(away < 0.02 and off < math.radians(3.0) for away, off, *_ in there)
+    replanner, given = there[0][2:]
+    assert len(replanner.foreseen) == len(given) <= replanner.steps == 15
+    # The last is standing, to look again; nothing moves it from its goal any more.
+    assert given[-1] == (0.0, 0.0, QUICK.settle)
+    again = go(0, push)[3]
+    assert again == given
+
+
+def test_a_robot_at_its_goal_stays_there():
+    replanner = Replanner(SlippingWheels(), TASK, FAMILY, settings=QUICK)
+    assert replanner.next(np.array(TASK.goals[0])) is None
+    assert replanner.foreseen == []
+
+
+def test_what_was_seen_on_the_way_is_led_on_to_where_the_command_ends():
+    replanner = Replanner(IdealWheels(), TASK, FAMILY, settings=QUICK)
+    left, right, seconds = replanner.next(np.zeros(3))
+    twist = np.array([(left + right) / 400, 0.0, (right - left) / 26])
+    assert np.abs(twist).max() > 0.1
+    # Elsewhere than expected, 0.2 s before the end, and some turns on.
+    seen = np.array([0.4, -0.3, 1.0])
+    replanner.next(seen + np.array([0.0, 0.0, 4 * math.pi]), 0.2)
+    wanted, found = se2.compose(seen, se2.exp(0.2 * twist)), np.array(replanner.foreseen[-1].pose)
+    assert found[:2] == pytest.approx(wanted[:2])
+    assert math.remainder(found[2] - wanted[2], 2 * math.pi) == pytest.approx(0.0, abs=1e-9)
+    # Its heading goes on from the one before: it never jumps by a whole turn.
+    assert abs(found[2] - seconds * twist[2]) < math.pi
+
+
+class Clock:
+    """Every look at it takes 0.1 s."""
+
+    def __init__(self):
+        self.time = 5.0
+
+    def now(self):
+        self.time += 0.1
+        return self.time
+
+    def sleep_until(self, time):
+        self.time = max(self.time, time)
+
+
+def test_a_search_ends_in_time_or_lasts_it_out():
+    clock = Clock()
+    slow = replace(QUICK, generations=1000, think=0.55)
+    replanner = Replanner(SlippingWheels(), TASK, FAMILY, settings=slow, clock=clock)
+    replanner.next(np.zeros(3))
+    assert replanner.foreseen[0].generations == 6
+    assert clock.time < 6.1
+    before = clock.time
+    quick = replace(QUICK, generations=1, think=3.0)
+    Replanner(SlippingWheels(), TASK, FAMILY, settings=quick, clock=clock).next(np.zeros(3))
+    assert clock.time == pytest.approx(before + 0.1 + 3.0)
+
+
+def test_settings_that_cannot_be_are_refused():
+    for wrong in ({"generations": 0}, {"draws": 0}, {"most": 0}, {"think": -1.0}):
+        with pytest.raises(UserError, match="planned again in at least 1 generation"):
+            ReplanSettings(**wrong)
