@@ -744,7 +744,7 @@ def read_tensors(
     check_file(path, "a safetensors file")
     try:
         tensors = load_file(str(path))
-    except (SafetensorError, OSError) as error:
+    except (SafetensorError, OSError, ValueError, OverflowError, MemoryError) as error:
         raise FileError(
             path, f"is not a whole safetensors file ({error}); it may have been cut short"
         ) from None

@@ -19,6 +19,7 @@ from numba import njit, prange
 from numpy.typing import NDArray
 
 from neurosim.base.checkpoint import random_state, set_random_state
+from neurosim.base.errors import UserError
 from neurosim.evolution.genetic import GeneticSettings
 
 GENES = 4
@@ -58,7 +59,7 @@ class PlanPopulation:
             insertion: whether null commands come back at any place, see :func:`mutate`.
         """
         if settings.parents:
-            raise ValueError("plans are selected by tournaments: parents must be 0")
+            raise UserError("plans are selected by tournaments: parents must be 0")
         self._insertion = insertion
         self.genes = np.ascontiguousarray(genes, np.float64)
         self._settings = settings

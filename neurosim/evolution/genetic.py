@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurosim.base.errors import UserError
 from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
 
 
@@ -45,15 +46,16 @@ class GeneticSettings:
 
     def __post_init__(self) -> None:
         if self.population < 2 or self.tournament < 1:
-            raise ValueError("a population has at least 2 individuals, a tournament at least 1")
-        if not 0 <= self.parents <= self.population:
-            raise ValueError(
-                f"a population of {self.population} cannot have {self.parents} parents"
+            raise UserError(
+                "a population has at least 2 individuals, a tournament at least 1, not "
+                f"{self.population} and {self.tournament}"
             )
+        if not 0 <= self.parents <= self.population:
+            raise UserError(f"a population of {self.population} cannot have {self.parents} parents")
         if not 0 <= self.elites < self.population:
-            raise ValueError("elites must be fewer than the population")
+            raise UserError("elites must be fewer than the population")
         if not (0 <= self.crossover <= 1 and 0 <= self.mutation <= 1):
-            raise ValueError("crossover and mutation are probabilities")
+            raise UserError("crossover and mutation are probabilities")
 
 
 class GeneticAlgorithm:

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurosim.base.errors import UserError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.network import follows
@@ -134,9 +135,9 @@ class PursuitSettings:
 
     def __post_init__(self) -> None:
         if min(self.candidates, self.parents, self.children, self.refine_every) < 1:
-            raise ValueError("candidates, parents, children and refine_every are at least 1")
+            raise UserError("candidates, parents, children and refine_every are at least 1")
         if not self.limits[0] < self.limits[1]:
-            raise ValueError("the lowest exponent must be below the highest")
+            raise UserError("the lowest exponent must be below the highest")
 
 
 class Trainer(Protocol):

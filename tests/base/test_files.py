@@ -469,3 +469,11 @@ def test_lines_of_json_of_something_else_are_refused(tmp_path):
     path.write_text(path.read_text() + "[1]\n")
     with pytest.raises(FileError, match="line 2: expected a JSON object"):
         files.JsonLines(path, "lines", 1, {"about": 1})
+
+
+def test_tensors_of_more_dimensions_than_there_can_be_are_refused(tmp_path):
+    header = json.dumps({"a": {"dtype": "F64", "shape": [1] * 1000, "data_offsets": [0, 8]}})
+    data = len(header).to_bytes(8, "little") + header.encode() + b"\0" * 8
+    (tmp_path / "a.safetensors").write_bytes(data)
+    with pytest.raises(FileError, match="is not a whole safetensors file"):
+        files.read_tensors(tmp_path / "a.safetensors")

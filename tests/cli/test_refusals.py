@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import sys
+from pathlib import Path
 
 import click
 import cv2
@@ -18,6 +19,8 @@ from neurosim.cli.main import cli, main, run_plugin
 from neurosim.lab import VirtualRig
 from neurosim.robots.registry import ROBOTS
 from tracking.datasets.dataset import Dataset
+
+ROOT = Path(__file__).resolve().parents[2]
 
 posix = pytest.mark.skipif(os.name == "nt", reason="Windows has no such device files")
 
@@ -574,3 +577,24 @@ def test_a_verb_still_has_the_name_that_it_had():
     shown = CliRunner().invoke(cli, ["--help"]).stdout
     assert "build-tables" in shown
     assert "\n  tables" not in shown
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (("evolve", "{tables}", "--task", "obstacle-avoidance", "--population", -1), "individuals"),
+        (("evolve", "{tables}", "--task", "obstacle-avoidance", "--crossover", 2), "probabilities"),
+        (("evolve", "{tables}", "--task", "obstacle-avoidance", "--elites", 500), "elites"),
+        (("train", "{dataset}", "--trainer", "gradient", "--validation", 2), "lie between 0 and 1"),
+        (("train", "{dataset}", "--swing-rows", 0), "are at least 1"),
+        (("train", "{dataset}", "--part-weight", -1), "part_weight above 0"),
+    ],
+)
+def test_settings_that_cannot_be(refused, tmp_path, words, says):
+    from simulators_of_tests import tables
+
+    (tmp_path / "tables").mkdir()
+    tables().write(tmp_path / "tables")
+    places = {"tables": tmp_path / "tables", "dataset": ROOT / "data" / "reference"}
+    words = [str(word).format(**places) for word in words]
+    assert says in refused(*words, "-o", tmp_path / "out")

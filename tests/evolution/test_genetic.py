@@ -3,6 +3,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neurosim.base.errors import UserError
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings
 
 SMALL = GeneticSettings(population=21, tournament=4, mutation=0.2, mutation_scale=0.3)
@@ -117,7 +118,7 @@ def test_with_parents_the_best_alone_have_children_each_as_many():
     [{"population": 1}, {"elites": 250}, {"mutation": 1.5}, {"tournament": 0}, {"parents": 251}],
 )
 def test_impossible_settings_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"population|elites|probabilities|parents"):
+    with pytest.raises(UserError, match=r"population|elites|probabilities|parents"):
         GeneticSettings(**wrong)
 
 

@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import torch
 from torch import Tensor
 
+from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.threads import one_thread
 from neurosim.networks import Expanded, ProductSummationNetwork
@@ -97,12 +98,12 @@ class CombinedSettings(PursuitSettings):
         super().__post_init__()
         counts = ("swing_rows", "search_rows", "search_parts", "centres", "most_parts")
         if min(getattr(self, name) for name in counts) < 1:
-            raise ValueError(f"{', '.join(counts)} are at least 1")
+            raise UserError(f"{', '.join(counts)} are at least 1")
         if self.noise_rows < 1 or not self.part_weight > 0.0 or not 0.0 <= self.lean <= 1.0:
-            raise ValueError("noise_rows is at least 1, part_weight above 0, and lean 0 to 1")
+            raise UserError("noise_rows is at least 1, part_weight above 0, and lean 0 to 1")
         for name in self.without:
             if name not in MECHANISMS:
-                raise ValueError(f"without is of {', '.join(MECHANISMS)}, not {name!r}")
+                raise UserError(f"without is of {', '.join(MECHANISMS)}, not {name!r}")
 
 
 class Residuals(NamedTuple):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurosim.base.errors import UserError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData, root_mean_square
@@ -31,9 +32,9 @@ class GradientSettings:
 
     def __post_init__(self) -> None:
         if not 0.0 < self.validation < 1.0:
-            raise ValueError("the share of rows for validation must lie between 0 and 1")
+            raise UserError("the share of rows for validation must lie between 0 and 1")
         if self.batch < 1 or self.epochs < 1:
-            raise ValueError("batch and epochs are at least 1")
+            raise UserError("batch and epochs are at least 1")
 
 
 class GradientTrainer:
