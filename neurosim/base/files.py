@@ -735,7 +735,7 @@ def read_tensors(
 
     Raises:
         FileError: if the file is missing or cut short, or a tensor is missing, has another
-            shape or holds a number that is not finite.
+            shape, half precision or a number that is not finite.
     """
     from safetensors import SafetensorError
     from safetensors.numpy import load_file
@@ -757,6 +757,10 @@ def read_tensors(
         )
         if not matches:
             raise FileError(path, f"expected shape {tuple(shape)}, found {found}", field=name)
+        if tensors[name].dtype.kind == "f" and tensors[name].itemsize < 4:
+            raise FileError(
+                path, f"expected float32 or float64, found {tensors[name].dtype}", field=name
+            )
         if not np.isfinite(tensors[name]).all():
             raise FileError(path, "holds a number that is not finite", field=name)
     return tensors

@@ -15,6 +15,9 @@ from torch import Tensor
 from neurosim.base.errors import UserError
 from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
 
+#: No population is larger.
+LARGEST = 100_000_000
+
 
 @dataclass(frozen=True)
 class GeneticSettings:
@@ -49,6 +52,10 @@ class GeneticSettings:
             raise UserError(
                 "a population has at least 2 individuals, a tournament at least 1, not "
                 f"{self.population} and {self.tournament}"
+            )
+        if self.population > LARGEST:
+            raise UserError(
+                f"a population has at most {LARGEST} individuals, not {self.population}"
             )
         if not 0 <= self.parents <= self.population:
             raise UserError(f"a population of {self.population} cannot have {self.parents} parents")

@@ -21,6 +21,7 @@ from neurosim.controllers.files import FARTHEST, OUTCOME, POSE
 from neurosim.controllers.files import FIELDS as CONTROLLER
 from neurosim.simulators import read_simulator
 from neurosim.simulators.base import ABOUT
+from neurosim.simulators.base import VERSION as SIMULATOR
 from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
@@ -97,7 +98,7 @@ _VERSIONS = {
     "trial": 1,
     "recording": 1,
     "dataset": 1,
-    "simulator": 2,
+    "simulator": SIMULATOR,
     "controller": 1,
     "back-to-reality": 1,
 }

@@ -15,7 +15,8 @@ from neurosim.base.schema import Rows, Shape
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators import numbers
 
-FORMAT, VERSION = "neurosim-simulator", 2
+#: Version 2 has the members of an ensemble, 3 may have sensors in a motion network.
+FORMAT, VERSION = "neurosim-simulator", 3
 _SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str, "virtual?": bool}
 _OUTPUTS = ("dx", "dy", "dtheta")
 #: What simulator.json of any kind may say of where the simulator is from and how good it is.

@@ -171,7 +171,8 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     # Where a command was cut short is not where it would have led.
     reached = actual[:-1] if driven.cut else actual
     if foreseen is not None:
-        predicted = {**predicted, **foreseen}
+        # How probable success was said to be, was said of the plan driven blind.
+        predicted = {**predicted, **foreseen, "probability": None}
     poses = predicted.get("poses")
     boundaries = len(plan or driven.sent) + 1
     report = {

@@ -477,3 +477,9 @@ def test_tensors_of_more_dimensions_than_there_can_be_are_refused(tmp_path):
     (tmp_path / "a.safetensors").write_bytes(data)
     with pytest.raises(FileError, match="is not a whole safetensors file"):
         files.read_tensors(tmp_path / "a.safetensors")
+
+
+def test_tensors_of_half_precision_are_refused(tmp_path):
+    files.write_tensors(tmp_path / "a.safetensors", {"a": np.zeros(3, np.float16)})
+    with pytest.raises(FileError, match="'a': expected float32 or float64, found float16"):
+        files.read_tensors(tmp_path / "a.safetensors", {"a": (3,)})

@@ -115,7 +115,14 @@ def test_with_parents_the_best_alone_have_children_each_as_many():
 
 @pytest.mark.parametrize(
     "wrong",
-    [{"population": 1}, {"elites": 250}, {"mutation": 1.5}, {"tournament": 0}, {"parents": 251}],
+    [
+        {"population": 1},
+        {"population": 2**63},
+        {"elites": 250},
+        {"mutation": 1.5},
+        {"tournament": 0},
+        {"parents": 251},
+    ],
 )
 def test_impossible_settings_are_refused(wrong):
     with pytest.raises(UserError, match=r"population|elites|probabilities|parents"):

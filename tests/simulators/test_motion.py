@@ -139,7 +139,7 @@ def edit(folder, **changes):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"version": 3}, "version"),
+        ({"version": 99}, "version"),
         ({"kind": "crystal-ball"}, "crystal-ball"),
         ({"format": "neurosim-dataset"}, "neurosim-simulator"),
         ({"inputs": ["left"]}, "inputs"),

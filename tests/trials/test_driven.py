@@ -164,6 +164,7 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     assert abs(math.remainder(truth[2] - goal[2], 2 * math.pi)) < 0.12
     assert report["actual"]["completes"] is True
     assert report["replanned"] is True
+    assert report["predicted"]["probability"] is None
     assert report["deadlines"]["steps"] == len(report["commands"])
     assert report["deadlines"]["missed"] == 0
     # Every command is held against what was predicted as it was given, the start before them.

@@ -62,7 +62,7 @@ _MARKER_SEEN = {"colour?": str, "sure?": float, "doubt?": str}
 _TRACKING: dict[str, Shape] = {
     "sessions": [
         {
-            "session?": int,
+            "session": int,
             "clock?": {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float},
             "markers?": {"front?": _MARKER_SEEN, "rear?": _MARKER_SEEN},
         }
@@ -537,7 +537,7 @@ def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
     for name, place in places.items():
         measures |= {f"{name}.{axis}": place.get(axis, 0.0) for axis in ("x", "y")}
     for name, value in measures.items():
-        if not _is_length(value):
+        if not _is_length(value) or (name == "diameter" and value <= 0):
             raise FileError(
                 path, f"expected a length in metres, found {value!r:.60}", field=f"markers.{name}"
             )
