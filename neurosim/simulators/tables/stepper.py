@@ -27,6 +27,7 @@ class TableStepper(Stepper):
         super().__init__(simulator)
         self._arrays = simulator.arrays
         self._quiet = self._arrays._replace(noise=NONE)
+        self._sensors = len(simulator.reading_names)
 
     def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
         """Return the numbers [B, noise_width], those of :meth:`TableSimulator.expand_noise`."""
@@ -36,7 +37,7 @@ class TableStepper(Stepper):
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
     ) -> NDArray[np.float64]:
         """Return the states [B, 7] after commands [B, 3] (%, %, s)."""
-        after, sensors = state.copy(), len(self.simulator.reading_names)
+        after, sensors = state.copy(), self._sensors
         duration = command[:, 2]
         if (duration == duration[0]).all():
             duration = duration[:1]
@@ -50,7 +51,7 @@ class TableStepper(Stepper):
 
     def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
         """Return the readings [B, S], float32."""
-        sensors = len(self.simulator.reading_names)
+        sensors = self._sensors
         out = np.empty((len(state), sensors), np.float32)
         if noise is None:
             _sense(self._quiet, state, np.empty((len(state), sensors), np.float32), out)
