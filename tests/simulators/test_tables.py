@@ -9,7 +9,7 @@ import pytest
 import torch
 from khepera_data import BEARINGS, made_up
 
-from neurosim.base import se2
+from neurosim.base import files, se2
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
@@ -334,3 +334,15 @@ def test_a_picture_shows_walls_and_obstacles():
         {"polygon": [[0, -0.5], [0, 0.5]], "forbidden": True},
         {"circle": [0.4, 0, 0.1], "forbidden": True},
     ]
+
+
+def test_tables_of_another_precision_are_read_as_their_own(tmp_path):
+    from simulators_of_tests import tables
+
+    tables().write(tmp_path)
+    path = tmp_path / "tables.safetensors"
+    files.write_tensors(
+        path, {name: each.astype(np.float32) for name, each in files.read_tensors(path).items()}
+    )
+    read = TableSimulator.read(tmp_path)
+    assert read.motors.twist.dtype == read.sensors.mean.dtype == np.float64

@@ -503,7 +503,8 @@ class TableSimulator(Simulator):
             shapes["sensor_spread"] = shapes["sensor_mean"]
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
-        found = files.read_tensors(tables, shapes)
+        # Compiled loops would be compiled anew for numbers of another kind.
+        found = {k: v.astype(np.float64) for k, v in files.read_tensors(tables, shapes).items()}
         reaction = content.get("reaction")
         described = {"format", "version", *(name.removesuffix("?") for name in FIELDS)}
         try:

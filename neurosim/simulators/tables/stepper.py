@@ -14,14 +14,14 @@ from neurosim.simulators.tables.kernels import _FAST, phases, read
 from neurosim.simulators.tables.plan_kernels import carry_out
 
 #: Robots that a core steps before it takes others.
-_BLOCK = 32
+_BLOCK = 64
 
 
 class TableStepper(Stepper):
     """Steps robots in tables; readings are in single precision."""
 
     simulator: Any
-    worth_sharing = 8000  # these take a core a millisecond
+    worth_sharing = 500  # these take a core a fifth of a millisecond
 
     def __init__(self, simulator: Any):
         super().__init__(simulator)
