@@ -72,7 +72,7 @@ def main() -> None:
     parser.add_argument("--floors", type=int, default=len(FLOORS), help="the first so many")
     parser.add_argument("--commands", type=int, default=1000, help="on the old floor")
     parser.add_argument("--fresh", type=int, default=500, help="commands on the new floor")
-    parser.add_argument("--runs", type=int, default=4, help="of evolution, for each plan")
+    parser.add_argument("--runs", type=int, default=8, help="of evolution, for each plan")
     parser.add_argument("--drives", type=int, default=30, help="of each plan")
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", action="store_true")
