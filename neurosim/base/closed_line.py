@@ -125,15 +125,24 @@ class ClosedLine:
 @njit(cache=True, error_model="numpy")
 def distance_to(points: NDArray[np.float64], x: float, y: float) -> float:
     """Return how far a place (m) is from the closed line of points [N, 2]."""
-    least = np.inf
+    distance, _, _ = _nearest_side(points, x, y)
+    return distance
+
+
+@njit(cache=True, error_model="numpy")
+def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[float, int, float]:
+    """Return the distance of a place (m), the side that is nearest, and where along it, 0..1."""
+    least, side, where = np.inf, 0, 0.0
     for i in range(len(points)):
         j = i + 1 if i + 1 < len(points) else 0
         ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
         px, py = x - points[i, 0], y - points[i, 1]
         share = min(max((px * ax + py * ay) / (ax * ax + ay * ay), 0.0), 1.0)
         dx, dy = px - share * ax, py - share * ay
-        least = min(least, dx * dx + dy * dy)
-    return math.sqrt(least)
+        square = dx * dx + dy * dy
+        if square < least:
+            least, side, where = square, i, share
+    return math.sqrt(least), side, where
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
@@ -146,16 +155,6 @@ def _nearest(
     """Return distance [B] and way along [B] of places [B, 2]."""
     distance, along = np.empty(len(places)), np.empty(len(places))
     for b in prange(len(places)):
-        least, where = np.inf, 0.0
-        for i in range(len(points)):
-            j = i + 1 if i + 1 < len(points) else 0
-            ax = (points[j, 0] - points[i, 0]) / sides[i]
-            ay = (points[j, 1] - points[i, 1]) / sides[i]
-            px, py = places[b, 0] - points[i, 0], places[b, 1] - points[i, 1]
-            on = min(max(px * ax + py * ay, 0.0), sides[i])
-            dx, dy = px - on * ax, py - on * ay
-            square = dx * dx + dy * dy
-            if square < least:
-                least, where = square, until[i] + on
-        distance[b], along[b] = math.sqrt(least), where
+        distance[b], side, share = _nearest_side(points, places[b, 0], places[b, 1])
+        along[b] = until[side] + share * sides[side]
     return distance, along

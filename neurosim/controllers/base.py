@@ -18,6 +18,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.networks.control import (
     GOAL_INPUTS,
+    OF_GOALS,
     POLAR_INPUTS,
     POSE_INPUTS,
     TIME_INPUTS,
@@ -106,12 +107,11 @@ def check_inputs(controller: Controller, readings: Sequence[str], goals: bool, w
     Raises:
         UserError: naming what is missing.
     """
-    of_goals = (*GOAL_INPUTS, *POLAR_INPUTS)
-    known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(of_goals if goals else ())}
+    known = {*readings, *POSE_INPUTS, *TIME_INPUTS, *(OF_GOALS if goals else ())}
     missing = [name for name in controller.inputs if name not in known]
     if missing:
         there = ", ".join(readings) if readings else "no sensors"
-        why = "the task gives no goals" if set(missing) <= set(of_goals) else f"it has {there}"
+        why = "the task gives no goals" if set(missing) <= set(OF_GOALS) else f"it has {there}"
         raise UserError(
             f"the controller ({controller.kind}) needs {', '.join(missing)}, which {where} does "
             f"not offer: {why}"

@@ -21,6 +21,7 @@ from neurosim.networks.control import (
     FEED_FORWARD,
     GOAL_INPUTS,
     NOT_READINGS,
+    OF_GOALS,
     POLAR_INPUTS,
     POSE_INPUTS,
     TIME_INPUTS,
@@ -67,7 +68,7 @@ class Face:
         self.simulator, self.task, self.episode = simulator, task, task.episode
         check_readings(simulator, task)
         self.names = tuple(names or usual_inputs(simulator, task)) or (*POSE_INPUTS, *TIME_INPUTS)
-        goals = (*GOAL_INPUTS, *POLAR_INPUTS) if self.episode.goals is not None else ()
+        goals = OF_GOALS if self.episode.goals is not None else ()
         known = (*simulator.reading_names, *POSE_INPUTS, *goals, *TIME_INPUTS)
         missing = [name for name in self.names if name not in known]
         if missing:

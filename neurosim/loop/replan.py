@@ -205,7 +205,6 @@ class Replanner:
             return
         left, right, duration = self._commands[-1]
         ahead = min(max(ahead, 0.0), duration)
-        seen = self._state[0, :3]
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
             if part > 0:

@@ -31,6 +31,8 @@ TIME_INPUTS = ("time",)
 #: pi) from that line to the goal's heading. All three are zero at the goal, and bearing and
 #: approach are zero for a robot that only has to drive straight on.
 POLAR_INPUTS = ("goal_distance", "goal_bearing", "goal_approach")
+#: All that is told of the next goal.
+OF_GOALS = (*GOAL_INPUTS, *POLAR_INPUTS)
 NOT_READINGS = (*POSE_INPUTS, *GOAL_INPUTS, *TIME_INPUTS, *POLAR_INPUTS)
 
 #: Values of :attr:`NetworkArrays.recurrence`.

@@ -16,14 +16,14 @@ from neurosim.base.trajectory import Episode
 from neurosim.networks.control import (
     CTRNN,
     FEED_FORWARD,
-    GOAL_INPUTS,
+    OF_GOALS,
     POLAR_INPUTS,
     NetworkArrays,
     input_sources,
 )
 
 #: Inputs, as their sources, that take the heading's cosine and sine.
-_TURNED = input_sources(("cos_heading", "sin_heading", *GOAL_INPUTS, *POLAR_INPUTS), ())
+_TURNED = input_sources(("cos_heading", "sin_heading", *OF_GOALS), ())
 _POLAR = input_sources(POLAR_INPUTS, ())
 
 #: Sums keep their order: the same genes give the same commands in every simulator.

@@ -17,7 +17,7 @@ from neurosim.controllers import FixedPlan, Plan, SavedController, make_controll
 from neurosim.controllers.base import WHEELS, observe
 from neurosim.controllers.goals import Goals
 from neurosim.loop.replan import Clock, Replanner, ReplanSettings
-from neurosim.networks.control import GOAL_INPUTS, NOT_READINGS, POLAR_INPUTS, POSE_INPUTS
+from neurosim.networks.control import NOT_READINGS, OF_GOALS, POSE_INPUTS
 from neurosim.recording import closed_loop
 from neurosim.recording.commands import Command, Observation, SeeingSource
 from neurosim.robots.base import Counters, Robot, Sensors
@@ -60,8 +60,7 @@ class Driver:
         self._plan = plan_of(saved)
         self.sensors = tuple(name for name in family.inputs if name not in NOT_READINGS)
         self.reads = bool(self.sensors) or episode.readings
-        where = {*POSE_INPUTS, *GOAL_INPUTS, *POLAR_INPUTS}
-        self.needs_pose = not where.isdisjoint(family.inputs)
+        self.needs_pose = not {*POSE_INPUTS, *OF_GOALS}.isdisjoint(family.inputs)
         self.steps = len(self._plan) if family.blind else episode.steps
         self.rest, self.start = episode.rest, saved.start
         self.begin()
@@ -201,7 +200,7 @@ def missing(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
             f"{' and '.join(WHEELS)}"
         )
-    goals = [name for name in saved.controller.inputs if name in (*GOAL_INPUTS, *POLAR_INPUTS)]
+    goals = [name for name in saved.controller.inputs if name in OF_GOALS]
     if goals and task.episode.goals is None:
         found.append(
             f"the controller needs {', '.join(goals)}, and the task {task.name} gives no goals"

@@ -179,8 +179,8 @@ def printed_line(text: str) -> PrintedLine:
         shapes = [name for name in SHAPES if name != "points"]
         if text not in shapes:
             raise UserError(
-                f"line: {text!r} is none of {', '.join(shapes)}, and no JSON file of the task "
-                f"{FollowLine.name}"
+                f"line: there is no shape {text!r}; there are {', '.join(shapes)}, or the JSON "
+                f"file of a task {FollowLine.name}"
             )
         return PrintedLine(make_task(FollowLine.name, shape=text).line)
     name, settings = read_task(text)

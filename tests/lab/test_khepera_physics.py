@@ -284,8 +284,8 @@ def test_a_wall_inside_an_arena_is_a_board():
     outline = tuple(tuple(map(float, wall)) for wall in room.outline)
     assert LabArena.of(room).walls == outline
     with_board = LabArena.of(replace(room, inner=((0.0, -0.2, 0.0, 0.2),)))
-    assert with_board.walls[:4] == outline
-    corners = np.array(with_board.walls[4:])[:, :2]
+    assert tuple(map(tuple, with_board.wall_rows[:4].tolist())) == outline
+    corners = with_board.wall_rows[4:, :2]
     assert sorted(map(tuple, corners.round(9))) == [
         (-0.005, -0.2), (-0.005, 0.2), (0.005, -0.2), (0.005, 0.2),
     ]  # fmt: skip
@@ -303,3 +303,6 @@ def test_a_robot_beside_a_board_is_put_down_beside_it():
     assert lab.pose == pytest.approx([RADIUS + 0.005, 0.0, 0.3], abs=1e-5)
     with pytest.raises(UserError, match="would stand in a wall"):
         lab.place(RADIUS - 0.003, 0.0, 0.0)
+    # It is not moved out of a wall around the arena.
+    with pytest.raises(UserError, match="would stand in a wall"):
+        lab.place(0.5 - RADIUS + 0.001, 0.0, 0.0)

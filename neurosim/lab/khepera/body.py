@@ -69,7 +69,7 @@ class KheperaBody:
 
     def beside(self, x: float, y: float) -> tuple[float, float]:
         """Return (x, y), or where it stands free of the board that it would just stand in."""
-        depth, nx, ny = physics.deepest(x, y, self._walls, self._cylinders)
+        depth, nx, ny = physics.deepest(x, y, self.arena.board_rows, np.empty((0, 3)))
         if not 0.0 < depth <= THICKNESS / 2:
             return x, y
         return x + (depth + 1e-6) * nx, y + (depth + 1e-6) * ny
@@ -210,8 +210,8 @@ class KheperaLab(LabTime):
             placing: standard deviations of the place and of the heading (m, rad).
 
         Raises:
-            UserError: if it would stand in a wall or an obstacle there; beside a wall that has no
-                thickness in a simulator, and has in the lab, it is put down a little further off.
+            UserError: if it would stand in a wall or an obstacle there. Beside a board, which has
+                no thickness in a simulator, it is put down a little further off instead.
         """
         with self.lock:
             x, y = self.body.beside(x, y)

@@ -29,6 +29,8 @@ class LabArena:
 
     Attributes:
         walls: (x1, y1, x2, y2), m; they need not close.
+        boards: walls inside an arena, (x1, y1, x2, y2), m, as thick as :data:`THICKNESS`: a robot
+            sees them end-on, too.
         cylinders: (x, y, radius), m.
         albedo: share of infra-red light that they throw back.
 
@@ -39,9 +41,10 @@ class LabArena:
     walls: tuple[tuple[float, float, float, float], ...] = ()
     cylinders: tuple[tuple[float, float, float], ...] = ()
     albedo: float = WHITE
+    boards: tuple[tuple[float, float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for index, (x1, y1, x2, y2) in enumerate(self.walls):
+        for index, (x1, y1, x2, y2) in enumerate((*self.walls, *self.boards)):
             if math.dist((x1, y1), (x2, y2)) <= 0.0:
                 raise UserError(f"wall {index} has no length")
         for index, (_, _, radius) in enumerate(self.cylinders):
@@ -55,19 +58,22 @@ class LabArena:
 
     @classmethod
     def of(cls, arena: Arena) -> LabArena:
-        """Return a simulator's arena as it stands in the lab.
-
-        An inner wall is a board as thick as :data:`THICKNESS`: a robot sees it end-on, too.
-        """
-        walls = *arena.outline, *(side for wall in arena.inner for side in _sides(wall))
-        walls = tuple(tuple(float(v) for v in wall) for wall in walls)
-        cylinders = tuple(tuple(float(v) for v in row) for row in arena.cylinders)
-        return cls(walls, cylinders)
+        """Return a simulator's arena as it stands in the lab, its inner walls as boards."""
+        walls, boards, cylinders = (
+            tuple(tuple(float(v) for v in row) for row in rows)
+            for rows in (arena.outline, arena.inner, arena.cylinders)
+        )
+        return cls(walls, cylinders, boards=boards)
 
     @property
     def wall_rows(self) -> NDArray[np.float64]:
-        """Walls, [W, 4]."""
-        return np.array(self.walls, float).reshape(-1, 4)
+        """Walls and the sides of boards, [W, 4]."""
+        return np.concatenate([np.array(self.walls, float).reshape(-1, 4), self.board_rows])
+
+    @property
+    def board_rows(self) -> NDArray[np.float64]:
+        """The four sides of each board, [4 N, 4]."""
+        return np.concatenate([np.empty((0, 4)), *map(_sides, self.boards)])
 
     @property
     def cylinder_rows(self) -> NDArray[np.float64]:

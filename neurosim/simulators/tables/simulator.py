@@ -504,7 +504,10 @@ class TableSimulator(Simulator):
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
         # Compiled loops would be compiled anew for numbers of another kind.
-        found = {k: v.astype(np.float64) for k, v in files.read_tensors(tables, shapes).items()}
+        found = {
+            name: np.asarray(tensor, np.float64)
+            for name, tensor in files.read_tensors(tables, shapes).items()
+        }
         reaction = content.get("reaction")
         described = {"format", "version", *(name.removesuffix("?") for name in FIELDS)}
         try:
