@@ -98,6 +98,13 @@ TARGETS = (
     Target("report recording -o out.html", ("recording",), lab=True),
     Target("dataset recording -o out", ("recording",), lab=True, weight=3),
     Target("track recording", ("recording",), lab=True, weight=0.3),
+    Target("dataset sensed -o out", ("sensed",), lab=True),
+    Target("report felt -o out.html", ("felt",), lab=True),
+    Target("evaluate sensing felt", ("sensing", "felt"), lab=True),
+    Target("evolve sensing --task follow-line -o out --generations 1 --population 4 --seconds 1",
+           ("sensing",), lab=True),
+    Target("record out --line line.json --commands 1 --durations 0.5..0.6 --camera none",
+           ("line.json",), lab=True, weight=0.5),
     Target("calibrate photographs --square 40 --points photographs/points.csv -o out.json "
            "--pattern 9x6", ("photographs",), lab=True, weight=0.3),
     Target("record driven --resume", ("driven",), lab=True, weight=0.5),
@@ -401,6 +408,10 @@ def make(folder: Path, lab: bool = True) -> None:
     do("record recording --commands 3 --durations 0.5..0.6 --calibration calibration.json "
        "--camera-size 640x480 --fps 15")  # fmt: skip
     do("track recording")
+    do("record sensed --commands 50 --durations 0.5..1 --readings --guard-by position "
+       "--line rectangle --calibration calibration.json --camera-size 640x480")  # fmt: skip
+    do("dataset sensed -o felt")
+    do("train felt -o sensing --members 2")
     do("record driven --camera none --commands 1 --durations 0.5..0.6")
     _edit(folder / "driven" / "recording.json", complete=False)
     do("run plan -o trial --calibration calibration.json")
@@ -468,6 +479,11 @@ def _write_inputs(folder: Path) -> None:
     write_json(
         folder / "task.json", "neurosim-task", 1,
         {"name": "nine-rectangles", "settings": {"longest_arc": 1.5}},
+    )  # fmt: skip
+    write_json(
+        folder / "line.json", "neurosim-task", 1,
+        {"name": "follow-line", "settings": {"shape": "points", "points": [
+            [-0.7, -0.4], [0.7, -0.4], [0.5, 0.4], [-0.5, 0.3]]}},
     )  # fmt: skip
     from neurosim.controllers.gait import Gait
     from tracking.datasets.recordings import DEFAULT_MARKERS, write_markers
