@@ -53,7 +53,7 @@ def main() -> None:
     options = parser.parse_args()
     tables = ns.load(options.tables)
     paper = ns.make_task("obstacle-avoidance")
-    many = ns.make_task("obstacle-avoidance", steps=1500, contacts="end")
+    many = ns.make_task("obstacle-avoidance", steps=6000, starts=20, contacts="end")
     network = ns.make_controller("network", tables, paper)
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
     found: dict[str, np.ndarray] = {"Braitenberg vehicle": braitenberg()}

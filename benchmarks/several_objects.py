@@ -1,11 +1,11 @@
 """How readings of several objects at once combine: what the simulator of tables assumes.
 
 Tables are made of what robots of the virtual lab read before one wall and one round obstacle,
-without noise. At random places in the paper's arena, where tables say something, its walls and
-obstacles together give readings that the lab knows (light reflected by all of them, through the
-sensors' circuits); the tables give every object's alone. Compared are
+without noise. At random places in the paper's arena, and in drawn ones near boards that stand
+inside, its walls and obstacles together give readings that the lab knows (light reflected by all
+of them, through the sensors' circuits); the tables give every object's alone. Compared are
 
-  - their sum above ambient, with what the simulator does in corners: TableSimulator.sense;
+  - their sum above ambient, of each wall as much as is seen of it: TableSimulator.sense;
   - the brightest alone;
   - the nearest object alone.
 
@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import argparse
 import json
+from typing import Any
 
 import numpy as np
 import torch
@@ -24,13 +25,14 @@ from neurosim.lab import KheperaParams, LabArena, sampling_places
 from neurosim.lab.khepera import physics
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
+from neurosim.simulators.tables.places import random_arena
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.simulators.tables.simulator import RADIUS
 
 FIRST, STEP, DISTANCES, ANGLES = 0.005, 0.002, 20, 180
-#: Far from everything, m.
-FAR = 20.0
+#: What stands so far away is not there, m.
+FAR = np.array([1e3, 1e3, 0.0, 0.0, 0.0])
 #: Two objects are near when their surfaces are so near the rim, m.
 NEAR = 0.035
 
@@ -44,26 +46,47 @@ def main() -> None:
     options = parser.parse_args()
     if options.quick:
         options.robots, options.poses = options.robots[:1], 300
-    arena, off, two = paper_arena(), [], []
+    rng = np.random.default_rng(0)
+    drawn = [random_arena(rng, inner=2) for _ in range(30)]
+    places = {
+        "the paper's arena": [paper_arena()],
+        "within 35 mm of boards": [arena for arena in drawn if arena.inner],
+    }
+    rows = [row for place, arenas in places.items() for row in compare(place, arenas, options)]
+    if options.json:
+        print(json.dumps({"rows": rows}))
+        return
+    for row in rows:
+        print(
+            f"{row['place']:22} {row['readings']:10} rms {row['everywhere']:.4f}, with two objects "
+            f"within {1000 * NEAR:.0f} mm ({100 * row['share_two_near']:.0f} % of {row['poses']} "
+            f"poses) {row['two_near']:.4f}"
+        )
+
+
+def compare(place: str, arenas: list[Arena], options: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return how far each way is off at random poses in arenas; in drawn ones, near boards."""
+    off, two = [], []
     for robot in options.robots:
-        # Nearer than the first distance the tables repeat themselves.
-        poses = arena.free_poses(options.poses, RADIUS + FIRST, np.random.default_rng(robot))
-        params = KheperaParams.drawn(robot)
-        truth = readings(params, LabArena.of(arena), poses)
-        ways, near = combined(tables(params), arena, poses)
-        off.append({name: found - truth for name, found in ways.items()})
-        two.append(near)
-    two = np.concatenate(two)
+        params, rng = KheperaParams.drawn(robot), np.random.default_rng(robot)
+        sensors = tables(params)
+        for arena in arenas:
+            # Nearer than the first distance the tables repeat themselves.
+            poses = arena.free_poses(options.poses // len(arenas), RADIUS + FIRST, rng)
+            if arena.inner:
+                poses = poses[to_walls(arena, poses)[len(arena.outline) :].min(axis=0) < NEAR]
+            truth = readings(params, LabArena.of(arena), poses)
+            ways, near = combined(sensors, arena, poses)
+            off.append({name: found - truth for name, found in ways.items()})
+            two.append(near)
+    both = np.concatenate(two)
     rows = []
     for name in off[0]:
         error = np.concatenate([each[name] for each in off])
-        rows.append({"readings": name, "everywhere": rms(error), "two_near": rms(error[two])})
-    if options.json:
-        print(json.dumps({"poses": len(two), "share_two_near": float(two.mean()), "rows": rows}))
-        return
-    print(f"{len(two)} poses, at {100 * two.mean():.0f} % two objects within {1000 * NEAR:.0f} mm")
-    for row in rows:
-        print(f"  {row['readings']:10} rms {row['everywhere']:.4f}, there {row['two_near']:.4f}")
+        rows.append({"place": place, "readings": name, "poses": len(both)})
+        rows[-1] |= {"share_two_near": float(both.mean())}
+        rows[-1] |= {"everywhere": rms(error), "two_near": rms(error[both])}
+    return rows
 
 
 def readings(params: KheperaParams, arena: LabArena, poses: np.ndarray) -> np.ndarray:
@@ -100,19 +123,32 @@ def combined(
     sensors: SensorTable, arena: Arena, poses: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return readings [N, 8] at poses by each way, and where two objects are near [N]."""
-    state = torch.from_numpy(poses)
-    empty = Arena.rectangle(FAR, FAR).outline
-    alone = [Arena(empty, inner=(tuple(wall),)) for wall in arena.walls]
-    alone += [Arena(empty, obstacles=(tuple(obstacle),)) for obstacle in arena.cylinders]
-    seen = np.stack([TableSimulator(sensors, arena=one).sense(state).numpy() for one in alone])
+    state, whole = torch.from_numpy(poses), TableSimulator(sensors, arena=arena)
+    count = len(arena.walls)
+    alone = []
+    for thing in range(count + len(arena.cylinders)):
+        walls = whole.arrays.walls[thing : thing + 1]
+        obstacles = arena.cylinders[thing - count : thing - count + 1 or None]
+        only = TableSimulator(sensors, arena=arena)
+        # Of all that stands there this alone is seen, and nothing stands before it.
+        vars(only)["arrays"] = whole.arrays._replace(
+            walls=walls if thing < count else whole.arrays.walls[:1] + FAR,
+            obstacles=obstacles if thing >= count else obstacles[:0],
+            screens=walls[:0],
+        )
+        alone.append(only)
+    seen = np.stack([only.sense(state).numpy() for only in alone])
     gaps = np.concatenate([to_walls(arena, poses), to_obstacles(arena, poses)])
     nearest = gaps.argmin(axis=0)
     ways = {
-        "the sum": TableSimulator(sensors, arena=arena).sense(state).numpy(),
+        "the sum": whole.sense(state).numpy(),
         "brightest": seen.max(axis=0),
         "nearest": seen[nearest, np.arange(len(poses))],
     }
-    return ways, (gaps < NEAR).sum(axis=0) >= 2
+    first = len(arena.outline)
+    boards = gaps[first:count].reshape(-1, 4, len(poses)).min(axis=1)
+    things = np.concatenate([gaps[:first], boards, gaps[count:]])
+    return ways, (things < NEAR).sum(axis=0) >= 2
 
 
 def to_walls(arena: Arena, poses: np.ndarray) -> np.ndarray:

@@ -645,6 +645,7 @@ class LineLog:
         self.columns = tuple(columns)
         header = ",".join(self.columns) + "\n"
         if self.path.exists():
+            check_file(self.path, "a CSV file")
             text = self.path.read_bytes()
             whole = text[: text.rfind(b"\n") + 1]
             if whole and not whole.startswith(header.encode()):

@@ -39,6 +39,7 @@ class Network(Controller):
 
     def __post_init__(self) -> None:
         _freeze(self, "inputs", "hidden", "outputs", "scale")
+        _check_scale(self)
         if not self.inputs or not self.outputs or any(units < 1 for units in self.hidden):
             raise UserError("a network has inputs, outputs and at least 1 unit in a hidden layer")
 
@@ -98,6 +99,7 @@ class Recurrent(Controller):
 
     def __post_init__(self) -> None:
         _freeze(self, "inputs", "outputs", "scale")
+        _check_scale(self)
         if not self.inputs or not self.outputs or self.units < 1:
             raise UserError("a recurrent network has inputs, outputs and at least 1 hidden unit")
         if self.dynamics not in ("elman", "ctrnn"):
@@ -151,6 +153,14 @@ def _freeze(family: Network | Recurrent, *names: str) -> None:
         value = getattr(family, name)
         if not isinstance(value, int | float):
             object.__setattr__(family, name, tuple(value))
+
+
+def _check_scale(family: Network | Recurrent) -> None:
+    if isinstance(family.scale, tuple) and len(family.scale) != len(family.outputs):
+        raise UserError(
+            f"scale has {len(family.scale)} numbers for the {len(family.outputs)} outputs "
+            f"{', '.join(family.outputs)}: give one number, or one for each"
+        )
 
 
 def _scale(scale: float | tuple[float, ...], like: Tensor) -> Tensor:

@@ -132,7 +132,14 @@ def calibration(lines: Mapping[str, tuple[ArrayLike, ArrayLike]], label: str, pr
 def histogram(values: ArrayLike, axis: str, label: str, prefix: str) -> str:
     """Draw how often values occur."""
     with drawing(3.1, 2.3) as (figure, axes):
-        axes.hist(np.asarray(values), bins=30, color=INK["predicted"], ec=INK["paper"], lw=0.4)
+        numbers = np.asarray(values, float)
+        low, high = (numbers.min(), numbers.max()) if len(numbers) else (0.0, 1.0)
+        if high - low <= 1e-6 * max(abs(low), abs(high)):  # no room for bins
+            wide = max(abs(high), 0.5)
+            low, high = low - wide, high + wide
+        axes.hist(
+            numbers, bins=30, range=(low, high), color=INK["predicted"], ec=INK["paper"], lw=0.4
+        )
         axes.grid(axis="x", visible=False)
         axes.set_xlabel(axis)
         axes.set_ylabel("commands")

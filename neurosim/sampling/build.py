@@ -80,8 +80,8 @@ def build_tables(
     sampling = (used[0] if motors is None else Path(motors)).parent
     baud, (whole, sampled_radius) = sampled_baud(sampling), sampled_body(sampling)
     radius = sampled_radius if radius is None else radius
-    if radius is not None and not 0 < radius <= 10:
-        raise UserError(f"a robot's radius lies above 0 and up to 10 m, not {radius:g} m")
+    if radius is not None and not 0.001 <= radius <= 10:
+        raise UserError(f"a robot's radius lies from 1 mm to 10 m, not {radius:g} m")
     # An ideal robot's table has a row and a column for each speed: only as many as asked for.
     units = units or (None if motors is None else whole) or UNITS
     if motors is None:

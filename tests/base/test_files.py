@@ -61,6 +61,8 @@ def test_a_device_is_never_replaced(tmp_path):
         files.write_text(pipe, "x")
     with pytest.raises(UserError, match="pipe is a device; name a folder"), files.new_folder(pipe):
         pass
+    with pytest.raises(FileError, match="is a pipe or a device; expected a CSV file"):
+        files.LineLog(pipe, ["a"])
     assert pipe.is_fifo()
     assert list(tmp_path.iterdir()) == [pipe]
 

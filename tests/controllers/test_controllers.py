@@ -208,6 +208,12 @@ def test_a_plan_that_gives_no_command_stays_where_it_is(slots, simulator, tmp_pa
         plan.write(tmp_path / "plan")
 
 
+@pytest.mark.parametrize("kind", [Network, Recurrent])
+def test_a_scale_is_of_every_output(kind):
+    with pytest.raises(UserError, match="scale has 3 numbers for the 2 outputs left, right"):
+        kind(("a", "b"), scale=(100.0, 50.0, 20.0))
+
+
 def test_a_network_without_hidden_units_by_hand():
     family = Network(("a", "b"), scale=(100.0, 50.0))
     genes = torch.tensor([[1.0, -2.0, 0.5, 0.0, 1.0, 0.0]], dtype=torch.float64)

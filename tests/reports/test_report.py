@@ -18,7 +18,7 @@ from report_page import Page
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
-from neurosim.reports import write_report
+from neurosim.reports import charts, write_report
 from tracking.datasets.recordings import Recording
 
 
@@ -323,3 +323,9 @@ def test_importing_the_package_is_quick():
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("value", [1e150, -3e8, 0.0])
+def test_a_histogram_of_one_value(value):
+    svg = charts.histogram(np.full(60, value), "dx", "displacements", "a")
+    assert "displacements" in svg

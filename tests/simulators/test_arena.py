@@ -16,7 +16,7 @@ def test_round_trip(tmp_path):
     )
     arena.write(tmp_path / "arena.json")
     assert Arena.read(tmp_path / "arena.json") == arena
-    assert arena.walls.shape == (5, 4)
+    assert arena.walls.shape == (4 + 4, 4)  # an inner wall is a board of four sides
     assert arena.bounds == (-0.3, -0.175, 0.3, 0.175)
 
 
@@ -74,5 +74,22 @@ def test_inside_a_polygon_with_a_bay():
         True,
         False,
     ]
-    assert len(arena.hiding) == 5  # not convex: walls may hide others
-    assert len(paper_arena().hiding) == 0
+    assert len(arena.screens) == 5  # not convex: walls may hide others
+    assert len(paper_arena().screens) == 0
+
+
+def test_what_is_free_is_on_the_left_of_a_surface():
+    """Whichever way round an outline is given, and on all sides of a board."""
+    square = paper_arena().outline
+    turned = tuple((*wall[2:], *wall[:2]) for wall in reversed(square))
+    board = ((-0.2, -0.1, -0.1, 0.1),)
+    for outline in (square, turned):
+        arena = Arena(outline, (), board)
+        starts, ends = arena.walls[:, :2], arena.walls[:, 2:]
+        along = (ends - starts) / np.linalg.norm(ends - starts, axis=1, keepdims=True)
+        left = (starts + ends) / 2 + 0.002 * np.stack([-along[:, 1], along[:, 0]], 1)
+        assert arena.clearance(left) == pytest.approx(0.002)
+        assert arena.screens.tolist() == [list(board[0])]
+    # One centimetre thick, as long as its middle.
+    lengths = np.linalg.norm(ends - starts, axis=1)[4:]
+    assert lengths == pytest.approx([math.hypot(0.1, 0.2), 0.01] * 2)

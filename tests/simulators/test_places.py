@@ -46,7 +46,7 @@ def test_arenas_are_drawn_with_room_for_the_robot():
             assert others.clearance(np.array([x, y])) > radius + 2 * 0.0275
     again = np.random.default_rng(0)
     assert [random_arena(again) for _ in range(3)] == arenas[:3]
-    with pytest.raises(UserError, match="radius lies above 0"):
+    with pytest.raises(UserError, match="radius lies from 1 mm"):
         random_arena(rng, 0.0)
 
 

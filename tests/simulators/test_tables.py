@@ -17,6 +17,7 @@ from neurosim.simulators import Simulator, TableSimulator, read_simulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
+from neurosim.simulators.tables.simulator import RADIUS
 
 
 def tensor(*rows):
@@ -81,26 +82,101 @@ def test_several_objects_add_up_and_saturate(simulator):
     mean = simulator.sensors.mean
     expected = wall[0].numpy() + mean[1, 0, 18] - ambient
     assert sim.sense(pose)[0].numpy() == pytest.approx(np.clip(expected, 0, 1), abs=1e-6)
-    corner = sim.sense(tensor([0.97, 0.97, math.pi / 4]))[0]
+    # In a corner the sensors that look at one wall see the other, too.
+    here, there = tensor([0.97, 0.97, math.pi / 8]), tensor([0.97, 0.9, math.pi / 8])
+    corner, before = sim.sense(here)[0], sim.sense(there)[0]
+    assert (corner[:3] > before[:3]).all()
     assert corner.max() <= 1
-    assert corner[2] > wall[0, 2]
 
 
-def test_a_corner_that_points_inwards_counts_once(simulator):
-    corners = [(0, 0), (2, 0), (2, 1), (1, 1), (1, 2), (0, 2)]
-    walls = tuple((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
-    sim = simulator.changed(arena=Arena(walls))
-    assert sim.arena.inward_corners.tolist()[2:4] == [[-1, 3], [2, -1]]
-    flat = simulator.changed(arena=Arena.rectangle(2, 2))
-    # 20 mm below the corner's own height beside it, on it, and diagonally before it.
-    at, wall = 0.0475, flat.sense(tensor([1 - 0.0475, 0, 0]))[0]
-    poses = tensor(
-        [1.3, 1 - at, math.pi / 2],
-        [1 + 1e-9, 1 - at, math.pi / 2],
-        [1 - 1e-9, 1 - at, math.pi / 2],
-        [1 - at / math.sqrt(2), 1 - at / math.sqrt(2), math.pi / 4],
+def test_of_a_wall_that_ends_less_is_seen(simulator):
+    room = Arena.rectangle(2, 2)
+    board = simulator.changed(arena=replace(room, inner=((0.0, -0.2, 0.0, 0.2),)))
+    ambient, gap = simulator.sensors.ambient, 0.0275 + 0.01
+
+    def light(*pose):
+        return board.sense(tensor(pose))[0].numpy() - ambient
+
+    side, end = light(-0.005 - gap, 0, 0), light(0, 0.2 + gap, -math.pi / 2)
+    wall = simulator.changed(arena=room).sense(tensor([1 - gap, 0, 0]))[0].numpy() - ambient
+    assert side == pytest.approx(wall, abs=1e-4)
+    near_end = light(-0.005 - gap, 0.2, 0)
+    assert 0.05 < near_end.sum() < 0.7 * wall.sum()
+    assert 0.05 < end.sum() < near_end.sum()
+    # Beyond its end: the sensors on the right, where it is, see more of it.
+    beyond = light(-0.005 - gap, 0.21, 0)
+    assert beyond[3:6].sum() > 3 * beyond[:3].sum()
+    assert light(-0.005 - gap, 0.3, 0) == pytest.approx(np.zeros(8), abs=1e-6)
+
+
+def test_a_sensor_that_sees_nothing_reads_what_it_does_anywhere():
+    table = made_up(3, 0.01)
+    dead = replace(table, mean=np.where(np.arange(8) == 2, 0.1, table.mean))
+    sim = TableSimulator(dead, noise="none", arena=Arena.rectangle(0.1, 0.1))
+    readings = sim.sense(tensor([0.01, 0.01, 0.2]))[0]
+    assert readings[2] == pytest.approx(0.1)
+    assert (readings > 0.1).sum() >= 3
+    still = Network(sim.reading_names)
+    driven = sim.rollouts(still, Episode(0.1, 3, readings=True)).run(
+        np.zeros((1, still.genes)), Draws(np.array([[0.01, 0.01, 0.2]]))
     )
-    assert sim.sense(poses).numpy() == pytest.approx(np.tile(wall, (4, 1)), abs=1e-6)
+    assert driven.readings[0, 0, 0] == pytest.approx(readings.numpy(), abs=1e-6)
+
+
+def lit(looks, start, end, pieces=40_000):
+    """Return the light [S] of a surface for sensors on the rim at the origin: of its pieces."""
+    along = (end - start) / np.linalg.norm(end - start)
+    # Pieces that are seen under about the same angle, however long it is.
+    way = (start - RADIUS * looks) @ along
+    height = (start - RADIUS * looks) @ [along[1], -along[0]]
+    total = np.zeros(len(looks))
+    for s in np.flatnonzero(height > 1e-4):
+        first, last = np.arctan2([way[s], way[s] + np.linalg.norm(end - start)], height[s])
+        angle = first + (last - first) * (np.arange(pieces) + 0.5) / pieces
+        to = height[s] / np.cos(angle)
+        cos = (looks[s] @ [along[1], -along[0]]) * np.cos(angle) + (looks[s] @ along) * np.sin(
+            angle
+        )
+        light = np.maximum(cos, 0.0) ** 2 * np.cos(angle) / to**2
+        total[s] = light.sum() * (last - first) / pieces
+    return total
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_how_far_walls_seem_to_be(simulator, seed):
+    """As far as one endless wall would throw back the light of all small pieces of the walls."""
+    rng = np.random.default_rng(seed)
+    walls = np.array([(-0.06, -0.07), (0.2, -0.05), (0.25, 0.09), (-0.05, 0.2)])
+    outline = tuple((*a, *b) for a, b in zip(walls, np.roll(walls, -1, 0), strict=True))
+    board = (0.0, 0.0, 0.1, 0.0)
+    while Arena(outline, (), (board,)).clearance([0, 0]) < 0.029:
+        board = tuple(rng.uniform(-0.05, 0.1, 4).tolist())
+    arena = Arena(outline, (), (board,))
+    sim = simulator.changed(arena=arena)
+    state = tensor([0, 0, rng.uniform(-3, 3)])
+    to, _, _ = sim._objects(state)
+    reach = 0.0825 + 0.0275  # beyond it no light counts
+    seen = (~sim._hidden(state, to))[0].numpy() & (to[0].norm(dim=-1).numpy() < reach)
+    angles = sim.bearings + state[0, 2].item()
+    looks = np.stack([np.cos(angles), np.sin(angles)], 1)
+    light = np.zeros((len(arena.walls), len(looks)))
+    for w in np.flatnonzero(seen):
+        start, end = arena.walls[w].reshape(2, 2)
+        if start @ [end[1] - start[1], start[0] - end[0]] > 0:  # else it is its back
+            light[w] = lit(looks, start, end)
+    distance, bearing, kind = (each.numpy() for each in sim._seen(state))
+    assert kind.tolist() == [0]
+    for s in np.flatnonzero(light.sum(0)):
+        nearest = to[0, light[:, s].argmax()].numpy()
+        away = np.linalg.norm(nearest)
+        assert math.cos(bearing[0, 0, s] + state[0, 2]) == pytest.approx(nearest[0] / away)
+        # The endless wall at its place, and moved so far as it seems.
+        normal = nearest / away
+        further = nearest + (distance[0, 0, s] - (away - RADIUS)) * normal
+        aside = 1000 * np.array([-normal[1], normal[0]])
+        endless = lit(looks, further - aside, further + aside)
+        if math.isfinite(distance[0, 0, s]) and distance[0, 0, s] > 0:
+            assert endless[s] == pytest.approx(light[:, s].sum(), rel=2e-3)
 
 
 def test_a_wall_hides_what_is_behind_it(simulator):
@@ -266,6 +342,7 @@ def test_folder(simulator, tmp_path):
     document = json.loads((tmp_path / "simulator.json").read_text())
     for change, message in (
         ({"radius": -1}, "field 'radius'"),
+        ({"radius": 1e-300}, "field 'radius'"),
         ({"noise": {"kind": "loud", "level": 0.05}}, "noise.kind.*one of .none"),
         ({"arena": {"outline": []}}, "do not close"),
         ({"sensors": {}}, "sensors.objects"),
@@ -331,7 +408,10 @@ def test_a_picture_shows_walls_and_obstacles():
     arena = Arena(Arena.rectangle(2, 2).outline, ((0.4, 0.0, 0.1),), ((0.0, -0.5, 0.0, 0.5),))
     assert TableSimulator(made_up(), arena=arena).outline() == [
         {"polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]},
-        {"polygon": [[0, -0.5], [0, 0.5]], "forbidden": True},
+        {
+            "polygon": [[-0.005, -0.5], [-0.005, 0.5], [0.005, 0.5], [0.005, -0.5]],
+            "forbidden": True,
+        },
         {"circle": [0.4, 0, 0.1], "forbidden": True},
     ]
 

@@ -153,7 +153,7 @@ def test_lines_by_name_and_by_file(tmp_path):
     with pytest.raises(UserError, match="which has no line"):
         printed_line(str(path))
     with (
-        pytest.raises(UserError, match="none of rectangle, ellipse"),
+        pytest.raises(UserError, match="there are rectangle, ellipse, or the JSON"),
         open_rig("virtual", {"line": "circle"}, Setup()),
     ):
         pass

@@ -13,7 +13,6 @@ from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.params import (
     PULSES_PER_METRE,
     SPEED_UNIT,
-    THICKNESS,
     KheperaParams,
     LabArena,
 )
@@ -66,13 +65,6 @@ class KheperaBody:
     def depth(self, x: float, y: float) -> float:
         """Return how deep it would stand in something at (x, y), m; below 0 where it is free."""
         return float(physics.penetration(x, y, self._walls, self._cylinders))
-
-    def beside(self, x: float, y: float) -> tuple[float, float]:
-        """Return (x, y), or where it stands free of the board that it would just stand in."""
-        depth, nx, ny = physics.deepest(x, y, self.arena.board_rows, np.empty((0, 3)))
-        if not 0.0 < depth <= THICKNESS / 2:
-            return x, y
-        return x + (depth + 1e-6) * nx, y + (depth + 1e-6) * ny
 
     def place(self, x: float, y: float, theta: float) -> None:
         """Pick the robot up and put it down at a pose (m, m, rad)."""
@@ -210,11 +202,9 @@ class KheperaLab(LabTime):
             placing: standard deviations of the place and of the heading (m, rad).
 
         Raises:
-            UserError: if it would stand in a wall or an obstacle there. Beside a board, which has
-                no thickness in a simulator, it is put down a little further off instead.
+            UserError: if it would stand in a wall or an obstacle there.
         """
         with self.lock:
-            x, y = self.body.beside(x, y)
             if self.body.depth(x, y) > 0.0:
                 raise UserError(
                     f"the robot cannot be put down at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it "

@@ -17,8 +17,6 @@ RADIUS, WHEEL_BASE = 0.0275, 0.053
 PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
 #: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
 SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
-#: Of a wall inside an arena, m.
-THICKNESS = 0.01
 #: Light that the wall of a white arena throws back.
 WHITE = 0.9
 
@@ -29,8 +27,6 @@ class LabArena:
 
     Attributes:
         walls: (x1, y1, x2, y2), m; they need not close.
-        boards: walls inside an arena, (x1, y1, x2, y2), m, as thick as :data:`THICKNESS`: a robot
-            sees them end-on, too.
         cylinders: (x, y, radius), m.
         albedo: share of infra-red light that they throw back.
 
@@ -41,10 +37,9 @@ class LabArena:
     walls: tuple[tuple[float, float, float, float], ...] = ()
     cylinders: tuple[tuple[float, float, float], ...] = ()
     albedo: float = WHITE
-    boards: tuple[tuple[float, float, float, float], ...] = ()
 
     def __post_init__(self) -> None:
-        for index, (x1, y1, x2, y2) in enumerate((*self.walls, *self.boards)):
+        for index, (x1, y1, x2, y2) in enumerate(self.walls):
             if math.dist((x1, y1), (x2, y2)) <= 0.0:
                 raise UserError(f"wall {index} has no length")
         for index, (_, _, radius) in enumerate(self.cylinders):
@@ -58,36 +53,22 @@ class LabArena:
 
     @classmethod
     def of(cls, arena: Arena) -> LabArena:
-        """Return a simulator's arena as it stands in the lab, its inner walls as boards."""
-        walls, boards, cylinders = (
+        """Return a simulator's arena as it stands in the lab."""
+        walls, cylinders = (
             tuple(tuple(float(v) for v in row) for row in rows)
-            for rows in (arena.outline, arena.inner, arena.cylinders)
+            for rows in (arena.walls, arena.cylinders)
         )
-        return cls(walls, cylinders, boards=boards)
+        return cls(walls, cylinders)
 
     @property
     def wall_rows(self) -> NDArray[np.float64]:
-        """Walls and the sides of boards, [W, 4]."""
-        return np.concatenate([np.array(self.walls, float).reshape(-1, 4), self.board_rows])
-
-    @property
-    def board_rows(self) -> NDArray[np.float64]:
-        """The four sides of each board, [4 N, 4]."""
-        return np.concatenate([np.empty((0, 4)), *map(_sides, self.boards)])
+        """Walls, [W, 4]."""
+        return np.array(self.walls, float).reshape(-1, 4)
 
     @property
     def cylinder_rows(self) -> NDArray[np.float64]:
         """Cylinders, [N, 3]."""
         return np.array(self.cylinders, float).reshape(-1, 3)
-
-
-def _sides(wall: tuple[float, float, float, float]) -> NDArray[np.float64]:
-    """Return the four sides [4, 4] of a board that is a wall."""
-    one, other = np.array(wall).reshape(2, 2)
-    along = other - one
-    aside = 0.5 * THICKNESS * np.array([-along[1], along[0]]) / np.linalg.norm(along)
-    corners = np.array([one + aside, one - aside, other - aside, other + aside])
-    return np.hstack([corners, np.roll(corners, -1, axis=0)])
 
 
 def _eight(value: float) -> NDArray[np.float64]:

@@ -1,7 +1,8 @@
 """Arenas: straight walls at any angle and round obstacles, in one small JSON file.
 
 Lengths are in metres, in a frame with x to the right and y up. The outline is a closed polygon
-of walls, each beginning where the one before ends; further walls may stand inside it.
+of walls, each beginning where the one before ends; further walls may stand inside it. These are
+boards: a robot meets their two sides and, less well seen, their ends.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ MOST = 1000
 _TOUCHING = 1e-3
 #: Metres and radians beyond this are a mistake.
 _LARGEST = 1000.0
+#: Thickness of a wall that stands inside, m.
+THICKNESS = 0.01
 
 Wall = tuple[float, float, float, float]
 Obstacle = tuple[float, float, float]
@@ -37,7 +40,7 @@ class Arena:
     Attributes:
         outline: (x1, y1, x2, y2) of the walls around it, m, in order.
         obstacles: (x, y, radius), m.
-        inner: walls that stand inside.
+        inner: walls that stand inside, the middles of boards as thick as :data:`THICKNESS`.
         start: a pose (m, m, rad) that pictures and trials may start from, or None.
     """
 
@@ -106,13 +109,22 @@ class Arena:
     def shapes(self) -> list[dict[str, Any]]:
         """Return what a picture of it shows, as of a task's outline."""
         floor = {"polygon": [list(wall[:2]) for wall in self.outline]}
-        inner = [{"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.inner]
+        inner = [
+            {"polygon": _sides(wall)[:, :2].tolist(), "forbidden": True} for wall in self.inner
+        ]
         return [floor, *inner, *({"circle": list(o), "forbidden": True} for o in self.obstacles)]
 
     @property
     def walls(self) -> NDArray[np.float64]:
-        """All walls, [W, 4]: x1, y1, x2, y2, the outline first."""
-        return np.array([*self.outline, *self.inner], float).reshape(-1, 4)
+        """All surfaces, [W, 4]: x1, y1, x2, y2, with the free side on the left.
+
+        The outline first, then the four sides of each board.
+        """
+        outline = np.array(self.outline, float).reshape(-1, 4)
+        x, y = self._corners.T
+        if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() < 0:
+            outline = outline[:, [2, 3, 0, 1]]
+        return np.concatenate([outline, *map(_sides, self.inner)])
 
     @property
     def cylinders(self) -> NDArray[np.float64]:
@@ -126,36 +138,16 @@ class Arena:
         return float(low[0]), float(low[1]), float(high[0]), float(high[1])
 
     @property
-    def hiding(self) -> NDArray[np.int64]:
-        """Walls that may stand between a robot inside and something else, as places in walls.
+    def screens(self) -> NDArray[np.float64]:
+        """Walls that may stand between a robot inside and something else, [H, 4].
 
-        None where there is only a convex outline; otherwise all.
+        The outline where it is not convex, and the middles of the boards.
         """
         edges = np.roll(self._corners, -1, axis=0) - self._corners
         after = np.roll(edges, -1, axis=0)
         turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
         convex = (turns >= -1e-12).all() or (turns <= 1e-12).all()
-        if convex and not self.inner:
-            return np.empty(0, np.int64)
-        return np.arange(len(self.outline) + len(self.inner))
-
-    @property
-    def inward_corners(self) -> NDArray[np.int64]:
-        """Of each wall, the walls [W, 2] that it meets in a corner that points into the arena.
-
-        At its beginning and at its end; -1 where there is none.
-        """
-        edges = np.roll(self._corners, -1, axis=0) - self._corners
-        before = np.roll(edges, 1, axis=0)
-        turns = before[:, 0] * edges[:, 1] - before[:, 1] * edges[:, 0]
-        x, y = self._corners.T
-        area = (x * np.roll(y, -1) - y * np.roll(x, -1)).sum()
-        count = len(self.outline)
-        found = np.full((count + len(self.inner), 2), -1)
-        for wall in np.flatnonzero(turns * area < 0):
-            previous = (wall - 1) % count
-            found[wall, 0], found[previous, 1] = previous, wall
-        return found
+        return np.array([*(() if convex else self.outline), *self.inner], float).reshape(-1, 4)
 
     def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
         """Return whether points [..., 2] lie within the outline."""
@@ -249,6 +241,15 @@ def paper_arena() -> Arena:
     how they stand: here in a row, 12 cm apart.
     """
     return Arena.rectangle(0.60, 0.35, [(x, 0.0, 0.0275) for x in (-0.12, 0.0, 0.12)])
+
+
+def _sides(wall: Wall) -> NDArray[np.float64]:
+    """Return the four sides [4, 4] of a board, which have what is free on their left."""
+    one, other = np.array(wall).reshape(2, 2)
+    along = other - one
+    aside = 0.5 * THICKNESS * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    corners = np.array([one + aside, other + aside, other - aside, one - aside])
+    return np.hstack([corners, np.roll(corners, -1, axis=0)])
 
 
 def _wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:

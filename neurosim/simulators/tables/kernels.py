@@ -28,6 +28,10 @@ LANES = 8
 PASSES = 8
 #: What is left of an overlap then, m; with more it is jammed and stays where it was.
 SLACK = 1e-4
+#: What is nearer to the rim is seen as if it were so near, m.
+NEAREST = 1e-4
+#: The share of an endless wall's light that counts as none.
+FAINT = 1e-6
 
 
 class TableArrays(NamedTuple):
@@ -44,6 +48,7 @@ class TableArrays(NamedTuple):
     first: float  #: smallest sampled distance, rim to surface, m
     pitch: float  #: between sampled distances, m
     fade: float  #: beyond the last distance readings fade over this length, m
+    reach: np.ndarray  #: [2] so far from the rim objects of a kind reflect anything, m
     twist: np.ndarray  #: [L, R, 3] body twists, m/s, m/s, rad/s
     twist_spread: np.ndarray  #: [L, R, 3] per square root of a second
     lowest: float  #: the first level of both motors, %
@@ -52,9 +57,9 @@ class TableArrays(NamedTuple):
     delay: float  #: until the wheels begin to answer a command, s
     lag: np.ndarray  #: [2] in which a wheel comes within 1/e of its new speed, s
     radius: float  #: of the robot, m
-    walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length
-    hiding: np.ndarray  #: places of walls that may stand before something
-    corners: np.ndarray  #: [W, 2] as :attr:`neurosim.simulators.tables.arena.Arena.inward_corners`
+    looks: np.ndarray  #: [2, L] unit vectors along which the sensors look, ahead and to the left
+    walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length; free on their left
+    screens: np.ndarray  #: [H, 5] the same of what may stand before something
     obstacles: np.ndarray  #: [N, 3] x, y, radius
     noise: int  #: place in :data:`neurosim.simulators.tables.simulator.NOISES`
     sensor_noise: float  #: half width of uniform noise
@@ -70,27 +75,49 @@ def _nearest(wall, x, y):
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _share(t, w, x, y):
-    """Return how much of a wall counts for a robot at (x, y): less beyond an inward corner."""
-    wall = t.walls[w]
-    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
-    if 0.0 <= along <= wall[4]:
-        return 1.0
-    other = t.corners[w, 0 if along < 0.0 else 1]
-    if other < 0:
-        return 1.0
-    wall = t.walls[other]
-    along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
-    return 0.0 if 0.0 <= along <= wall[4] else 0.5
+def _light(begin, end, height, ahead, aside):
+    """Return what light a straight surface throws back to a sensor, 1/m2.
+
+    The surface lies from ``begin`` to ``end`` (m) along a line at the height ``height`` (m) above
+    the sensor, which looks ahead (to the line) and aside (along it) so far: a unit vector. By
+    Lambert's law the light of a small angle falls with the cosine of the incidence a and with the
+    square of the way, height / cos a; sensor and emitter have lobes of which the product falls
+    with cos^2. Of what is behind the sensor it sees nothing: a ends where sin a is -ahead. What is
+    integrated over a, with s = sin a and c = cos a, is c^3 (ahead c + aside s)^2.
+    """
+    square = height * height
+    c, k = height / math.sqrt(begin * begin + square), height / math.sqrt(end * end + square)
+    s, z = begin / height * c, end / height * k
+    # Selected, not branched to, so that sensors are worked off side by side.
+    cut_begin, cut_end = aside >= 0.0 and s < -ahead, aside <= 0.0 and z > ahead
+    s, c = -ahead if cut_begin else s, aside if cut_begin else c
+    z, k = ahead if cut_end else z, -aside if cut_end else k
+    s2, z2, c2, k2 = s * s, z * z, c * c, k * k
+    s3, z3 = s * s2, z * z2
+    fifth, third = (z3 * z2 - s3 * s2) / 5.0, (z3 - s3) / 3.0
+    straight = (z - s) - 2.0 * third + fifth
+    mixed = (c * c2 * c2 - k * k2 * k2) / 5.0
+    light = ahead * ahead * straight + 2.0 * ahead * aside * mixed + aside * aside * (third - fifth)
+    return max(light, 0.0) / square if s < z else 0.0
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
-def _hidden(walls, hiding, x, y, dx, dy, itself):
-    """Return whether a wall stands between (x, y) and the point (dx, dy) from it."""
-    for h in hiding:
-        if h == itself:
-            continue
-        w = walls[h]
+def _endless(height, ahead):
+    """Return the same of an endless line, to which a sensor looks so far ahead."""
+    side = max(1.0 - ahead * ahead, 0.0)
+    a3 = ahead * ahead * ahead
+    a5 = a3 * ahead * ahead
+    straight = 8.0 / 15.0 + ahead - 2.0 * a3 / 3.0 + a5 / 5.0
+    across = 2.0 / 15.0 + a3 / 3.0 - a5 / 5.0
+    light = ahead * ahead * straight + 0.4 * ahead * side * side * side + side * across
+    return max(light, 0.0) / (height * height)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True)
+def _hidden(screens, x, y, dx, dy):
+    """Return whether something stands between (x, y) and the point (dx, dy) from it."""
+    for h in range(len(screens)):
+        w = screens[h]
         here = (x - w[0]) * w[3] - (y - w[1]) * w[2]
         change = dx * w[3] - dy * w[2]
         there = here + change
@@ -103,6 +130,16 @@ def _hidden(walls, hiding, x, y, dx, dy, itself):
     return False
 
 
+@njit(cache=True, error_model="numpy", inline="always")
+def _column(angles, angle):
+    """Return the place of the table's column at an angle (rad) to the robot's left, and a share."""
+    # Samples are in the order in which the robot turned to the left: objects pass to the right.
+    turn = -angle / (2.0 * math.pi)
+    column = (turn - math.floor(turn)) * angles
+    c = min(int(column), angles - 1)
+    return c, column - c
+
+
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
 def _mix(near, far, c, a, b, p, q, out):
     """Add four rows of a table, weighted; near and far are [A + 1, L]."""
@@ -113,18 +150,16 @@ def _mix(near, far, c, a, b, p, q, out):
 
 
 @njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
-def _add(t, kind, distance, bearing, weight, out, variance):
+def _add(t, kind, distance, bearing, out, variance):
     """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
-    distances, angles = t.excess.shape[1], t.excess.shape[2] - 1
+    distances, weight = t.excess.shape[1], 1.0
     row = max((distance - t.first) / t.pitch, 0.0)
     if row > distances - 1:
-        weight *= 1.0 - (row - (distances - 1)) * t.pitch / t.fade
+        weight -= (row - (distances - 1)) * t.pitch / t.fade
         row = float(distances - 1)
-    # Samples are in the order in which the robot turned to the left: objects pass to the right.
-    turn = -bearing / (2.0 * math.pi)
-    column = (turn - math.floor(turn)) * angles
-    r, c = min(int(row), distances - 2), min(int(column), angles - 1)
-    u, v = row - r, column - c
+    r = min(int(row), distances - 2)
+    u = row - r
+    c, v = _column(t.excess.shape[2] - 1, bearing)
     a = np.float32(weight * (1.0 - u) * (1.0 - v))
     b = np.float32(weight * (1.0 - u) * v)
     p = np.float32(weight * u * (1.0 - v))
@@ -136,28 +171,112 @@ def _add(t, kind, distance, bearing, weight, out, variance):
 
 
 @njit(cache=True, error_model="numpy", inline="always")
+def _visible(wall, screens, x, y, reach):
+    """Return whether a wall's front is in reach (m) of (x, y), and the vector to its nearest."""
+    dx, dy = _nearest(wall, x, y)
+    front = (wall[0] - x) * wall[3] - (wall[1] - y) * wall[2] > 0.0
+    seen = front and dx * dx + dy * dy < reach * reach and not _hidden(screens, x, y, dx, dy)
+    return seen, dx, dy
+
+
+@njit(cache=True, fastmath=_FAST, error_model="numpy")
+def _add_light(wall, looks, radius, x, y, cos, sin, number, total, most, brightest):
+    """Add the light [S] of a wall to the total, and note where it is the most so far."""
+    off_x, off_y = wall[0] - x, wall[1] - y
+    high, first = off_x * wall[3] - off_y * wall[2], off_x * wall[2] + off_y * wall[3]
+    along_x, along_y = cos * wall[2] + sin * wall[3], cos * wall[3] - sin * wall[2]
+    for s in range(len(total)):
+        ahead = looks[0, s] * along_y - looks[1, s] * along_x
+        aside = looks[0, s] * along_x + looks[1, s] * along_y
+        height, begin = high - radius * ahead, first - radius * aside
+        light = _light(begin, begin + wall[4], max(height, NEAREST), ahead, aside)
+        light = light if height >= -NEAREST else 0.0
+        total[s] += light
+        brightest[s] = number if light > most[s] else brightest[s]
+        most[s] = max(light, most[s])
+
+
+@njit(cache=True, error_model="numpy")
+def _add_walls(t, x, y, theta, reach, out, variance):
+    """Add what walls reflect together, of which some end.
+
+    Their light adds up. Every sensor reads what it would before an endless wall alone, straight
+    before that point from which most light comes, as far away as gives so much light.
+    """
+    distances = t.excess.shape[1]
+    sums = np.zeros((3, t.looks.shape[1]))
+    total, most, brightest = sums[0], sums[1], sums[2]
+    cos, sin = math.cos(theta), math.sin(theta)
+    for w in range(len(t.walls)):
+        seen, _, _ = _visible(t.walls[w], t.screens, x, y, reach)
+        if seen:
+            _add_light(
+                t.walls[w], t.looks, t.radius, x, y, cos, sin, float(w), total, most, brightest
+            )
+    last, dx, dy, away, ahead_x, ahead_y, c, v = -1, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0.0
+    for s in range(len(total)):
+        if most[s] == 0.0:
+            continue
+        if int(brightest[s]) != last:
+            last = int(brightest[s])
+            dx, dy = _nearest(t.walls[last], x, y)
+            away = math.sqrt(dx * dx + dy * dy)
+            ahead_x, ahead_y = (cos * dx + sin * dy) / away, (cos * dy - sin * dx) / away
+            c, v = _column(t.excess.shape[2] - 1, math.atan2(dy, dx) - theta)
+        ahead = t.looks[0, s] * ahead_x + t.looks[1, s] * ahead_y
+        height = max(away - t.radius * ahead, NEAREST)
+        endless = _endless(height, ahead)
+        if total[s] <= FAINT * endless:
+            continue
+        distance = away - t.radius + height * (math.sqrt(endless / total[s]) - 1.0)
+        row = max((distance - t.first) / t.pitch, 0.0)
+        weight = 1.0 - max(row - (distances - 1), 0.0) * t.pitch / t.fade
+        if weight <= 0.0:
+            continue
+        row = min(row, distances - 1.0)
+        r = min(int(row), distances - 2)
+        u = row - r
+        a, b, p, q = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
+        table = t.excess[0]
+        found = a * table[r, c, s] + b * table[r, c + 1, s]
+        out[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
+        if t.noise == SAMPLES_NOISE:
+            table = t.variance[0]
+            found = a * table[r, c, s] + b * table[r, c + 1, s]
+            variance[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
+
+
+@njit(cache=True, error_model="numpy", inline="always")
 def _sense(t, x, y, theta, out, variance):
     """Write the mean readings [L], not yet clipped, and their variance."""
-    reach = t.first + (t.excess.shape[1] - 1) * t.pitch + t.fade + t.radius
+    reach = t.reach[0] + t.radius
     for s in range(len(out)):
         out[s] = t.ambient[s]
         variance[s] = t.ambient_variance[s]
+    found, alone = 0, True
+    to_x, to_y = 0.0, 0.0
     for w in range(len(t.walls)):
-        dx, dy = _nearest(t.walls[w], x, y)
-        square = dx * dx + dy * dy
-        if square >= reach * reach or _hidden(t.walls, t.hiding, x, y, dx, dy, w):
-            continue
-        share = _share(t, w, x, y)
-        if share > 0.0:
-            distance = math.sqrt(square) - t.radius
-            _add(t, 0, distance, math.atan2(dy, dx) - theta, share, out, variance)
+        seen, dx, dy = _visible(t.walls[w], t.screens, x, y, reach)
+        if seen:
+            wall = t.walls[w]
+            along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
+            alone = found == 0 and reach < along < wall[4] - reach
+            found += 1
+            to_x, to_y = dx, dy
+            if not alone:
+                break
+    if found and alone:
+        distance = math.sqrt(to_x * to_x + to_y * to_y) - t.radius
+        _add(t, 0, distance, math.atan2(to_y, to_x) - theta, out, variance)
+    elif found:
+        _add_walls(t, x, y, theta, reach, out, variance)
     for o in range(len(t.obstacles)):
         dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
-        square, limit = dx * dx + dy * dy, reach + t.obstacles[o, 2]
-        if square >= limit * limit or _hidden(t.walls, t.hiding, x, y, dx, dy, -1):
+        square, limit = dx * dx + dy * dy, t.reach[1] + t.radius + t.obstacles[o, 2]
+        if square >= limit * limit or _hidden(t.screens, x, y, dx, dy):
             continue
         distance = math.sqrt(square) - t.radius - t.obstacles[o, 2]
-        _add(t, 1, distance, math.atan2(dy, dx) - theta, 1.0, out, variance)
+        _add(t, 1, distance, math.atan2(dy, dx) - theta, out, variance)
 
 
 @njit(cache=True, error_model="numpy", inline="always")

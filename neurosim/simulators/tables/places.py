@@ -46,8 +46,8 @@ def random_arena(
     Raises:
         UserError: if the radius is none.
     """
-    if not 0 < radius <= 10:
-        raise UserError(f"a robot's radius lies above 0 and up to 10 m, not {radius:g} m")
+    if not 0.001 <= radius <= 10:
+        raise UserError(f"a robot's radius lies from 1 mm to 10 m, not {radius:g} m")
     scale = radius / _RADIUS
     room = 2.0 * radius + scale * _SPARE
     outline = _outline(rng, scale)

@@ -37,7 +37,14 @@ from neurosim.base.trajectory import Draws, Episode
 from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, Stepper
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
-from neurosim.simulators.tables.kernels import LANES, PASSES, SLACK, TableArrays
+from neurosim.simulators.tables.kernels import (
+    FAINT,
+    LANES,
+    NEAREST,
+    PASSES,
+    SLACK,
+    TableArrays,
+)
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.plans import TablePlans
@@ -59,13 +66,15 @@ FIELDS: dict[str, Shape] = {
         "repeated?": bool,
     },
     "motors": {"resolution": _LARGE, "repeated?": bool},
-    "radius": Number(above=0.0, high=10.0),
+    "radius": Number(low=0.001, high=10.0),
     "noise": {"kind": OneOf(*NOISES), "level": _LARGE},
     "arena": dict,
     "reaction?": Reaction.FIELDS,
 }
 #: Radius of a Khepera, m.
 RADIUS = 0.0275
+#: Readings above ambient that count as none: half a percent of the range.
+FAINTEST = 0.005
 #: Duration of a step of which uniform noise is a share of the range, s.
 STEP = 0.1
 
@@ -247,13 +256,12 @@ class TableSimulator(Simulator):
         ``z`` [B, noise_width].
         """
         t = self._tensors
-        to, distance, kind = self._objects(state)
-        bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:3]
+        distance, bearing, kind = self._seen(state)
+        sensor = torch.arange(len(self.reading_names), device=distance.device)
         weights, rows, columns = self._place(distance, bearing)
-        weights = weights * self._share(state) * ~self._hidden(state, to)
         looked_up = {
             name: sum(  # type: ignore[union-attr]
-                weights[i, j].unsqueeze(-1) * t[name][kind, rows[i], columns[j]]
+                weights[i, j] * t[name][kind.unsqueeze(-1), rows[i], columns[j], sensor]
                 for i in range(2)
                 for j in range(2)
             ).sum(1)
@@ -305,9 +313,6 @@ class TableSimulator(Simulator):
         ambient, variance = sensors.ambient, sensors.ambient_spread**2
         spread = np.zeros_like(sensors.mean) if sensors.spread is None else sensors.spread
         twist_spread = np.zeros_like(motors.twist) if motors.spread is None else motors.spread
-        walls = self.arena.walls
-        along = walls[:, 2:] - walls[:, :2]
-        length = np.linalg.norm(along, axis=1, keepdims=True)
         largest = np.abs(motors.twist).max(axis=(0, 1)) * STEP
         last = sensors.first_distance + (distances - 1) * sensors.distance_step
         return TableArrays(
@@ -318,6 +323,7 @@ class TableSimulator(Simulator):
             first=float(sensors.first_distance),
             pitch=float(sensors.distance_step),
             fade=last / 2.0,
+            reach=np.array([self._reach(kind) for kind in range(len(OBJECTS))]),
             twist=np.ascontiguousarray(motors.twist),
             twist_spread=np.ascontiguousarray(twist_spread),
             lowest=float(motors.levels[0]),
@@ -326,24 +332,33 @@ class TableSimulator(Simulator):
             delay=float(self.reaction.delay),
             lag=np.array(self.reaction.lag, float),
             radius=float(self.radius),
-            walls=np.concatenate([walls[:, :2], along / length, length], axis=1),
-            hiding=self.arena.hiding,
-            corners=self.arena.inward_corners,
+            looks=_filled(np.nan_to_num([np.cos(self.bearings), np.sin(self.bearings)])),
+            walls=_directed(self.arena.walls),
+            screens=_directed(self.arena.screens),
             obstacles=self.arena.cylinders,
             noise=NOISES.index(self.noise),
             sensor_noise=float(self.noise_level),
             twist_noise=self.noise_level * largest / math.sqrt(STEP),
         )
 
+    def _reach(self, kind: int) -> float:
+        """Return how far from the rim (m) objects of a kind reflect anything worth a reading."""
+        table = self.sensors
+        seen = (np.abs(table.mean[kind] - table.ambient) >= FAINTEST).any(axis=(1, 2))
+        rows = len(seen) - int(np.argmax(seen[::-1])) if seen.any() else 0
+        if rows < len(seen):
+            return float(table.first_distance + rows * table.distance_step)
+        return 1.5 * float(table.first_distance + (rows - 1) * table.distance_step)
+
     @cached_property
     def _tensors(self) -> dict[str, Tensor]:
         arrays = self.arrays._asdict()
-        for name in ("excess", "variance", "ambient", "ambient_variance"):
+        for name in ("excess", "variance", "ambient", "ambient_variance", "looks"):
             arrays[name] = arrays[name][..., : len(self.reading_names)]
         return {
             name: torch.from_numpy(value).to(self.device, torch.float64)
             for name, value in arrays.items()
-            if isinstance(value, np.ndarray) and name not in ("hiding", "corners")
+            if isinstance(value, np.ndarray)
         }
 
     def _numbers(self, like: Tensor, generator: torch.Generator | None) -> Tensor:
@@ -369,7 +384,7 @@ class TableSimulator(Simulator):
         return to, to.norm(dim=-1) - self.radius - size, kind
 
     def _place(self, distance: Tensor, bearing: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Return bilinear weights [2, 2, B, K], rows [2, B, K] and columns [2, B, K]."""
+        """Return bilinear weights [2, 2, ...], rows [2, ...] and columns [2, ...]."""
         a = self.arrays
         distances, angles = a.excess.shape[1], a.excess.shape[2] - 1
         row = (distance - a.first) / a.pitch
@@ -385,24 +400,67 @@ class TableSimulator(Simulator):
         )
         return weights * fade, torch.stack([r, r + 1]), torch.stack([c, c + 1])
 
-    def _share(self, state: Tensor) -> Tensor:
-        """Return how much of each object counts, [B, K]: less of a wall beyond an inward corner."""
-        walls, obstacles = self._tensors["walls"], self._tensors["obstacles"]
-        along = ((state[:, None, :2] - walls[:, :2]) * walls[:, 2:4]).sum(-1)
-        within = (along >= 0) & (along <= walls[:, 4])
-        corners = torch.from_numpy(self.arrays.corners).to(along.device)
-        other = torch.where(along < 0, corners[:, 0], corners[:, 1])
-        beside = torch.take_along_dim(within, other.clamp(min=0), dim=1)
-        share = torch.where(beside, 0.0, 0.5).to(along)
-        share = torch.where(within | (other < 0), 1.0, share)
-        return torch.cat([share, torch.ones_like(share[:, :1]).expand(-1, len(obstacles))], dim=1)
+    def _seen(self, state: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Return how far and at which bearing each sensor sees what, [B, 1 + N, S], and kinds.
+
+        All walls are the first, obstacles the others; what it does not see is infinitely far. See
+        the kernels ``_sense`` and ``_add_walls``.
+        """
+        t, a = self._tensors, self.arrays
+        sensors, walls = t["looks"].T, t["walls"].unsqueeze(1)
+        to, distance, kind = self._objects(state)
+        bearing = torch.atan2(to[..., 1], to[..., 0]) - state[:, 2:3]
+        distance = torch.where(self._hidden(state, to), torch.inf, distance)
+        distance = torch.where(distance < t["reach"][kind], distance, torch.inf)
+        others = (
+            each[:, len(walls) :, None].expand(-1, -1, len(sensors)) for each in (distance, bearing)
+        )
+        to, bearing, distance = (each[:, : len(walls)] for each in (to, bearing, distance))
+        # Which walls are seen, and whether it is one that does not end within reach.
+        middle = state[:, None, :2] - t["walls"][:, :2]
+        along = (middle * t["walls"][:, 2:4]).sum(-1)
+        before = middle[..., 1] * t["walls"][:, 2] - middle[..., 0] * t["walls"][:, 3]
+        reach = float(a.reach[0])
+        visible = torch.isfinite(distance) & (before > 0.0)
+        ends = (along <= reach + self.radius) | (along >= t["walls"][:, 4] - reach - self.radius)
+        alone = (visible.sum(1) == 1) & ~(visible & ends).any(1)
+        # Of each, the light that it throws back to each sensor, [B, W, S].
+        cos, sin = state[:, 2].cos(), state[:, 2].sin()
+        turn = torch.stack([torch.stack([cos, sin], -1), torch.stack([-sin, cos], -1)], -1)
+        looks = (turn @ sensors.T).mT.unsqueeze(1)
+        off = walls[..., :2] - (state[:, None, None, :2] + self.radius * looks)
+        height = off[..., 0] * walls[..., 3] - off[..., 1] * walls[..., 2]
+        begin = (off * walls[..., 2:4]).sum(-1)
+        ahead = looks[..., 0] * walls[..., 3] - looks[..., 1] * walls[..., 2]
+        aside = (looks * walls[..., 2:4]).sum(-1)
+        light = _light(begin, begin + walls[..., 4], height.clamp(min=NEAREST), ahead, aside)
+        light = torch.where((height < -NEAREST) | ~visible.unsqueeze(-1), 0.0, light)
+        # An endless wall straight before that point from which most of it comes.
+        to = to.unsqueeze(2)
+        away = to.norm(dim=-1)
+        ahead = (looks * to).sum(-1) / away
+        aside = (looks[..., 1] * to[..., 0] - looks[..., 0] * to[..., 1]) / away
+        height = (away - self.radius * ahead).clamp(min=NEAREST)
+        endless = _light(-1e3 * height, 1e3 * height, height, ahead, aside)
+        most = light.argmax(dim=1, keepdim=True)
+        height, endless = height.gather(1, most), endless.gather(1, most)
+        total = light.sum(1, keepdim=True)
+        further = torch.where(total > FAINT * endless, (endless / total).sqrt() - 1.0, torch.inf)
+        best = torch.where(alone[:, None, None], visible.int().argmax(1)[:, None, None], most)
+        best = best.expand(-1, -1, len(sensors))
+        near, at = (
+            each.unsqueeze(-1).expand(light.shape).gather(1, best) for each in (distance, bearing)
+        )
+        near = torch.where(alone[:, None, None], near, near + height * further)
+        near = torch.where(visible.any(1)[:, None, None], near, torch.inf)
+        first, second = others
+        kind = torch.cat([kind[:1], kind[len(walls) :]])
+        return torch.cat([near, first], 1), torch.cat([at, second], 1), kind
 
     def _hidden(self, state: Tensor, to: Tensor) -> Tensor:
-        """Return whether a wall stands before the nearest point of each object, [B, K]."""
-        walls = self._tensors["walls"]
+        """Return whether something stands before the nearest point of each object, [B, K]."""
         hidden = torch.zeros(to.shape[:2], dtype=torch.bool, device=to.device)
-        for place in self.arrays.hiding:
-            x, y, ux, uy, length = walls[place]
+        for x, y, ux, uy, length in self._tensors["screens"]:
             off = state[:, None, :2] - torch.stack([x, y])
             here = off[..., 0] * uy - off[..., 1] * ux
             change = to[..., 0] * uy - to[..., 1] * ux
@@ -410,9 +468,7 @@ class TableSimulator(Simulator):
             part = torch.where(change == 0.0, 0.0, -here / change)
             met = off + part.unsqueeze(-1) * to
             along = met[..., 0] * ux + met[..., 1] * uy
-            stands = (here * there < 0) & (there.abs() >= 1e-9) & (along >= 0) & (along <= length)
-            stands[:, place] = False
-            hidden |= stands
+            hidden |= (here * there < 0) & (there.abs() >= 1e-9) & (along >= 0) & (along <= length)
         return hidden
 
     def _collided(self, before: Tensor, after: Tensor) -> Tensor:
@@ -552,6 +608,29 @@ def _joined(first: Tensor, second: Tensor) -> Tensor:
 def _closed(table: np.ndarray) -> np.ndarray:
     """Return a table [2, D, A, S] with the first angle again after the last, float32, filled."""
     return _filled(np.concatenate([table, table[:, :, :1]], axis=2))
+
+
+def _light(begin: Tensor, end: Tensor, height: Tensor, ahead: Tensor, aside: Tensor) -> Tensor:
+    """Return what light straight surfaces throw back to sensors, 1/m2; the kernel of this name."""
+    behind = -height * ahead / aside
+    begin = torch.where(aside > 0.0, torch.maximum(begin, behind), begin)
+    end = torch.where(aside < 0.0, torch.minimum(end, behind), end)
+    ends = torch.stack([begin, end])
+    s, c = ends / torch.hypot(ends, height), height / torch.hypot(ends, height)
+    straight, mixed, across = (
+        each[1] - each[0]
+        for each in (s - 2 * s**3 / 3 + s**5 / 5, -(c**5) / 5, s**3 / 3 - s**5 / 5)
+    )
+    light = ahead**2 * straight + 2 * ahead * aside * mixed + aside**2 * across
+    seen = (begin < end) & ((aside != 0.0) | (ahead > 0.0))
+    return torch.where(seen, light.clamp(min=0.0) / height**2, 0.0)
+
+
+def _directed(walls: np.ndarray) -> np.ndarray:
+    """Return walls [W, 4] as [W, 5]: x, y of one end, direction x, y, length."""
+    along = walls[:, 2:] - walls[:, :2]
+    length = np.linalg.norm(along, axis=1, keepdims=True)
+    return np.concatenate([walls[:, :2], along / length, length], axis=1)
 
 
 def _filled(table: np.ndarray) -> np.ndarray:
