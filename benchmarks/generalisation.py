@@ -4,9 +4,9 @@ Networks are evolved in tables in the paper's way (one arena, contacts are free)
 where a contact ends what counts, several runs of each, of which the evolution keeps the best.
 They are then driven for 60 s from random starts in ten arenas that none was evolved in, beside a
 hand-written Braitenberg vehicle: the share of drives that touch something, and the fitness. With
---lab-drives so many in each arena are driven by a robot of the virtual lab, too. There an inner
-wall is a board of a centimetre, whose end is seen less well than its side; tables know no ends.
---inner 0 leaves such walls out.
+--lab-drives so many in each arena are driven by a robot of the virtual lab, too. Up to --inner
+boards stand inside each arena, whose ends and corners are seen less well than a wall; 0 leaves
+them out.
 
     neurosim sample samples --grid 5 --repeats 2
     neurosim build-tables samples/*.sample --motors samples/motors.csv -o tables

@@ -3,13 +3,13 @@
 Lund and Miglino 1996: what the sensors say in front of a wall and of an obstacle, and how the
 motors move the robot, is looked up in tables that the robot filled itself.
 
-Readings. Every object adds the light that it reflects: what the table says above ambient, at
-the distance from the robot's rim to the nearest point of its surface and the bearing of that
-point, interpolated between samples in both; the sum is clipped to 0..1, as a sensor saturates.
-Walls that meet in a corner are two objects; where a corner points into the arena, a wall that
-is seen only by that end does not count beside the other, and where both are, each counts for
-half. Nearer than the first sampled distance the first counts; beyond the last a reading fades
-to ambient over half of the sampled reach. What a wall hides is not seen.
+Readings. Obstacles, and all walls together, add what the table says above ambient, at the
+distance from the robot's rim to the nearest point of a surface and the bearing of that point,
+interpolated between samples in both; the sum is clipped to 0..1, as a sensor saturates. Samples
+are of a wall that does not end: a sensor reads what it would before such a wall alone, so far
+away that it throws back as much light as the walls do (Lambert's law). Nearer than the first
+sampled distance the first counts; beyond the last a reading fades to ambient over half of the
+sampled reach. What a wall hides is not seen.
 
 Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
 straight out of it, so that it slides along; where it does not fit, as in a gap that is too
