@@ -9,7 +9,7 @@ name = "neurosim.envs:neurosim/GoTo-v0"
 env = RescaleAction(gymnasium.make(name, simulator="simulator", seconds=6.0), -1, 1)
 problem = GymNE(lambda: env, "Linear(obs_length, act_length)")
 search = SNES(problem, popsize=50, stdev_init=1.0)
-search.run(40)
+search.run(60)
 policy, done = problem.to_policy(search.status["center"]), []
 while len(done) < 50:
     (seen, _), over = env.reset(seed=len(done)), False

@@ -55,7 +55,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
 
     photographs, calibration = out / "photographs", out / "calibration.json"
     recording, dataset, simulator = out / "recording", out / "dataset", out / "simulator"
-    controller, trial, page = out / "controller", out / "trial", out / "report.html"
+    controller, page = out / "controller", out / "report.html"
     seeded = ["--seed", seed]
     if not photographs.exists():
         yield ["lab", "photographs", photographs]
@@ -77,12 +77,15 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
         words = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
         yield [*words, *seeded]
     yield ["plan-check", controller, simulator]
-    if not (trial / "trial.json").exists():
-        # A trial that was interrupted is no trial; it is kept, out of the way.
-        if trial.exists():
-            trial.rename(_free(out, "interrupted-trial"))
-        yield ["run", controller, "--calibration", calibration, "-o", trial, *seeded]
-    yield ["report", dataset, simulator, controller, trial, "-o", page]
+    # Once as it is, blind, and once planned again after every command from where the robot is seen.
+    trials = {out / "trial": [], out / "replanned": ["--replan"]}
+    for trial, how in trials.items():
+        if not (trial / "trial.json").exists():
+            # A trial that was interrupted is no trial; it is kept, out of the way.
+            if trial.exists():
+                trial.rename(_free(out, f"interrupted-{trial.name}"))
+            yield ["run", controller, *how, "--calibration", calibration, "-o", trial, *seeded]
+    yield ["report", dataset, simulator, controller, *trials, "-o", page]
 
 
 def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:

@@ -69,7 +69,10 @@ def growth(artefacts: Artefacts) -> Section | None:
         if len(trials) > 1:  # one alone has its errors beside its commands
             blocks.append(_growth_table(position, heading))
         blocks.append(
-            Text("A plan is driven blind: the error after a command includes all before it.")
+            Text(
+                "A plan is driven blind: the error after a command includes all before it. One that "
+                "is planned again after every command was predicted from where the robot was seen."
+            )
         )
     return Section("growth", "How the error grows from command to command", blocks)
 
