@@ -19,21 +19,25 @@ from tracking.datasets.recordings import Recording
 
 
 def main(demo: Path, out: Path) -> None:
-    trial = json.loads((demo / "trial" / "trial.json").read_text())
-    figure, (left, right) = plt.subplots(
-        1, 2, figsize=(12, 4.6), width_ratios=(1, 1.12), layout="constrained"
+    drives = {"driven blind": "trial", "planned again on the way": "replanned"}
+    trials = {
+        path: json.loads((demo / path / "trial.json").read_text()) for path in drives.values()
+    }
+    figure, (left, *courses) = plt.subplots(
+        1, 3, figsize=(17, 4.4), width_ratios=(1, 1.12, 1.12), layout="constrained"
     )
-    left.imshow(frame_with_trail(demo / "trial", trial)[..., ::-1])
+    left.imshow(frame_with_trail(demo / "trial", trials["trial"])[..., ::-1])
     left.axis("off")
     left.set_title("what the roof camera sees, and the track found in it", fontsize=10)
-    predicted, actual = trial["predicted"], trial["actual"]
-    board = Recording(demo / "trial").meta["board"]
-    draw_course(
-        right,
-        Scene.of(make_task(trial["task"]), board=board),
-        Paths(predicted["poses"], True, predicted["rest"], actual["poses"], actual["path"]),
-    )
-    right.set_title("predicted by the learned simulator, and driven", fontsize=10, loc="left")
+    for axes, (how, path) in zip(courses, drives.items(), strict=True):
+        trial, board = trials[path], Recording(demo / path).meta["board"]
+        predicted, actual = trial["predicted"], trial["actual"]
+        draw_course(
+            axes,
+            Scene.of(make_task(trial["task"]), board=board),
+            Paths(predicted["poses"], True, predicted["rest"], actual["poses"], actual["path"]),
+        )
+        axes.set_title(f"the plan {how}", fontsize=10, loc="left")
     figure.savefig(out, dpi=110)
 
 
