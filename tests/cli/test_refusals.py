@@ -598,3 +598,20 @@ def test_settings_that_cannot_be(refused, tmp_path, words, says):
     places = {"tables": tmp_path / "tables", "dataset": ROOT / "data" / "reference"}
     words = [str(word).format(**places) for word in words]
     assert says in refused(*words, "-o", tmp_path / "out")
+
+
+def test_a_demo_goes_on_where_it_stopped(tmp_path):
+    """What stands is not done again; an interrupted trial is kept, and driven anew."""
+    from neurosim.cli.demo import _steps
+
+    for name in ("photographs", "dataset", "simulator", "controller", "trial", "replanned"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "calibration.json").touch()
+    (tmp_path / "trial" / "trial.json").touch()
+    (tmp_path / "replanned" / "commands.csv").touch()
+    record, evaluate, check, run, report = _steps(tmp_path, 100, 3)
+    assert record[:2] == ["record", tmp_path / "recording"]
+    assert (evaluate[0], check[0]) == ("evaluate", "plan-check")
+    assert run[:3] == ["run", tmp_path / "controller", "--replan"]
+    assert (tmp_path / "interrupted-replanned-1" / "commands.csv").exists()
+    assert report[4:6] == [tmp_path / "trial", tmp_path / "replanned"]
