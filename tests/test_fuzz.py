@@ -45,6 +45,7 @@ def test_damaged_files_of_every_kind(made, tmp_path):
     "text",
     [
         '{"a": ' + "9" * 5000 + "}",
+        '{"a": 9223372036854775808}',
         '{"a": 1e999}',
         '{"a": NaN}',
         "[" * 100_000,
@@ -53,7 +54,7 @@ def test_damaged_files_of_every_kind(made, tmp_path):
         "\x00",
         "",
     ],
-    ids=["digits", "float", "nan", "brackets", "objects", "twice", "zero", "empty"],
+    ids=["digits", "integer", "float", "nan", "brackets", "objects", "twice", "zero", "empty"],
 )
 @pytest.mark.parametrize("line", ["evaluate simulator dataset", "view tables --controller net"])
 def test_json_that_nothing_can_work_with(made, tmp_path, text, line):

@@ -70,8 +70,9 @@ def growth(artefacts: Artefacts) -> Section | None:
             blocks.append(_growth_table(position, heading))
         blocks.append(
             Text(
-                "A plan is driven blind: the error after a command includes all before it. One that "
-                "is planned again after every command was predicted from where the robot was seen."
+                "A plan is driven blind: the error after a command includes all before it. One "
+                "that is planned again after every command was predicted from where the robot "
+                "was seen."
             )
         )
     return Section("growth", "How the error grows from command to command", blocks)

@@ -153,7 +153,9 @@ class NineRectangles(Task):
         ends = np.ones(active.shape[1], np.bool_)
         if trajectory.segment is not None:
             ends = np.append(np.diff(trajectory.segment) > 0, True)
-        furthest, no_gain, fault, where = _drive(poses, active, ends, self.longest_arc, self._grid)
+        furthest, no_gain, fault, where = _drive(
+            poses, active, ends, float(self.longest_arc), self._grid
+        )
         fitness = furthest**2 - no_gain / 10.0 - self.penalty * (fault != 0)
         success = furthest == self.last
         reason = np.where(success, -1, np.where(fault > 0, fault, len(self.reasons)) - 1)
@@ -378,7 +380,7 @@ class _Course(Score):
 
     def __init__(self, task: NineRectangles, count: int):
         super().__init__(task, count)
-        self._course = task._grid, task._goals, task.longest_arc, task.penalty
+        self._course = task._grid, task._goals, float(task.longest_arc), task.penalty
         self._pose = np.zeros((count, 3))
         #: Progress, N_max below the last goal, C_nogain and the fault of each.
         self._at = np.zeros((count, 4), np.int64)
