@@ -409,7 +409,7 @@ def read_text(
 
 
 def _json_integer(text: str) -> int:
-    if len(text) > 20 or abs(int(text)) >= 2**63:
+    if len(text) > 20 or abs(int(text)) >= 2**64:
         raise ValueError(f"the number {text[:12]}... of {len(text)} digits is too large")
     return int(text)
 
