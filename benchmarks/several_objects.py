@@ -39,7 +39,7 @@ NEAR = 0.035
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
-    parser.add_argument("--robots", type=int, nargs="+", default=[1, 2, 3, 4, 5])
+    parser.add_argument("--robots", type=int, nargs="+", default=[11, 12, 13, 14, 15])
     parser.add_argument("--poses", type=int, default=2000)
     parser.add_argument("--quick", action="store_true")
     parser.add_argument("--json", action="store_true")
@@ -124,17 +124,15 @@ def combined(
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return readings [N, 8] at poses by each way, and where two objects are near [N]."""
     state, whole = torch.from_numpy(poses), TableSimulator(sensors, arena=arena)
-    count = len(arena.walls)
+    walls, obstacles = whole.arrays.walls, whole.arrays.obstacles
+    things = [(walls[w : w + 1], obstacles[:0]) for w in range(len(walls))]
+    things += [(walls[:1] + FAR, obstacles[o : o + 1]) for o in range(len(obstacles))]
     alone = []
-    for thing in range(count + len(arena.cylinders)):
-        walls = whole.arrays.walls[thing : thing + 1]
-        obstacles = arena.cylinders[thing - count : thing - count + 1 or None]
+    for wall, obstacle in things:
         only = TableSimulator(sensors, arena=arena)
         # Of all that stands there this alone is seen, and nothing stands before it.
         vars(only)["arrays"] = whole.arrays._replace(
-            walls=walls if thing < count else whole.arrays.walls[:1] + FAR,
-            obstacles=obstacles if thing >= count else obstacles[:0],
-            screens=walls[:0],
+            walls=wall, obstacles=obstacle, screens=walls[:0]
         )
         alone.append(only)
     seen = np.stack([only.sense(state).numpy() for only in alone])
@@ -145,10 +143,10 @@ def combined(
         "brightest": seen.max(axis=0),
         "nearest": seen[nearest, np.arange(len(poses))],
     }
-    first = len(arena.outline)
+    first, count = len(arena.outline), len(walls)
     boards = gaps[first:count].reshape(-1, 4, len(poses)).min(axis=1)
-    things = np.concatenate([gaps[:first], boards, gaps[count:]])
-    return ways, (things < NEAR).sum(axis=0) >= 2
+    objects = np.concatenate([gaps[:first], boards, gaps[count:]])
+    return ways, (objects < NEAR).sum(axis=0) >= 2
 
 
 def to_walls(arena: Arena, poses: np.ndarray) -> np.ndarray:

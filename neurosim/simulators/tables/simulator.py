@@ -315,6 +315,7 @@ class TableSimulator(Simulator):
         twist_spread = np.zeros_like(motors.twist) if motors.spread is None else motors.spread
         largest = np.abs(motors.twist).max(axis=(0, 1)) * STEP
         last = sensors.first_distance + (distances - 1) * sensors.distance_step
+        fade = last / 2.0
         return TableArrays(
             excess=_closed(sensors.mean - ambient),
             variance=_closed(np.maximum(spread**2 - variance, 0.0)),
@@ -322,8 +323,8 @@ class TableSimulator(Simulator):
             ambient_variance=_filled(variance),
             first=float(sensors.first_distance),
             pitch=float(sensors.distance_step),
-            fade=last / 2.0,
-            reach=np.array([self._reach(kind) for kind in range(len(OBJECTS))]),
+            fade=fade,
+            reach=np.array([self._reach(kind, last + fade) for kind in range(len(OBJECTS))]),
             twist=np.ascontiguousarray(motors.twist),
             twist_spread=np.ascontiguousarray(twist_spread),
             lowest=float(motors.levels[0]),
@@ -341,14 +342,12 @@ class TableSimulator(Simulator):
             twist_noise=self.noise_level * largest / math.sqrt(STEP),
         )
 
-    def _reach(self, kind: int) -> float:
-        """Return how far from the rim (m) objects of a kind reflect anything worth a reading."""
+    def _reach(self, kind: int, most: float) -> float:
+        """Return how far from the rim objects of a kind are seen, m; no further than ``most``."""
         table = self.sensors
         seen = (np.abs(table.mean[kind] - table.ambient) >= FAINTEST).any(axis=(1, 2))
         rows = len(seen) - int(np.argmax(seen[::-1])) if seen.any() else 0
-        if rows < len(seen):
-            return float(table.first_distance + rows * table.distance_step)
-        return 1.5 * float(table.first_distance + (rows - 1) * table.distance_step)
+        return most if rows == len(seen) else table.first_distance + rows * table.distance_step
 
     @cached_property
     def _tensors(self) -> dict[str, Tensor]:
