@@ -160,23 +160,25 @@ class Face:
                 f"expected {'an action' if count is None else 'actions'} of shape {shape} "
                 f"({', '.join(self.outputs)}), got shape {given.shape}"
             )
-        space = self.action_space
-        good = (given >= space.low) & (given <= space.high)
-        if not good.all():
-            at = tuple(np.argwhere(~good)[0])
+        space, commands = self.action_space, given.reshape(-1, len(self.outputs))
+        flat = _outside(commands, space.low, space.high)
+        if flat >= 0:
+            at = np.unravel_index(flat, shape)
             which = "" if count is None else f" of environment {at[0]}"
             low, high = space.low[at[-1]], space.high[at[-1]]
             raise UserError(
                 f"the action{which} has {self.outputs[at[-1]]} = {given[at]:g}; expected a number "
                 f"of {low:g} to {high:g}"
             )
-        return self.lasting(np.atleast_2d(given).astype(np.float64), self.episode.step)
+        return self.lasting(commands, self.episode.step)
 
-    def lasting(self, commands: NDArray[np.float64], duration: float) -> NDArray[np.float64]:
+    def lasting(self, commands: NDArray, duration: float) -> NDArray[np.float64]:
         """Return commands [B, C] with the duration (s) behind them, where that is a column."""
-        if not self.timed:
-            return commands
-        return np.concatenate([commands, np.full((len(commands), 1), duration)], axis=1)
+        out = np.empty((len(commands), len(self.outputs) + self.timed))
+        out[:, : len(self.outputs)] = commands
+        if self.timed:
+            out[:, -1] = duration
+        return out
 
     def add(self, rows: Rows, interval: Interval) -> None:
         """Go on with trials; as :meth:`neurosim.tasks.score.Score.add`, durations in commands."""
@@ -213,6 +215,16 @@ def place(simulator: Simulator, task: Task) -> tuple[NDArray[np.float64], NDArra
 def rate(task: Task) -> float:
     """Return how many steps a second a task has."""
     return 1.0 / task.episode.step if math.isfinite(task.episode.step) else 1.0
+
+
+@njit(cache=True)
+def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
+    """Return the place in values [B, C] of the first that is not within its limits [C], or -1."""
+    for b in range(values.shape[0]):
+        for c in range(values.shape[1]):
+            if not low[c] <= values[b, c] <= high[c]:
+                return b * values.shape[1] + c
+    return -1
 
 
 @njit(cache=True, error_model="numpy")

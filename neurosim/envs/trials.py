@@ -112,7 +112,7 @@ class Trials:
         self._seeds = np.zeros(count, np.uint64)
         self._noise: NDArray | None = None
         self._readings: NDArray | None = None
-        self._every = np.arange(count)
+        self._idle = np.nan_to_num(self.face.action_space.low, neginf=0.0)
 
     def __len__(self) -> int:
         return len(self.state)
@@ -174,7 +174,10 @@ class Trials:
         noise = None if self._noise is None else self._noise[rows]
         readings = None if self._readings is None else self._readings[rows]
         after = self._stepper.step(self.state[rows], commands, noise)
-        self.state[rows] = after
+        if isinstance(rows, slice):
+            self.state = after
+        else:
+            self.state[rows] = after
         self._steps[rows] += 1
         self.face.add(rows, Interval(after[:, :3], commands, readings, duration, active))
         self._look(rows)
@@ -210,9 +213,10 @@ class Trials:
             UserError: if they are not what the action space says.
         """
         if ignored.any():
-            low = np.nan_to_num(self.face.action_space.low, neginf=0.0)
             try:
-                actions = np.where(ignored[:, None], low, np.asarray(actions, np.float32))
+                actions = np.array(actions, np.float32)
             except (TypeError, ValueError):
                 raise UserError(f"actions must be numbers, not {actions!r:.60}") from None
+            if len(actions.shape) == 2 and len(actions) == len(ignored):
+                actions[ignored] = self._idle
         return self.face.checked(actions, len(self))

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
+from numba import njit, prange
 from numpy.typing import NDArray
 
 #: What numbers are: there are none; uniform in -1 to 1; standard normal.
@@ -55,7 +55,7 @@ def draw(noise, state, out):
     return state
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, parallel=True, error_model="numpy")
 def numbers_at(
     noise: int, seeds: NDArray[np.uint64], steps: NDArray[np.int64], width: int
 ) -> NDArray[np.float32]:
@@ -70,7 +70,7 @@ def numbers_at(
     padded = (width + 3) // 4 * 4
     words = padded // 4 if noise == UNIFORM else padded // 2
     out = np.empty((len(seeds), padded), np.float32)
-    for row in range(len(seeds)):
+    for row in prange(len(seeds)):
         draw(noise, seeds[row] + _GOLDEN * np.uint64(steps[row] * words), out[row])
     return out[:, :width]
 

@@ -402,7 +402,7 @@ class _Course(Score):
         _go_on(self._every[rows], poses, active, begins, *self._course, *state, *found)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, parallel=True)
 def _go_on(
     rows: NDArray,
     poses: NDArray,
@@ -422,7 +422,7 @@ def _go_on(
     """Go on by a command to poses [K, 3]; as :func:`_drive` and :meth:`NineRectangles.progress`."""
     _, length, width = grid
     last, reach = len(goals) - 1, math.sqrt(length * length + width * width)
-    for k in range(len(rows)):
+    for k in prange(len(rows)):
         b = rows[k]
         x, y = poses[k, 0], poses[k, 1]
         progress, fault = at[b, 0], at[b, 3]

@@ -163,17 +163,38 @@ class ObstacleAvoidance(Task):
 class _Sum(Score):
     """Equation (1) of trials under way."""
 
+    def __init__(self, task: ObstacleAvoidance, count: int):
+        super().__init__(task, count)
+        self._every = np.arange(count)
+
     def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
         self.progress[rows] = 0.0
         self.success[rows] = self.task.least <= 0.0
 
     def add(self, rows: Rows, interval: Interval) -> None:
         assert interval.readings is not None
-        each = np.full((len(interval.commands), 1), interval.duration)
-        readings, commands = interval.readings[:, None], interval.commands[:, None]
-        step = Trajectory(None, commands, each, readings)
-        self.progress[rows] += avoidance(step, self.task.duration)
+        steps = interval.duration / self.task.duration
+        _add(self._every[rows], interval.readings, interval.commands, steps, self.progress)
         self.success[rows] = self.progress[rows] >= self.task.least
+
+
+@njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
+def _worth(readings, command):  # type: ignore[no-untyped-def]
+    """Return what a step with readings [S] and a command [2 or more] is worth."""
+    highest = np.float64(0.0)
+    for s in range(len(readings)):
+        highest = max(highest, np.float64(readings[s]))
+    left, right = command[0] / 100.0, command[1] / 100.0
+    difference = 0.5 * (left - right)
+    speed = 0.5 * (abs(left) + abs(right))
+    return speed * (1.0 - difference * difference) * (1.0 - highest)
+
+
+@njit(cache=True, error_model="numpy")
+def _add(rows, readings, commands, steps, total):  # type: ignore[no-untyped-def]
+    """Add to rows [K] of a total what a step of readings [K, S] and commands [K, C] is worth."""
+    for k in range(len(rows)):
+        total[rows[k]] += steps * _worth(readings[k], commands[k])
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz"})
@@ -186,15 +207,7 @@ def _avoidance(readings: NDArray, commands: NDArray, weight: NDArray) -> NDArray
     for b in prange(len(readings)):
         total = 0.0
         for k in range(readings.shape[1]):
-            highest = np.float64(0.0)
-            for s in range(readings.shape[2]):
-                highest = max(highest, np.float64(readings[b, k, s]))
-            left, right = commands[b, k, 0] / 100.0, commands[b, k, 1] / 100.0
-            difference = 0.5 * (left - right)
-            speed = 0.5 * (abs(left) + abs(right))
-            if len(weight) == 0:
-                total += speed * (1.0 - difference * difference) * (1.0 - highest)
-            else:
-                total += weight[b, k] * speed * (1.0 - difference**2) * (1.0 - highest)
+            worth = _worth(readings[b, k], commands[b, k])
+            total += worth if len(weight) == 0 else weight[b, k] * worth
         fitness[b] = total
     return fitness

@@ -38,6 +38,16 @@ class MotionStepper(Stepper):
             [simulator.command_names.index(name.removeprefix("prev_")) for name in names], np.int64
         )
 
+    def start(
+        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S], as :meth:`Stepper.start` does, without tensors."""
+        state = np.zeros((len(poses), len(self.simulator.state_names)))
+        state[:, :3] = poses
+        if self.simulator.members > 1:
+            state[:, -1] = -1 if member is None else member
+        return state
+
     def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
         """Return standard normal numbers [B, noise_width]."""
         return numbers_at(NORMAL, seeds, steps, max(DRAWS, self.simulator.noise_width))

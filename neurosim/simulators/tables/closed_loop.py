@@ -55,8 +55,6 @@ class TableClosedLoop(ClosedLoop):
             starts,
             np.ascontiguousarray(seeds, np.uint64),
             noise,
-            int(simulator.substeps(loop.step)),
-            int(simulator.substeps(loop.rest)),
             self.room,
             poses,
             readings,
@@ -66,7 +64,7 @@ class TableClosedLoop(ClosedLoop):
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
-def drive(t, loop, genes, starts, seeds, z, parts, stop_parts, room, poses, readings, commands):
+def drive(t, loop, genes, starts, seeds, z, room, poses, readings, commands):
     """Drive every network from every start, where the robot stands still at first.
 
     Args:
@@ -76,15 +74,13 @@ def drive(t, loop, genes, starts, seeds, z, parts, stop_parts, room, poses, read
         starts: [R, 3] poses.
         seeds: [R] uint64, of the noise: the same for all networks.
         z: [R, T, S + 3], the noise itself; T = 0: it is made of the seeds.
-        parts: motions into which a step is cut; see :meth:`TableSimulator.substeps`.
-        stop_parts: the same of the stop at the end, where there is one.
         room: see :func:`~neurosim.networks.control_kernels.room`.
         poses: [P, R, T + 1, 3] float64, written: before the first of T steps and after each.
         readings: [P, R, T, S] float32, written; T = 0: robots need not sense.
         commands: [P, R, T, 2] float32, %, written.
     """
     count, steps, sensors, lanes = len(starts), commands.shape[2], readings.shape[3], len(t.ambient)
-    timing, stopping = phases(t, loop.step, parts), phases(t, loop.rest, stop_parts)
+    timing, stopping = phases(t, loop.step), phases(t, loop.rest)
     for job in prange(len(genes) * count):
         p, r = job // count, job % count
         shape = loop.hidden, loop.scale, loop.recurrence, len(loop.source)

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from numba import njit, vectorize
 
 from neurosim.base.se2 import compiled as se2
 from neurosim.simulators.numbers import NORMAL, UNIFORM
@@ -57,6 +57,8 @@ class TableArrays(NamedTuple):
     delay: float  #: until the wheels begin to answer a command, s
     lag: np.ndarray  #: [2] in which a wheel comes within 1/e of its new speed, s
     radius: float  #: of the robot, m
+    fastest: float  #: its highest speed, m/s
+    longest: float  #: a command is carried out in motions no longer than this, s
     looks: np.ndarray  #: [2, L] unit vectors along which the sensors look, ahead and to the left
     walls: np.ndarray  #: [W, 5] x, y of one end, direction x, y, length; free on their left
     screens: np.ndarray  #: [H, 5] the same of what may stand before something
@@ -344,8 +346,19 @@ def _twist(t, table, left, right, out):
         )
 
 
+@vectorize(["int64(float64, float64, float64, float64)"], cache=True)
+def substeps(duration, fastest, radius, longest):
+    """Return into how many motions a command of a duration (s) is cut.
+
+    None takes the robot further than half its radius, so that it cannot pass through a wall; nor,
+    where wheels are late, is longer than a step, through which their mean speeds count.
+    """
+    parts = max(math.ceil(2.0 * duration * fastest / radius), math.ceil(duration / longest - 1e-9))
+    return max(parts, 1)
+
+
 @njit(cache=True)
-def phases(t, duration, parts):
+def phases(t, duration):
     """Return how speeds approach their goals in the parts of a command of ``duration`` (s).
 
     Returns:
@@ -353,6 +366,7 @@ def phases(t, duration, parts):
         Each for so long (s); then, for either wheel, the share that the speed at its beginning
         has in the mean over that time, and in the speed at its end.
     """
+    parts = substeps(duration, t.fastest, t.radius, t.longest)
     out = np.zeros((parts, 2, 5))
     for part in range(parts):
         length = duration / parts

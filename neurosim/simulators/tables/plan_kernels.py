@@ -22,7 +22,7 @@ from neurosim.simulators.tables.kernels import (
 )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(cache=True, error_model="numpy", inline="always")
 def carry_out(t, timing, pose, speeds, goals, command, z, kept):
     """Carry out a command [3] (%, %, s); change pose [3], speeds and goals [2].
 
@@ -51,7 +51,7 @@ def carry_out(t, timing, pose, speeds, goals, command, z, kept):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def drive_plans(t, starts, begun, z, commands, parts, given, rests):
+def drive_plans(t, starts, begun, z, commands, given, rests):
     """Drive every plan from every start.
 
     Args:
@@ -60,7 +60,6 @@ def drive_plans(t, starts, begun, z, commands, parts, given, rests):
         begun: [4] the wheels' speeds there and what they were told last, %.
         z: [R, T, 3] the noise of the n-th command that is sent, the same for all plans.
         commands: [B, T, 3] left, right (%), duration (s).
-        parts: [B, T] motions into which a command is cut; see :meth:`TableSimulator.substeps`.
         given: [B, T] bool; a command that is not given leaves the robot as it is.
         rests: whether the last command, which stops the robot, is sent though not given.
 
@@ -78,7 +77,7 @@ def drive_plans(t, starts, begun, z, commands, parts, given, rests):
         sent = 0
         for k in range(length):
             if given[b, k] or (rests and k == length - 1):
-                timing = phases(t, commands[b, k, 2], parts[b, k])
+                timing = phases(t, commands[b, k, 2])
                 carry_out(t, timing, pose, speeds, goals, commands[b, k], z[r, sent], kept)
                 sent += 1
             poses[b, r, k + 1] = pose

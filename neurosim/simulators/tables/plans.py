@@ -49,7 +49,6 @@ class TablePlans:
             np.zeros(4) if draws.state is None else np.array(draws.state[3:7], np.float64),
             noise,
             commands,
-            self._simulator.substeps(commands[..., 2]),
             np.ascontiguousarray(active, np.bool_),
             self._rest > 0,
         )

@@ -44,6 +44,7 @@ from neurosim.simulators.tables.kernels import (
     PASSES,
     SLACK,
     TableArrays,
+    substeps,
 )
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.places import ManyArenas
@@ -231,8 +232,8 @@ class TableSimulator(Simulator):
                 noise = duration.sqrt() * t["twist_noise"] * z
             else:
                 noise = duration.sqrt() * self._motion(t["twist_spread"], goal) * z
-        parts = torch.as_tensor(self.substeps(command[:, 2].cpu().numpy()), device=pose.device)
-        parts = parts.unsqueeze(-1)
+        parts = substeps(command[:, 2:].cpu().numpy(), a.fastest, a.radius, a.longest)
+        parts = torch.as_tensor(parts, device=pose.device)
         length = duration / parts
         for part in range(int(parts.max())):
             waiting = torch.minimum((a.delay - part * length).clamp(min=0.0), length)
@@ -289,17 +290,6 @@ class TableSimulator(Simulator):
             return TableClosedLoop(self, controller, episode)
         return None
 
-    def substeps(self, duration: Any) -> Any:
-        """Return into how many motions commands of a duration (s) are cut.
-
-        None is longer than half the robot's radius, so that it cannot pass through a wall; nor,
-        where wheels are late, than a step, through which their mean speeds count.
-        """
-        parts = np.ceil(2.0 * duration * self._fastest / self.radius)
-        if self.reaction != Reaction():
-            parts = np.maximum(parts, np.ceil(duration / STEP - 1e-9))
-        return np.maximum(parts, 1.0).astype(np.int64)
-
     @cached_property
     def _fastest(self) -> float:
         """The highest speed, m/s."""
@@ -333,6 +323,8 @@ class TableSimulator(Simulator):
             delay=float(self.reaction.delay),
             lag=np.array(self.reaction.lag, float),
             radius=float(self.radius),
+            fastest=self._fastest,
+            longest=math.inf if self.reaction == Reaction() else STEP,
             looks=_filled(np.nan_to_num([np.cos(self.bearings), np.sin(self.bearings)])),
             walls=_directed(self.arena.walls),
             screens=_directed(self.arena.screens),

@@ -38,15 +38,11 @@ class TableStepper(Stepper):
     ) -> NDArray[np.float64]:
         """Return the states [B, 7] after commands [B, 3] (%, %, s)."""
         after, sensors = state.copy(), self._sensors
-        duration = command[:, 2]
-        if (duration == duration[0]).all():
-            duration = duration[:1]
-        parts = np.broadcast_to(self.simulator.substeps(duration), len(command))
         if noise is None:
             z, arrays = np.zeros((len(state), 3), np.float32), self._quiet
         else:
             z, arrays = noise[:, sensors:].astype(np.float32, copy=False), self._arrays
-        _step(arrays, after, command, parts, z)
+        _step(arrays, after, command, z)
         return after
 
     def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
@@ -61,15 +57,15 @@ class TableStepper(Stepper):
 
 
 @njit(cache=True, parallel=True, error_model="numpy", fastmath=_FAST)
-def _step(t, state, command, parts, z):
+def _step(t, state, command, z):
     """Change states [B, 7]; ``z`` [B, 3] is the commands' noise."""
     rows = len(state)
     for block in prange((rows + _BLOCK - 1) // _BLOCK):
-        kept, lasts, cut, timing = np.empty((3, 3)), -1.0, 0, np.empty((0, 2, 5))
+        kept, lasts, timing = np.empty((3, 3)), -1.0, np.empty((0, 2, 5))
         for b in range(block * _BLOCK, min((block + 1) * _BLOCK, rows)):
-            if command[b, 2] != lasts or parts[b] != cut:
-                lasts, cut = command[b, 2], parts[b]
-                timing = phases(t, lasts, cut)
+            if command[b, 2] != lasts:
+                lasts = command[b, 2]
+                timing = phases(t, lasts)
             own = state[b]
             carry_out(t, timing, own[:3], own[3:5], own[5:7], command[b], z[b], kept)
 
