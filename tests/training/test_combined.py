@@ -54,6 +54,16 @@ def test_it_is_found_how_a_robot_brakes_and_how_long_it_sticks():
     assert drive.slowing.tolist() == pytest.approx([1.0, 1.0], rel=0.25)
 
 
+@pytest.mark.parametrize("seed", [0, 1])
+def test_lag_and_delay_together_are_found_to_within_milliseconds(seed):
+    lag, delay = torch.tensor([0.1, 0.08]).double(), 0.15
+    data = drive_data(800, lag=tuple(lag.tolist()), delay=delay, noise=0.001, seed=seed)
+    longest, columns = float(data.input_scale[4]), CommandFeatures.of(NAMES)
+    rows = data.scaled_inputs, data.y, data.follows, columns, longest, data.within
+    drive = fit_drive(Motion(*rows))
+    assert (drive.lag + drive.delay).tolist() == pytest.approx((lag + delay).tolist(), abs=0.002)
+
+
 @pytest.mark.parametrize("rows", [20, 30, 60])
 def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
     data = drive_data(rows, noise=0.003)

@@ -28,9 +28,11 @@ _LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4)
 _RATES = (0.5, 1.0, 2.0, 4.0, 20.0)
 _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 #: The fine search: one number after the other by these steps, in units of each prior's width.
-_STEPS, _ROUNDS = (0.5, 0.2, 0.08, 0.03), 6
+#: Lag and delay together are to be found to within a millisecond or two: in each, a robot that is
+#: told to turn the other way turns by a fifth of a degree.
+_STEPS, _ROUNDS = (0.5, 0.2, 0.08, 0.03, 0.012, 0.005), 6
 #: A step must raise the log-likelihood by this much.
-_GAIN = 0.5
+_GAIN = 0.05
 #: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
 #: gets), of slowing, of braking over slowing, and of the rate; bend; stick and delay (s). What is
 #: usual, how far from it, and limits.
