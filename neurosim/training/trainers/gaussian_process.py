@@ -18,6 +18,9 @@ from neurosim.simulators.motion.kernel_units import covariance
 _ROWS, _STEPS = 400, 30
 #: ln of a length in spreads of its input, before rows say more: smooth.
 _USUAL, _PULL = 0.7, 0.1
+#: The least such logarithm: of shorter lengths, squares of far inputs leave too few digits for a
+#: covariance that can be factored.
+_LEAST = -3.0
 #: Added to the diagonal of a covariance.
 _JITTER = 1e-7
 #: A row is told by the others when less than this share of its variance is left.
@@ -101,12 +104,14 @@ def learn_process(
             torch.full((functions,), -0.7, dtype=x.dtype),
         ]
     )
+    lowest = torch.full_like(start, -7.0)
+    lowest[:inputs] = _LEAST
     found = start.clone().requires_grad_()
     identity = torch.eye(len(own), dtype=x.dtype)
 
     def loss() -> Tensor:
         optimiser.zero_grad()
-        bounded = found.clamp(-7.0, 7.0)
+        bounded = torch.maximum(found, lowest).clamp(max=7.0)
         lengths = bounded[:inputs].exp() * spread
         power, noise = (2.0 * bounded[inputs:]).exp().view(2, functions)
         shared = covariance(own, own, lengths)
@@ -123,7 +128,7 @@ def learn_process(
 
     optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
     optimiser.step(loss)
-    result = found.detach().clamp(-7.0, 7.0)
+    result = torch.maximum(found.detach(), lowest).clamp(max=7.0)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
     near = _pivots(x, lengths, centres - centres // 3)
