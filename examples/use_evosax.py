@@ -8,10 +8,10 @@ import neurosim as ns
 simulator = ns.load("simulator")
 task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
-fitness = ns.evaluate(simulator, task, network, outcomes=4)
+fitness = ns.evaluate(simulator, task, network, outcomes=12)
 
 key, mean = jax.random.key(1), jax.numpy.zeros(network.genes)
-search = CMA_ES(population_size=16, solution=mean)
+search = CMA_ES(population_size=40, solution=mean)
 state = search.init(key, mean, search.default_params)
 for draw in jax.random.split(key, 60):
     genes, state = search.ask(draw, state, search.default_params)

@@ -7,9 +7,10 @@ import neurosim as ns
 simulator = ns.load("simulator")
 task = ns.make_task("go-to", goals=[[0.5, 0.3, 0], [0.0, 0.5, 0]], seconds=20.0)
 network = ns.make_controller("network", simulator, task)
-fitness = ns.evaluate(simulator, task, network, outcomes=4)
+fitness = ns.evaluate(simulator, task, network, outcomes=12)
 
-search = cma.CMAEvolutionStrategy(network.genes * [0.0], 1.0, {"seed": 1, "maxiter": 60})
+options = {"seed": 1, "popsize": 40, "maxiter": 60}
+search = cma.CMAEvolutionStrategy(network.genes * [0.0], 1.0, options)
 while not search.stop():
     genes = search.ask()
     search.tell(genes, -fitness(genes))
