@@ -11,6 +11,7 @@ from motion_networks import NAMES, noise_model, normal, random_motion_network
 from safetensors.numpy import load_file, save_file
 
 from neurosim.base.errors import FileError
+from neurosim.base.se2 import tensors as se2
 from neurosim.simulators import read_simulator
 from neurosim.simulators.motion import kernels
 from neurosim.simulators.motion.files import write_motion
@@ -19,6 +20,7 @@ from neurosim.simulators.motion.noise import (
     HEAVIEST,
     CommandFeatures,
     NoiseModel,
+    cholesky,
     components,
     disturb,
     features,
@@ -94,13 +96,16 @@ def test_draws_are_found_again_in_what_they_made(seed):
     x, mean = normal(seed, 8, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 8, 3)
     z = normal(seed, 8, DRAWS)
     made = residual(mean, disturb(noise, columns, x, mean, z))
-    scale, coupling, _ = features(noise.unit, columns, x, mean)
-    s = ((2.0 * scale @ noise.log_scale.T).exp() + in_motion(noise, mean)).sqrt()
-    c = coupling @ noise.coupling.T
-    turn, forward, sideways = (made / s).unbind(-1)
-    forward = forward - c[:, 0] * turn
-    found = [turn, forward, sideways - c[:, 1] * turn - c[:, 2] * forward]
-    assert torch.allclose(torch.stack(found, dim=-1), z[:, :3], atol=1e-9)
+    lower = torch.linalg.cholesky(covariance(noise, columns, x, mean))
+    found = torch.linalg.solve_triangular(lower, made.unsqueeze(-1), upper=False)
+    assert torch.allclose(found.squeeze(-1), z[:, :3], atol=1e-8)
+
+
+def covariance(noise, columns, x, mean):
+    """Return it [B, 3, 3] where the width is that of no tails."""
+    scale, _ = features(noise.unit, columns, x, mean)
+    moving = in_motion(noise.unit, noise.sources, mean)
+    return torch.diag_embed((2.0 * scale @ noise.log_scale.T).exp()) + moving
 
 
 @settings(max_examples=20, deadline=None)
@@ -108,18 +113,35 @@ def test_draws_are_found_again_in_what_they_made(seed):
 def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
     noise, columns = noise_model(seed, size), CommandFeatures.of(NAMES)
     x, mean = normal(seed, 1, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 1, 3)
+    found = covariance(noise, columns, x, mean)[0]
+    assert (torch.linalg.eigvalsh(found / found.diagonal().max()) > 0).all()
+    rows = cholesky(found)
+    lower = torch.stack([torch.stack([*row, *[STILL[0, 0]] * (3 - len(row))]) for row in rows])
+    assert torch.allclose(lower, torch.linalg.cholesky(found))
     # The map from draws to noise is linear at a fixed width; its rows are those of unit draws.
-    unit = torch.eye(3, DRAWS, dtype=torch.float64)
-    scale, coupling, _ = features(noise.unit, columns, x, mean)
-    s, c = (2.0 * scale @ noise.log_scale.T).exp()[0], (coupling @ noise.coupling.T)[0]
-    s = (s + in_motion(noise, mean)[0]).sqrt()
-    lower = torch.diag(s)
-    lower[1, 0], lower[2, 0], lower[2, 1] = s[1] * c[0], s[2] * c[1], s[2] * c[2]
-    assert (torch.linalg.eigvalsh(lower @ lower.T / s.square().max()) > 0).all()
-    small = 1e-4 / max(1.0, float(s.max()))
-    moved = disturb(noise, columns, x.expand(3, -1), mean.expand(3, -1), small * unit)
-    turn = (moved[:, 2] - mean[:, 2]) / small
-    assert torch.allclose(turn, torch.tensor([float(s[0]), 0.0, 0.0]).double(), atol=1e-6)
+    small = 1e-4 / max(1.0, float(lower.abs().max()))
+    unit = small * torch.eye(3, DRAWS, dtype=torch.float64)
+    moved = disturb(noise, columns, x.expand(3, -1), mean.expand(3, -1), unit)
+    made = residual(mean.expand(3, -1), moved) / small
+    assert torch.allclose(made.T, lower, atol=1e-6)
+
+
+@settings(max_examples=20, deadline=None)
+@given(SEEDS)
+def test_noise_of_the_motion_is_that_of_twists(seed):
+    """Against small twists that are added, and the displacements that these make."""
+    noise = noise_model(seed)
+    twist = normal(seed, 1, 3) * torch.tensor([0.3, 0.1, 1.5])
+    mean, unit = se2.exp(twist), noise.unit
+    assert abs(float(twist[0, 2])) < 5.9  # well below a full circle
+    told = (twist[0].roll(1) / unit).double()
+    expected = torch.zeros(3, 3, dtype=torch.float64)
+    for source in noise.sources:
+        step = 1e-6 * (source @ told)
+        ends = [se2.exp(twist + way * step.roll(-1)) for way in (1.0, -1.0)]
+        moved = (residual(mean, ends[0]) - residual(mean, ends[1]))[0] / 2e-6
+        expected += torch.outer(moved, moved)
+    assert torch.allclose(in_motion(unit, noise.sources, mean)[0], expected, rtol=1e-5, atol=1e-9)
 
 
 def test_noise_worked_by_hand():
@@ -144,14 +166,23 @@ def test_noise_worked_by_hand():
 def test_what_happens_in_the_motion_worked_by_hand():
     numbers = {name: torch.zeros(shape) for name, shape in NoiseModel.SHAPES.items()}
     numbers["unit"] = torch.ones(3)
-    numbers["log_scale"][:, 0] = -40.0
-    numbers["motion"][1] = torch.tensor([0.03, 0.0, 1.0])
-    noise, columns = NoiseModel(**numbers), CommandFeatures.of(NAMES)
+    numbers["log_scale"][:, 0] = -30.0
+    numbers["sources"][0, 1, 1] = 0.1
     x = torch.tensor([[0.0, 0.0, 0.5, 0.5, 0.5]], dtype=torch.float64)
-    ahead = torch.tensor([[0.1, 0.0, 0.0]], dtype=torch.float64)
-    # r_f^2 = 0.03 + 0.1^2, whatever the width.
+    columns = CommandFeatures.of(NAMES)
+    # A tenth of the way ahead, whatever the width.
+    ahead = torch.tensor([[0.5, 0.0, 0.0]], dtype=torch.float64)
     z = torch.tensor([[0.0, 1.0, 0.0, 5.0]], dtype=torch.float64)
-    assert disturb(noise, columns, x, ahead, z)[0].tolist() == pytest.approx([0.3, 0.0, 0.0])
+    moved = disturb(NoiseModel(**numbers), columns, x, ahead, z)
+    assert moved[0].tolist() == pytest.approx([0.55, 0.0, 0.0])
+    # Of a half circle, 2 across and pi long, the chord is 2 / pi of the arc.
+    circle = torch.tensor([[0.0, 2.0, math.pi]], dtype=torch.float64)
+    moved = disturb(NoiseModel(**numbers), columns, x, circle, z)
+    assert moved[0].tolist() == pytest.approx([0.0, 2.2, math.pi])
+    # A turn that is larger by a tenth of itself bends the arc: the chord loses 2 / pi of that.
+    numbers["sources"][0] = torch.tensor([[0.1, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    moved = disturb(NoiseModel(**numbers), columns, x, circle, torch.eye(1, DRAWS).double())
+    assert residual(circle, moved)[0].tolist() == pytest.approx([0.1 * math.pi, -0.2, 0.0])
 
 
 def test_tails_have_a_limit():

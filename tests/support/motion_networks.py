@@ -28,7 +28,7 @@ def noise_model(seed=0, size=-4.0):
     }
     drawn["unit"] = torch.tensor([1.0, 0.2, 0.1])
     drawn["log_scale"][:, 0] += size
-    drawn["motion"] = (0.001 * drawn["motion"]).abs()
+    drawn["sources"] *= 0.1
     return NoiseModel(**drawn)
 
 

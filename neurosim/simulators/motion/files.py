@@ -25,8 +25,6 @@ from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import COORDINATES, OUTPUTS, MotionNetwork
 from neurosim.simulators.motion.noise import (
     COMPONENTS,
-    COUPLING_FEATURES,
-    MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
     CommandFeatures,
@@ -39,12 +37,10 @@ KERNEL = ("centres", "lengths", "weights")
 
 #: What simulator.json says of a noise model; its numbers stand beside the weights.
 NOISE = {
-    "kind": "cholesky-lognormal-sum",
+    "kind": "lognormal-and-sources-of-the-twist",
     "components": list(COMPONENTS),
     "scale_features": list(SCALE_FEATURES),
-    "coupling_features": list(COUPLING_FEATURES),
     "tail_features": list(TAIL_FEATURES),
-    "motion_features": list(MOTION_FEATURES),
 }
 #: Networks by the name of their kind.
 NETWORKS = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}

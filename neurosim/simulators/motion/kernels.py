@@ -23,7 +23,7 @@ from neurosim.simulators.motion.drive import (
     SHORTEST,
     STILL,
 )
-from neurosim.simulators.motion.noise import HEAVIEST
+from neurosim.simulators.motion.noise import HEAVIEST, LEAST_CHORD, TINY
 
 #: Numbers that the size of the noise is, see :func:`spread`.
 SIZES = 10
@@ -59,11 +59,10 @@ class Arrays(NamedTuple):
     longest: float  #: what durations are scaled by, s; infinite without one
     central: bool  #: whether the first network is the mean's own, and no member
     noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
-    noise_unit: np.ndarray  #: [3], this and the next four as in NoiseModel
+    noise_unit: np.ndarray  #: [3], this and the next three as in NoiseModel
     noise_log_scale: np.ndarray  #: [3, F]
-    noise_coupling: np.ndarray  #: [3, F]
     noise_tail: np.ndarray  #: [F]
-    noise_motion: np.ndarray  #: [3, F]
+    noise_sources: np.ndarray  #: [K, 3, 3]
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
@@ -250,8 +249,8 @@ def spread(a, x, mean, out):
         a: :class:`Arrays` of a simulator with a noise model.
         x: of :func:`tell`.
         mean: [3] displacement (m, m, rad) without noise.
-        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the couplings c_1, c_2, c_3,
-            r^2 of the three, and tau.
+        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the covariance of what happens
+            in the motion (tt, ft, ff, st, sf, ss), and tau.
     """
     duration = 1.0
     if a.duration >= 0:
@@ -266,33 +265,38 @@ def spread(a, x, mean, out):
         jump += abs(u - v)
         reversal += max(-u * v, 0.0)
         speed += abs(v) / len(a.driven)
-    ahead, _, turn = se2.mid_turn(mean[0], mean[1], mean[2])
-    t, f = turn / a.noise_unit[0], ahead / a.noise_unit[1]
-    log_travel = math.log(travel + 0.01)
-    log_turn, log_forward = math.log(abs(t) + 0.02), math.log(abs(f) + 0.02)
     log_jump, log_time = math.log(jump + 0.02), math.log(duration + 0.02)
     root, log_before = math.sqrt(reversal), math.log(speed + 0.02)
-    product = t * f / (t * t + f * f + 0.01)
-    turning, going = t / math.sqrt(t * t + 0.05), f / math.sqrt(f * f + 0.05)
     for j in range(3):
-        w, c = a.noise_log_scale[j], a.noise_coupling[j]
-        log_s = (
-            w[0]
-            + w[1] * log_travel
-            + w[2] * log_travel * log_travel
-            + w[3] * log_turn
-            + w[4] * log_forward
-            + w[5] * log_jump
-            + w[6] * root
-            + w[7] * log_time
-            + w[8] * log_before
-        )
+        w = a.noise_log_scale[j]
+        log_s = w[0] + w[1] * log_jump + w[2] * root + w[3] * log_time + w[4] * log_before
         out[j] = math.exp(2.0 * log_s)
-        out[3 + j] = c[0] + c[1] * product + c[2] * turning + c[3] * going
-        r = a.noise_motion[j]
-        out[6 + j] = r[0] + r[1] * t * t + r[2] * f * f
+    ahead, left, turn = se2.mid_turn(mean[0], mean[1], mean[2])
+    along = se2.chord(turn)
+    bent = -turn / 12.0
+    if abs(turn) >= 1e-3:
+        bent = (math.cos(0.5 * turn) - along) / turn
+    along = math.copysign(max(abs(along), LEAST_CHORD), along)
+    ahead, left = ahead / along, left / along
+    m_t = turn / a.noise_unit[0]
+    m_f, m_s = ahead / a.noise_unit[1], left / a.noise_unit[2]
+    for j in range(3, 9):
+        out[j] = 0.0
+    for k in range(len(a.noise_sources)):
+        u = a.noise_sources[k]
+        t = u[0, 0] * m_t + u[0, 1] * m_f + u[0, 2] * m_s
+        f = along * (u[1, 0] * m_t + u[1, 1] * m_f + u[1, 2] * m_s) + ahead * bent * t
+        s = along * (u[2, 0] * m_t + u[2, 1] * m_f + u[2, 2] * m_s) + left * bent * t
+        out[3] += t * t
+        out[4] += f * t
+        out[5] += f * f
+        out[6] += s * t
+        out[7] += s * f
+        out[8] += s * s
     tail = a.noise_tail
-    out[9] = min(math.exp(tail[0] + tail[1] * log_travel + tail[2] * log_turn), HEAVIEST)
+    log_tau = tail[0] + tail[1] * math.log(travel + 0.01)
+    log_tau += tail[2] * math.log(abs(turn / a.noise_unit[0]) + 0.02)
+    out[9] = min(math.exp(log_tau), HEAVIEST)
 
 
 @njit(cache=True, error_model="numpy", forceinline=True)
@@ -306,12 +310,14 @@ def shake(mean, size, z, out):
         out: [3], written; may be ``mean``.
     """
     width = math.exp(2.0 * size[9] * z[3])
-    s_t = math.sqrt(size[0] * width + size[6])
-    s_f = math.sqrt(size[1] * width + size[7])
-    s_s = math.sqrt(size[2] * width + size[8])
-    e_t = s_t * z[0]
-    e_f = s_f * (z[1] + size[3] * z[0])
-    e_s = s_s * (z[2] + size[4] * z[0] + size[5] * z[1])
+    tt = math.sqrt(max(size[0] * width + size[3], TINY))
+    ft, st = size[4] / tt, size[6] / tt
+    ff = math.sqrt(max(size[1] * width + size[5] - ft * ft, TINY))
+    sf = (size[7] - st * ft) / ff
+    ss = math.sqrt(max(size[2] * width + size[8] - st * st - sf * sf, TINY))
+    e_t = tt * z[0]
+    e_f = ft * z[0] + ff * z[1]
+    e_s = st * z[0] + sf * z[1] + ss * z[2]
     theta = mean[2] + e_t
     x, y = se2.rotate(0.5 * e_t, mean[0], mean[1])
     out[0], out[1], out[2] = se2.compose(x, y, 0.5 * theta, e_f, e_s, 0.5 * theta)

@@ -7,29 +7,31 @@ The noise stands in the mid-turn frame (see :mod:`neurosim.base.se2`). With the 
           p = R(e_t / 2)\, \bar p + R(\theta / 2)\, (e_f, e_s)
 
 so that a turn that came out larger carries the robot round with it. The three are a linear map of
-standard normal draws z, a Cholesky decomposition of their covariance (Pourahmadi 1999, Biometrika
-86), which is positive definite whatever its numbers:
+standard normal draws z, the Cholesky factor of their covariance C, which is a sum:
 
-.. math:: e_t = S_t z_t, \qquad e_f = S_f (z_f + c_1 z_t), \qquad
-          e_s = S_s (z_s + c_2 z_t + c_3 z_f)
+.. math:: C = \mathrm{diag}(s^2) e^{2 \tau g} + J \Big(\sum_k U_k m m^T U_k^T\Big) J^T
 
-Each c is linear in features of the command. A size S is of two parts, whose variances add up:
+What happens in the course of the motion, as slip of a wheel does, changes the twist
+:math:`m = (\theta, l_f, l_s)`, the turn and the lengths of the arc, in proportion to it:
+every source k by its matrix :math:`U_k`. J is what becomes of it in the chord
+:math:`c = \mathrm{sinc}(\theta / 2)\, l`, which a turn makes shorter:
 
-.. math:: S^2 = s^2 e^{2 \tau g} + r^2
+.. math:: J = \begin{pmatrix} 1 & 0 \\ l\, \mathrm{sinc}' & I\, \mathrm{sinc} \end{pmatrix}
 
-What happens in the course of the motion, as slip does, has variance :math:`r^2`, linear in the
-squares of turn and distance. What else there is has heavy tails, as if its scale itself were
-uncertain (Clark 1973, Econometrica 41): g is standard normal, the same for all three, and ln s and
-:math:`\ln \tau` are linear in features of the command (how far, how much of a turn, how sudden,
-how fast the motors ran before it: where they stood, the motion before that, which no input tells,
-has left the caster in some direction).
-A product of features alone would say that a robot that goes straight ahead hardly strays, and
-plans would be looked for where it says so.
+Noise on the chord itself would be too large on curves or too small on straight runs, of which
+plans are made: a wheel that slips on a curve lengthens the arc and bends it, and the one takes
+back in the chord what the other adds.
+
+What else there is has heavy tails, as if its scale itself were uncertain (Clark 1973, Econometrica
+41): g is standard normal, the same for all three, and ln s and :math:`\ln \tau` are linear in
+features of the command (how sudden, how long, how fast the motors ran before it: where they stood,
+the motion before that, which no input tells, has left the caster in some direction; tau also how
+far and how much of a turn).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import torch
@@ -43,25 +45,21 @@ COMPONENTS = ("turn", "forward", "sideways")
 #: Draws of a command: one a component, and g, on which the width of all three depends.
 DRAWS = 4
 
+#: The least variance, m^2 or rad^2.
+TINY = 1e-30
+
 #: The heaviest tails, as :math:`\tau`.
 HEAVIEST = 1.5
 
-#: What ln s is linear in, what a coupling c, and what ln tau; see :func:`features`.
-SCALE_FEATURES = (
-    "one",
-    "travel",
-    "travel_squared",
-    "turn",
-    "forward",
-    "jump",
-    "reversal",
-    "time",
-    "before",
-)
-COUPLING_FEATURES = ("one", "product", "turn", "forward")
-#: What r^2 is linear in: the squares of these.
-MOTION_FEATURES = ("one", "turn", "forward")
+#: What ln s is linear in, and what ln tau; see :func:`features`.
+SCALE_FEATURES = ("one", "jump", "reversal", "time", "before")
 TAIL_FEATURES = ("one", "travel", "turn")
+
+#: How many sources of what happens in the course of the motion there are.
+SOURCES = 3
+
+#: A chord is taken for this share of its arc at least, where the arc is nearly a full circle.
+LEAST_CHORD = 0.1
 
 
 @dataclass(frozen=True)
@@ -72,23 +70,20 @@ class NoiseModel:
         unit: [3] root mean square of the mean turn (rad), forward and sideways chord (m): what
             the features measure turns and distances in.
         log_scale: [3, len(SCALE_FEATURES)] of ln s_t (rad), ln s_f and ln s_s (m).
-        coupling: [3, len(COUPLING_FEATURES)] of c_1, c_2 and c_3.
         tail: [len(TAIL_FEATURES)] of ln tau.
-        motion: [3, len(MOTION_FEATURES)] of r_t^2 (rad^2), r_f^2 and r_s^2 (m^2).
+        sources: [SOURCES, 3, 3] the matrices U; of turn (rad) and lengths (m) by twists in units.
     """
 
     unit: Tensor
     log_scale: Tensor
-    coupling: Tensor
     tail: Tensor
-    motion: Tensor
+    sources: Tensor
 
     SHAPES: ClassVar[dict[str, tuple[int, ...]]] = {
         "unit": (3,),
         "log_scale": (3, len(SCALE_FEATURES)),
-        "coupling": (3, len(COUPLING_FEATURES)),
         "tail": (len(TAIL_FEATURES),),
-        "motion": (3, len(MOTION_FEATURES)),
+        "sources": (SOURCES, 3, 3),
     }
 
     def __post_init__(self) -> None:
@@ -99,15 +94,6 @@ class NoiseModel:
             object.__setattr__(self, name, value.detach().cpu().double())
         if (self.unit <= 0).any():
             raise ValueError("noise unit must be above 0")
-        if (self.motion < 0).any():
-            raise ValueError("noise motion must not be negative")
-
-    def widened(self, factor: Tensor) -> NoiseModel:
-        """Return the model with each component [3] as many times as wide."""
-        log_scale = self.log_scale.clone()
-        log_scale[:, 0] += factor.log()
-        motion = self.motion * factor.square().unsqueeze(-1)
-        return replace(self, log_scale=log_scale, motion=motion)
 
     def tensors(self) -> dict[str, Tensor]:
         """Return the numbers by name."""
@@ -150,8 +136,8 @@ class CommandFeatures:
 
 def features(
     unit: Tensor, columns: CommandFeatures, inputs: Tensor, mean: Tensor
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Return what the noise's size, coupling and tails depend on.
+) -> tuple[Tensor, Tensor]:
+    """Return what the noise's size and tails depend on, but for the motion itself.
 
     Args:
         unit: of the noise model, [3].
@@ -160,7 +146,7 @@ def features(
         mean: mean displacements, [B, 3].
 
     Returns:
-        [B, len(SCALE_FEATURES)], [B, len(COUPLING_FEATURES)] and [B, len(TAIL_FEATURES)].
+        [B, len(SCALE_FEATURES)] and [B, len(TAIL_FEATURES)].
     """
     one = torch.ones_like(mean[:, 0])
     duration = inputs[:, columns.duration].clamp(min=0) if columns.duration >= 0 else one
@@ -172,28 +158,17 @@ def features(
         jump = jump + (u - v).abs()
         reversal = reversal + (-u * v).clamp(min=0.0)
         speed = speed + v.abs() / len(columns.driven)
-    turn, forward, _ = (components(mean) / unit).unbind(-1)
-    log_travel = (travel + 0.01).log()
     reverses = reversal > 0.0  # the square root has no gradient at 0
     scale = [
         one,
-        log_travel,
-        log_travel.square(),
-        (turn.abs() + 0.02).log(),
-        (forward.abs() + 0.02).log(),
         (jump + 0.02).log(),
         torch.where(reverses, torch.where(reverses, reversal, 1.0).sqrt(), 0.0),
         (duration + 0.02).log(),
         (speed + 0.02).log(),
     ]
-    coupling = [
-        one,
-        turn * forward / (turn.square() + forward.square() + 0.01),
-        turn / (turn.square() + 0.05).sqrt(),
-        forward / (forward.square() + 0.05).sqrt(),
-    ]
-    tail = [one, log_travel, scale[SCALE_FEATURES.index("turn")]]
-    return torch.stack(scale, dim=-1), torch.stack(coupling, dim=-1), torch.stack(tail, dim=-1)
+    turn = (mean[:, 2] / unit[0]).abs()
+    tail = [one, (travel + 0.01).log(), (turn + 0.02).log()]
+    return torch.stack(scale, dim=-1), torch.stack(tail, dim=-1)
 
 
 def disturb(
@@ -208,31 +183,64 @@ def disturb(
         mean: mean displacements, [B, 3].
         z: draws of :meth:`NoiseModel.draw`, [B, DRAWS].
     """
-    scale, coupling, tail = features(noise.unit.to(mean), columns, inputs, mean)
-    c = coupling @ noise.coupling.to(mean).T
+    scale, tail = features(noise.unit.to(mean), columns, inputs, mean)
     z = z.to(mean)
-    t, f, side = z[:, :3].unbind(-1)
     width = (heaviness(tail, noise.tail.to(mean)) * z[:, 3]).exp()
     s = (scale @ noise.log_scale.to(mean).T).exp() * width.unsqueeze(-1)
-    s = (s.square() + in_motion(noise, mean)).sqrt()
-    turn = s[:, 0] * t
-    forward = s[:, 1] * (f + c[:, 0] * t)
-    sideways = s[:, 2] * (side + c[:, 1] * t + c[:, 2] * f)
+    moving = in_motion(noise.unit.to(mean), noise.sources.to(mean), mean)
+    lower = cholesky(torch.diag_embed(s.square()) + moving)
+    turn, forward, sideways = (
+        torch.stack([part * z[:, k] for k, part in enumerate(row)]).sum(0) for row in lower
+    )
     theta = mean[:, 2] + turn
     a = se2.rotate(turn / 2, mean[:, :2])
     b = se2.rotate(theta / 2, torch.stack([forward, sideways], dim=-1))
     return torch.cat([a + b, theta.unsqueeze(-1)], dim=-1)
 
 
-def in_motion(noise: NoiseModel, mean: Tensor) -> Tensor:
-    """Return r^2 [B, 3] of mean displacements [B, 3]."""
-    return motion_features(noise.unit.to(mean), mean) @ noise.motion.to(mean).T
+def in_motion(unit: Tensor, sources: Tensor, mean: Tensor) -> Tensor:
+    """Return the covariance [B, 3, 3] of what happens in the motion.
+
+    Args:
+        unit: of the noise model, [3].
+        sources: of the noise model, [SOURCES, 3, 3].
+        mean: mean displacements, [B, 3].
+    """
+    turn, forward, sideways = components(mean).unbind(-1)
+    along = se2.chord(turn)
+    along = torch.where(along < 0.0, -1.0, 1.0) * along.abs().clamp(min=LEAST_CHORD)
+    arc = torch.stack([turn, forward / along, sideways / along], dim=-1)
+    by = torch.einsum("kab,nb->nka", sources, arc / unit)
+    bent = shortened(turn).unsqueeze(-1) * by[..., 0]
+    along = along.unsqueeze(-1)
+    moved = [
+        by[..., 0],
+        along * by[..., 1] + arc[:, 1:2] * bent,
+        along * by[..., 2] + arc[:, 2:3] * bent,
+    ]
+    each = torch.stack(moved, dim=-1)
+    return each.transpose(1, 2) @ each
 
 
-def motion_features(unit: Tensor, mean: Tensor) -> Tensor:
-    """Return the squares [B, len(MOTION_FEATURES)] of mean displacements [B, 3]."""
-    turn, forward, _ = (components(mean) / unit).square().unbind(-1)
-    return torch.stack([torch.ones_like(turn), turn, forward], dim=-1)
+def shortened(turn: Tensor) -> Tensor:
+    """Return by how much the chord of an arc of length 1 grows with its turn, per rad."""
+    small = turn.abs() < 1e-3
+    safe = torch.where(small, 1.0, turn)
+    return torch.where(small, -turn / 12.0, ((safe / 2.0).cos() - se2.chord(safe)) / safe)
+
+
+def cholesky(covariance: Tensor) -> tuple[tuple[Tensor, ...], ...]:
+    """Return the rows of the lower factor of covariances [..., 3, 3], each number [...].
+
+    Like the compiled one it takes for 0 what rounding makes of a variance below that.
+    """
+    c = covariance
+    a = c[..., 0, 0].clamp(min=TINY).sqrt()
+    b, d = c[..., 1, 0] / a, c[..., 2, 0] / a
+    e = (c[..., 1, 1] - b.square()).clamp(min=TINY).sqrt()
+    f = (c[..., 2, 1] - d * b) / e
+    g = (c[..., 2, 2] - d.square() - f.square()).clamp(min=TINY).sqrt()
+    return (a,), (b, e), (d, f, g)
 
 
 def heaviness(features: Tensor, tail: Tensor) -> Tensor:

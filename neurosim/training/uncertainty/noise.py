@@ -1,6 +1,6 @@
 """Learning a noise model from what was predicted of rows that had not been seen.
 
-Scales, couplings and tails are fitted together by maximum likelihood, with a weak pull to zero
+Scales, tails and sources are fitted together by maximum likelihood, with a weak pull to zero
 for what few rows say little about. The noise of the poses at both ends of a command, as the camera
 saw them, is part of what is learned: it is what is left of the noise where a robot stands still.
 """
@@ -14,16 +14,15 @@ from torch import Tensor
 from neurosim.base.threads import one_thread
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.noise import (
-    COUPLING_FEATURES,
-    MOTION_FEATURES,
     SCALE_FEATURES,
     TAIL_FEATURES,
     CommandFeatures,
     NoiseModel,
+    cholesky,
     components,
     features,
     heaviness,
-    motion_features,
+    in_motion,
     residual,
 )
 from neurosim.training.base import root_mean_square
@@ -37,8 +36,13 @@ FINEST = 1e-6
 #: The most that members may explain of a row, in mean squares.
 MOST = 4.0
 
-#: Of r^2 where nothing is known, as the logarithm of its share in the mean square.
-LITTLE = -3.0
+#: Sources where the search begins, as shares of the residuals' root mean squares: one of turn and
+#: one forward, of a turn and a way ahead alike, and one of a curve to the side.
+BEGIN = (
+    ((0.2, 0.1, 0.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+    ((0.0, 0.0, 0.0), (0.1, 0.2, 0.0), (0.0, 0.0, 0.0)),
+    ((-0.1, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.1, 0.0)),
+)
 
 #: Places and weights of Gauss-Hermite quadrature over a standard normal number.
 _PLACES, _SHARES = (torch.from_numpy(part) for part in hermegauss(11))
@@ -94,51 +98,51 @@ def _most_likely(
 ) -> NoiseModel:
     """Fit the noise, beside what the members say [N, 3]."""
     unit = root_mean_square(components(mean))
-    scale, coupling, tail = features(unit, columns, inputs, mean)
+    scale, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = weight.sum()
     # A member may be wild on some row; the row itself says how far that can be believed.
-    besides = (said / size.square()).clamp(max=MOST)
+    besides = torch.diag_embed((said / size.square()).clamp(max=MOST))
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
-    c = torch.zeros(3, len(COUPLING_FEATURES), dtype=torch.float64, requires_grad=True)
     h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
     h[0] = SLIGHT
     h.requires_grad_()
-    in_motion = motion_features(unit, mean)
-    v = torch.full((3, len(MOTION_FEATURES)), LITTLE, dtype=torch.float64, requires_grad=True)
+    u = torch.tensor(BEGIN, dtype=torch.float64, requires_grad=True)
     shares = (_SHARES / _SHARES.sum()).log()
 
     def loss() -> Tensor:
         optimiser.zero_grad()
-        k = (coupling @ c.T).unsqueeze(-1)
-        log_s = (scale @ w.T).unsqueeze(-1) + (
-            heaviness(tail, h).unsqueeze(-1) * _PLACES
-        ).unsqueeze(1)
-        rest = in_motion @ v.exp().T + besides
-        variance = (2.0 * log_s).exp() + rest.unsqueeze(-1)  # [N, 3, places]
-        t, f, s = (error.unsqueeze(-1) / variance.sqrt()).unbind(1)
-        f = f - k[:, 0] * t
-        z = torch.stack([t, f, s - k[:, 1] * t - k[:, 2] * f], dim=1)
-        # As if each had been read to the finest step only: no residual is likelier than that.
-        power = z.square() + (FINEST / size).square().unsqueeze(-1) / variance
-        likelihood = (shares - (power + variance.log()).sum(1) / 2.0).logsumexp(-1)
-        pull = w[:, 1:].square().sum() + c.square().sum() + (h[0] - SLIGHT).square()
-        pull = pull + h[1:].square().sum() + 0.1 * (v - LITTLE).square().sum()
-        value = -(weight * likelihood).sum() / rows + PULL * pull / (2 * rows)
+        log_s = (scale @ w.T).unsqueeze(1) + (heaviness(tail, h).unsqueeze(-1) * _PLACES).unsqueeze(
+            -1
+        )  # [N, places, 3]
+        moving = in_motion(unit, u * size.unsqueeze(-1), mean)
+        rest = moving / torch.outer(size, size) + besides
+        lower = cholesky(torch.diag_embed((2.0 * log_s).exp()) + rest.unsqueeze(1))
+        z: list[Tensor] = []
+        power, log_size = torch.zeros(()), torch.zeros(())
+        for k, row in enumerate(lower):
+            told = sum((part * one for part, one in zip(row[:-1], z, strict=True)), torch.zeros(()))
+            z.append((error[:, k : k + 1] - told) / row[-1])
+            # As if each had been read to the finest step only: no residual is likelier than that.
+            power = power + z[-1].square() + (FINEST / size[k] / row[-1]).square()
+            log_size = log_size + row[-1].log()
+        likelihood = (shares - power / 2.0 - log_size).logsumexp(-1)
+        pull = w[:, 1:].square().sum() + (h[0] - SLIGHT).square() + h[1:].square().sum()
+        value = -(weight * likelihood).sum() / rows
+        value = value + PULL * (pull + u.square().sum()) / (2 * rows)
         value.backward()
         return value
 
-    optimiser = torch.optim.LBFGS([w, c, h, v], max_iter=100, line_search_fn="strong_wolfe")
+    optimiser = torch.optim.LBFGS([w, h, u], max_iter=150, line_search_fn="strong_wolfe")
     with one_thread():
         optimiser.step(loss)
-    w, c = w.detach(), c.detach()
+    w = w.detach()
     w[:, 0] += size.log()
     return NoiseModel(
         unit=unit,
         log_scale=w,
-        coupling=c,
         tail=h.detach(),
-        motion=v.detach().exp() * size.square().unsqueeze(-1),
+        sources=u.detach() * size.unsqueeze(-1),
     )
