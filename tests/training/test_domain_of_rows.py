@@ -1,12 +1,18 @@
 """Training says where there were rows."""
 
 import json
+from pathlib import Path
 
+import numpy as np
 import pytest
+import torch
 
+from neurosim.base import se2
 from neurosim.simulators import read_simulator
-from neurosim.training.train import HELD_OUT, train
+from neurosim.training.train import HELD_OUT, domain_of, learn, train, training_data
 from tracking.datasets.dataset import Dataset
+
+REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
 
 
 @pytest.mark.parametrize("trainer", ["ga", "gradient", "combined"])
@@ -21,3 +27,23 @@ def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
     assert said["commands"]["left"] == [inputs[:, 0].min(), inputs[:, 0].max()]
     assert found.knows_gaps
     assert found.supported(inputs).mean() > 0.95
+
+
+def test_no_member_runs_off_where_rows_were_few():
+    """Wherever 40 rows support commands, six in a row, members stay beside each other."""
+    data = training_data(Dataset.read(REFERENCE)).part(slice(1000, 1040))
+    simulator = learn(data, 1)
+    simulator.known = domain_of(simulator, data, None)
+    rng, rows = np.random.default_rng(0), 4000
+    low, high = np.array(list(simulator.domain.values())).T
+    drawn = rng.uniform(low, high, (20 * rows, 3))
+    drawn = drawn[simulator.supported(drawn)][: 6 * rows]
+    commands = torch.from_numpy(drawn).reshape(6, rows, 3)
+    every = torch.arange(simulator.members).repeat_interleave(rows)
+    state = simulator.start_as(torch.zeros(len(every), 3, dtype=torch.float64), every)
+    for command in commands:
+        before = state[:, :3].numpy()
+        state = simulator.step(state, command.repeat(simulator.members, 1))
+        way = se2.between(before, state[:, :3].numpy()).reshape(-1, rows, 3)
+        apart = np.abs(way - np.median(way, axis=0)).max(axis=(0, 1))
+        assert (apart < [0.04, 0.04, np.radians(15.0)]).all()
