@@ -43,6 +43,8 @@ AGAIN = 10
 HAND = genes_of(HAND_TUNED)
 #: The paper's 24.7 cm/s over its hand-tuned 10.
 PAPER = 2.47
+#: On whom L3 is judged: those that it saw, the next round's, and the best one's neighbours.
+GROUPS = ("compared", "held_out", "neighbours")
 #: Methods that are held against all others.
 LEARNERS = (
     "back to reality, better choices",
@@ -91,14 +93,14 @@ class Job:
         run = Alternation(
             self.simulated, self.trials, HAND, how, seed=self.seed, progress=False
         ).run()
-        kept = ("compared", "held_out", "left_out", "neighbours")
-        about = [
-            {
-                "transfer": cycle["transfer"]["works"] if "transfer" in cycle else None,
-                **{name: cycle["L3"][name] for name in kept if name in cycle.get("L3", {})},
-            }
-            for cycle in run.cycles
-        ]
+        about = []
+        for cycle in run.cycles:
+            works = cycle["transfer"]["works"] if "transfer" in cycle else None
+            about.append({"transfer": works})
+            for group in GROUPS:
+                if group in cycle.get("L3", {}):
+                    told = cycle["L3"][group]
+                    about[-1][group] = {when: told[when] for when in ("before", "after")}
         return run.record, {"cycles": about, "confirm": how.confirm}
 
     def learn(self, learner: Any, order: Evaluations, count: int) -> Evaluations:
@@ -247,7 +249,7 @@ def adapted(method: str, own: list[dict[str, Any]]) -> str:
     text = ""
     for name, part in (("first cycle", slice(0, 1)), ("later cycles", slice(1, None))):
         cycles = [cycle for row in own for cycle in row["cycles"][part]]
-        for group in ("compared", "held_out", "neighbours"):
+        for group in GROUPS:
             found = [cycle[group] for cycle in cycles if group in cycle]
             if not found:
                 continue
