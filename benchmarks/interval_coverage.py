@@ -167,7 +167,9 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
         drives = Drives(rig, options.seed)
         inputs, actual = single_commands(simulator, drives, options.commands)
         starts, commands, ends = sequences(simulator, drives, options.sequences, options.length)
-    drawn = draw_displacements(simulator, torch.tensor(inputs), options.draws, generator)
+    drawn = draw_displacements(
+        simulator, simulator.chained(torch.tensor(inputs)), options.draws, generator
+    )
     ranks = central(drawn.numpy(), actual)
     moving = inputs[:, 2:4].any(1)
     some = {
