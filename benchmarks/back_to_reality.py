@@ -32,6 +32,7 @@ from neurosim.back_to_reality import Alternation, Simulated, Trials, settings_na
 from neurosim.back_to_reality.climb import BoundedCMA
 from neurosim.back_to_reality.evaluations import Evaluations
 from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings
+from neurosim.base.errors import FileError
 from neurosim.base.files import JsonLines
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.lab.walker import PLACES, VirtualWalker
@@ -198,7 +199,7 @@ def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, A
 
 def table(rows: list[dict[str, Any]]) -> str:
     """Return the tables: how far each method gets, who wins, and what L3 brings."""
-    text = ""
+    text, counts = "", list(rows[0]["read"]) if rows else []
     for place in PLACES:
         there = [row for row in rows if row["place"] == place]
         by = {m: {row["seed"]: row for row in there if row["method"] == m} for m in METHODS}
@@ -207,40 +208,35 @@ def table(rows: list[dict[str, Any]]) -> str:
             continue
         hand = 100 * np.mean([row["hand"] for row in there])
         text += f"\n{place}: hand-tuned {hand:.1f} cm/s\n"
-        text += f"| {'cm/s, medians of seeds':40} | seeds | at 60 | at 90 | at 120 | times hand "
-        text += f"| {PAPER} and more | simulated |\n|---|---|---|---|---|---|---|---|\n"
+        text += (
+            f"| {'cm/s, medians of seeds':40} | seeds | at {' | at '.join(counts)} | times hand "
+        )
+        text += f"| {PAPER} and more | simulated |\n|{'---|' * (5 + len(counts))}\n"
         for method, own in by.items():
-            read = [100 * float(np.median(list(at_count(own, at).values()))) for at in READ_AT]
-            times = [value / own[seed]["hand"] for seed, value in at_count(own, 120).items()]
+            read = [100 * np.median([row["read"][at][0] for row in own.values()]) for at in counts]
+            times = [row["read"][counts[-1]][0] / row["hand"] for row in own.values()]
             simulated = int(np.median([row["simulated"] for row in own.values()]))
             text += f"| {method:40} | {len(own)} | {' | '.join(f'{v:.1f}' for v in read)} | "
             text += f"{np.median(times):.2f} | {sum(t >= PAPER for t in times)} of {len(times)} | "
             text += f"{simulated:,} |\n"
-        for first in LEARNERS:
+        learners = [method for method in LEARNERS if method in by]
+        for n, first in enumerate(learners):
             for method in by:
-                if first in by and method != first:
-                    text += against(first, method, by[first], by[method])
-        for method in LEARNERS[:1] + LEARNERS[2:]:
-            text += adapted(method, list(by.get(method, {}).values()))
+                if method not in learners[: n + 1]:
+                    text += against(first, method, by[first], by[method], counts)
+        for method in learners:
+            text += adapted(method, list(by[method].values()))
     return text
 
 
-def at_count(own: dict[int, dict[str, Any]], count: int) -> dict[int, float]:
-    """Return what the seeds' runs were measured to be worth after so many evaluations, m/s."""
-    return {
-        seed: row["read"].get(str(count), list(row["read"].values())[-1])[0]
-        for seed, row in own.items()
-    }
-
-
-def against(first: str, second: str, own: dict[int, Any], other: dict[int, Any]) -> str:
-    """Return a line of the differences of two methods, seed by seed."""
-    parts = []
-    for count in READ_AT:
-        one, two = at_count(own, count), at_count(other, count)
-        apart = np.array([100 * (one[seed] - two[seed]) for seed in one if seed in two])
-        if len(apart):
-            parts.append(f"{np.median(apart):+.1f} ({(apart > 0).sum()} of {len(apart)})")
+def against(
+    first: str, second: str, own: dict[int, Any], other: dict[int, Any], counts: list[str]
+) -> str:
+    """Return a line of the differences of two methods, seed by seed, and how many are above 0."""
+    parts, seeds = [], own.keys() & other.keys()
+    for at in counts if seeds else []:
+        apart = [100 * (own[seed]["read"][at][0] - other[seed]["read"][at][0]) for seed in seeds]
+        parts.append(f"{np.median(apart):+.1f} ({sum(a > 0 for a in apart)} of {len(apart)})")
     return f"  {first}, less {second}: {', '.join(parts)}\n" if parts else ""
 
 
@@ -295,8 +291,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("-o", "--out", type=Path, default=KEPT, help="file of the runs")
     parser.add_argument("--speed", action="store_true", help="measure what a trial costs")
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--first-seed", type=int, default=0)
+    parser.add_argument("--seeds", type=int, default=1, help="how many")
+    parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
     parser.add_argument("--places", nargs="+", choices=list(PLACES), default=list(PLACES))
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument("--paper", action="store_true", help="at the paper's size")
@@ -312,7 +308,10 @@ def main() -> None:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:
         size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2, "budget": 4}
-    file = JsonLines(options.out, "neurosim-table", 1, {"size": size})
+    try:
+        file = JsonLines(options.out, "neurosim-table", 1, {"size": size})
+    except FileError as error:  # such as runs of another size
+        parser.error(f"{error}; name another file: -o")
     rows = list(file.rows)
     known = {(row["method"], row["place"], row["seed"]) for row in rows}
     for seed in range(options.first_seed, options.first_seed + options.seeds):
