@@ -40,13 +40,15 @@ def coverage(
 
 
 def central_ranks(
-    simulator: MotionNetwork, inputs: NDArray, actual: NDArray, seed: int = 0
+    simulator: MotionNetwork, inputs: NDArray, actual: NDArray, seed: int = 0, draws: int = DRAWS
 ) -> NDArray | None:
     """Return :func:`central` of what followed commands, by outcomes that a simulator draws.
 
     Args:
         inputs: [N, I], in the simulator's units and order, in the order of time.
         actual: [N, 3] dx, dy (m), dtheta (rad).
+        seed: of the draws.
+        draws: outcomes drawn of each command.
 
     Returns:
         [N, 3] in 0..1; None if the simulator has no noise model.
@@ -55,7 +57,7 @@ def central_ranks(
         return None
     generator = torch.Generator().manual_seed(seed)
     x = simulator.chained(torch.tensor(inputs))
-    drawn = draw_displacements(simulator, x, DRAWS, generator).numpy()
+    drawn = draw_displacements(simulator, x, draws, generator).numpy()
     return central(drawn, actual)
 
 
