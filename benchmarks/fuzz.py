@@ -117,8 +117,8 @@ TARGETS = (
     Target("build-tables sampled/wall.sample sampled/cylinder.sample --motors sampled/motors.csv "
            "-o out", ("sampled",), lab=True, weight=2),
     Target("back-to-reality -o walked --resume", ("walked.checkpoint",), lab=True, weight=0.3),
-    Target("back-to-reality -o out --start start.json --seconds 1 --budget 2 --generations 1 "
-           "--candidates 1 --adapt none", ("start.json",), lab=True, weight=0.1),
+    Target("back-to-reality -o out --settings paper --start start.json --seconds 1 --budget 2 "
+           "--generations 1 --candidates 1 --adapt none", ("start.json",), lab=True, weight=0.1),
 )  # fmt: skip
 
 
@@ -398,7 +398,8 @@ def make(folder: Path, lab: bool = True) -> None:
         do("evolve tables --task obstacle-avoidance -o begun --generations 2 --population 6 "
            "--steps 6 --starts 2")  # fmt: skip
         if lab:
-            do("back-to-reality -o walked --seconds 1 --budget 2 --generations 2 --candidates 1")
+            do("back-to-reality -o walked --settings paper --seconds 1 --budget 2 --generations 2 "
+               "--candidates 1")  # fmt: skip
     for name in ("left", "begun", "walked"):
         shutil.rmtree(folder / name, ignore_errors=True)
     if not lab:
@@ -416,7 +417,7 @@ def make(folder: Path, lab: bool = True) -> None:
     _edit(folder / "driven" / "recording.json", complete=False)
     do("run plan -o trial --calibration calibration.json")
     do("sample sampled --angles 8 --distances 2 --step 10 --grid 2")
-    do("back-to-reality -o found --settings better --seconds 1 --budget 3")
+    do("back-to-reality -o found --seconds 1 --budget 3 --compare recent")
 
 
 def _edit(path: Path, **changes: Any) -> None:

@@ -237,14 +237,14 @@ class Alternation:
             "real": real.tolist(),
             "works": float(np.mean(works & (real > 0.0))),
         }
-        if cycle and self._settings.adapt != "none":
+        if cycle and "L3" in self.cycles[cycle - 1]:
             self.cycles[cycle - 1]["L3"]["held_out"] = self._agreement(cycle - 1, genes, real)
         return genes, real
 
     # L3
 
     def _adapt(self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]) -> None:
-        """Search the parameters with which the simulator gives what reality gave."""
+        """Search the parameters with which the simulator gives what reality gave, if they shall."""
         settings = self._settings
         if settings.compare == "similar":
             fitness = self._simulated.fitness(genes, self._sets[0])
@@ -257,6 +257,8 @@ class Alternation:
             chosen = np.arange(len(recent))
         others = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
+        if settings.compare == "tracked" and ten.poses is None:
+            return
         climb = begin_adapting(
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
@@ -318,5 +320,5 @@ class Alternation:
         if not tried:
             return
         genes, real = np.concatenate(tried), np.concatenate(scores)
-        if settings.adapt != "none":
+        if "L3" in self.cycles[cycle]:
             self.cycles[cycle]["L3"]["neighbours"] = self._agreement(cycle, genes, real)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from neurosim.back_to_reality.alternate import Alternation, Found
 from neurosim.back_to_reality.reality import Reality, Trials
-from neurosim.back_to_reality.settings import BackToRealitySettings
+from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files
 from neurosim.base.checkpoint import Checkpoint
@@ -116,7 +116,7 @@ def back_to_reality(
         out: folder of the result: ``back-to-reality.json``, ``trials.jsonl``, ``controller`` and,
             of a simulator that can be written, ``simulator``, ``simulator-2`` ...
         start: [G] the genes to start from; None: those tuned by hand.
-        settings: how; by default the paper's.
+        settings: how; by default our own choices, ``settings_named("better")``.
         seed: random seed.
         resume: go on with the interrupted run of ``out``.
         options: kept in the checkpoint, for whoever resumes.
@@ -133,7 +133,7 @@ def back_to_reality(
         RobotError: if reality did not answer; go on with ``resume``.
         KeyboardInterrupt: at Ctrl-C; go on with ``resume``.
     """
-    settings = settings or BackToRealitySettings()
+    settings = settings or settings_named("better")
     simulated = Simulated(simulator, task, controller)
     shares = simulated.shares_of(start_genes(controller) if start is None else start)
     if start is not None and hasattr(controller, "check"):

@@ -10,6 +10,7 @@ from neurosim.back_to_reality.policy_gradient import PolicySettings
 from neurosim.base.errors import UserError
 
 SEARCHES = ("ga", "cma")
+COMPARED = ("similar", "recent", "tracked")
 _PAPER_GENETIC, _PAPER_POLICY = BitSettings(), PolicySettings()
 _PAPER_ADAPT = BitSettings(population=20, first_mutation=0.2)
 
@@ -37,8 +38,9 @@ class BackToRealitySettings:
         adapt_genetic: the genetic algorithm of L3; its population is that of cma, too.
         compared: L3 compares so many individuals.
         compare: Which these are: similar, those of the round with the most similar success in
-            both, as the paper's ten; or recent, those that were tried last, failures included, and
-            the best one.
+            both, as the paper's ten; recent, those that were tried last, failures included, and
+            the best one; or tracked, the recent ones if reality tracked them all, else there is no
+            L3.
         policy_steps: Steps of the policy gradient in reality (L2); 0: there is none.
         policy: the policy gradient.
         confirm: A leader is tried in so many evaluations before it is believed, and learned from;
@@ -62,7 +64,7 @@ class BackToRealitySettings:
     adapt_generations: int = 45
     adapt_genetic: BitSettings = field(default=_PAPER_ADAPT)
     compared: int = 10
-    compare: Literal["similar", "recent"] = "similar"
+    compare: Literal["similar", "recent", "tracked"] = "similar"
     policy_steps: int = 3
     policy: PolicySettings = field(default=_PAPER_POLICY)
     confirm: int = 1
@@ -91,30 +93,31 @@ class BackToRealitySettings:
             raise UserError(f"search is one of {', '.join(SEARCHES)}, not {self.search!r}")
         if self.adapt not in (*SEARCHES, "none"):
             raise UserError(f"adapt is ga, cma or none, not {self.adapt!r}")
-        if self.compare not in ("similar", "recent"):
-            raise UserError(f"compare is similar or recent, not {self.compare!r}")
+        if self.compare not in COMPARED:
+            raise UserError(f"compare is one of {', '.join(COMPARED)}, not {self.compare!r}")
         if not 0.0 < self.spread <= 1.0:
             raise UserError(f"spread is a share of the ranges, 0 to 1, not {self.spread:g}")
 
 
 #: Our choices beside the paper's, by which it is compared with itself.
 BETTER: dict[str, Any] = {
-    "cycles": 5,
+    "cycles": 7,
     "search": "cma",
     "generations": 30,
     "later_generations": 20,
     "spread": 0.1,
-    "sets": 3,
+    "sets": 6,
     "caution": 1.0,
     "candidates": 16,
     "adapt": "cma",
     "adapt_generations": 8,
     "adapt_genetic": BitSettings(population=12),
     "compared": 20,
-    "compare": "recent",
+    "compare": "tracked",
     "policy_steps": 0,
     "confirm": 3,
     "finalists": 4,
+    "budget": 120,
 }
 
 

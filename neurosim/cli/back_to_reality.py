@@ -82,7 +82,7 @@ NAMED = _Named()
 @choice_options(
     "--settings",
     "neurosim.cli.back_to_reality:NAMED",
-    default="paper",
+    default="better",
     help="The settings: the paper's, or our own choices.",
     of=lambda settings: None,  # they are options below
 )
@@ -134,9 +134,10 @@ def back_to_reality(
     """Adapt a controller and a simulator to each other by trials in reality.
 
     Controllers are evolved in the simulator (L1), tried in reality, and the simulator's parameters
-    are changed until it gives the fitness that reality gave (L3); the best controller learns on in
-    reality (L2), and the simulator is gone back to (Zagal, Ruiz-del-Solar and Vallejos 2004).
-    Every trial is on the disk before it is used; --resume continues an interrupted run.
+    are changed until it gives what reality gave (L3); the best controller may learn on in reality
+    (L2), and the simulator is gone back to (Zagal, Ruiz-del-Solar and Vallejos 2004). Without more
+    options L3 needs a reality that tracks the robot, and there is no L2. Every trial is on the
+    disk before it is used; --resume continues an interrupted run.
     """
     from neurosim.back_to_reality.reality import make_reality
     from neurosim.back_to_reality.run import back_to_reality as run
@@ -197,4 +198,10 @@ def _text(content: dict[str, Any], out: Path) -> str:
                 f"{compared['before'][by]:.3g}{unit} over {compared['individuals']} controllers "
                 f"({by}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
             )
+    how, adapted = content["settings"], any("L3" in cycle for cycle in content["cycles"])
+    if how["adapt"] != "none" and how["compare"] == "tracked" and not adapted:
+        text += (
+            "The simulator's parameters were not adapted: reality returned a fitness, and no poses "
+            "(--compare recent adapts them to fitness).\n"
+        )
     return text + next_step("report", out, out / "controller", "-o", "report.html")

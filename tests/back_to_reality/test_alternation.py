@@ -99,7 +99,7 @@ class TrackedBlock:
         return Tracked(0.0, np.concatenate([end.numpy(), np.full((self.steps - 1, 3), np.nan)]))
 
 
-@pytest.mark.parametrize("compare", ["similar", "recent"])
+@pytest.mark.parametrize("compare", ["similar", "recent", "tracked"])
 def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
     settings = settings_named(
         "paper", compare=compare, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
@@ -122,6 +122,14 @@ def test_fitness_is_compared_where_one_was_not_tracked(tmp_path):
     settings = settings_named("paper", **SMALL)
     found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
     assert "poses" not in found.cycles[0]["L3"]["compared"]["after"]
+
+
+def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
+    settings = settings_named("paper", **SMALL, compare="tracked")
+    found = alternation(tmp_path / "trials.jsonl", settings).run()
+    assert len(found.cycles) == 2
+    assert not any("L3" in cycle for cycle in found.cycles)
+    assert (found.sets == simulated().as_is).all()
 
 
 def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
@@ -158,12 +166,13 @@ def test_it_finds_the_parameters_of_reality_and_a_better_controller(tmp_path, se
 def test_our_choices_keep_several_sets_and_confirm_finalists(tmp_path):
     pytest.importorskip("cma")
     settings = settings_named(
-        "better", cycles=2, generations=6, later_generations=4, adapt_generations=5, candidates=5
-    )
+        "better", cycles=2, generations=6, later_generations=4, candidates=5,
+        compare="recent", adapt_generations=5,
+    )  # fmt: skip
     found = alternation(tmp_path / "trials.jsonl", settings).run()
-    assert found.sets.shape == (3, 2)
+    assert found.sets.shape == (settings.sets, 2) == (6, 2)
     apart = found.sets[:, None] - found.sets[None]
-    assert (np.sqrt((apart**2).mean(-1))[~np.eye(3, dtype=bool)] >= 0.05 - 1e-9).all()
+    assert (np.sqrt((apart**2).mean(-1))[~np.eye(6, dtype=bool)] >= 0.05 - 1e-9).all()
     whys = [row["why"] for row in read_trials(tmp_path / "trials.jsonl")]
     assert whys.count("confirm") % 3 == 0
     assert found.record.leader().count == settings.confirm == 3
@@ -314,7 +323,7 @@ def test_what_does_not_fit_is_refused():
     ("change", "said"),
     [({"search": "hill"}, "search is one of"), ({"adapt": "hill"}, "adapt is ga, cma or none"),
      ({"cycles": 0}, "cycles must be at least 1"), ({"spread": 0.0}, "spread is a share"),
-     ({"compare": "all"}, "similar or recent"), ({"budget": -1}, "not be negative")],
+     ({"compare": "all"}, "similar, recent, tracked"), ({"budget": -1}, "not be negative")],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(change, said):
     with pytest.raises(UserError, match=said):

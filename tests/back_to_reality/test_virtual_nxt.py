@@ -118,8 +118,8 @@ def test_a_handful_of_trials_bring_a_simulator_of_another_floor_back(tmp_path, m
     line = (
         "back-to-reality --simulator simulator --task nine-rectangles --controller plan"
         " --commands 4 --reality virtual-nxt --lab-seed 3 --slip 0.08 --worn 0.02 --start plan"
-        " -o found --generations 6 --search-population 10 --candidates 3 --adapt-generations 30"
-        " --adapt-population 20 --policy-steps 0 --trials 1 --json"
+        " -o found --settings paper --generations 6 --search-population 10 --candidates 3"
+        " --adapt-generations 30 --adapt-population 20 --policy-steps 0 --trials 1 --json"
     )
     monkeypatch.setattr(sys, "argv", ["neurosim", *line.split()])
     main()

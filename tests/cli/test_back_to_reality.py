@@ -11,7 +11,7 @@ from neurosim.controllers.gait import HAND_TUNED
 pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
 SIZES = {
-    "seconds": 1, "generations": 2, "search-population": 4, "candidates": 2,
+    "settings": "paper", "seconds": 1, "generations": 2, "search-population": 4, "candidates": 2,
     "adapt-generations": 2, "adapt-population": 3, "policy-steps": 1, "policies": 2, "trials": 1,
 }  # fmt: skip
 SMALL = [word for name, size in SIZES.items() for word in (f"--{name}", str(size))]
@@ -51,6 +51,16 @@ def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
     code, _, said = neurosim("back-to-reality", "-o", "found", *SMALL)
     assert code == 1
     assert "not empty" in said
+
+
+def test_our_own_choices_are_the_default(neurosim, tmp_path):
+    pytest.importorskip("cma")
+    words = ("--seconds", 1, "--generations", 2, "--sets", 2, "--budget", 6, "--trials", 1)
+    code, out, said = neurosim("back-to-reality", "-o", "found", *words, "--candidates", 1)
+    assert code == 0, said
+    assert "were not adapted: reality returned a fitness, and no poses" in out
+    content = json.loads((tmp_path / "found/back-to-reality.json").read_text())
+    assert content["settings"]["compare"] == "tracked"
 
 
 def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monkeypatch):
