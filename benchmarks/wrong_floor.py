@@ -59,6 +59,7 @@ HOW: dict[str, Any] = {
     "generations": 300,
     "later_generations": 300,
     "genetic": BitSettings(population=40),
+    "sets": 3,
     "cycles": 2,
     "trials": 1,
     "candidates": 6,

@@ -252,13 +252,15 @@ class Alternation:
         else:
             known = self._record.latest()
             recent = [*known[-settings.compared + 1 :], self._believed()]
+            if settings.compare == "tracked":
+                recent = [one for one in recent if self._poses(one.genes[None]) is not None]
+                if not recent:
+                    return
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
             chosen = np.arange(len(recent))
         others = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
-        if settings.compare == "tracked" and ten.poses is None:
-            return
         climb = begin_adapting(
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
@@ -292,8 +294,10 @@ class Alternation:
         return agreement(self._compared(genes, real), before, after)
 
     def _compared(self, genes: NDArray[np.float64], real: NDArray[np.float64]) -> Compared:
-        poses = self._trials.poses(self._simulated.real_genes(genes))
-        return Compared(self._simulated, genes, real, poses)
+        return Compared(self._simulated, genes, real, self._poses(genes))
+
+    def _poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
+        return self._trials.poses(self._simulated.real_genes(genes))
 
     def _named(self, shares: NDArray[np.float64]) -> dict[str, float]:
         values = self._simulated.values(shares).tolist()

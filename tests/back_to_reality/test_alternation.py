@@ -124,6 +124,20 @@ def test_fitness_is_compared_where_one_was_not_tracked(tmp_path):
     assert "poses" not in found.cycles[0]["L3"]["compared"]["after"]
 
 
+def test_one_lost_trial_does_not_keep_the_others_from_being_compared(tmp_path):
+    class Lost(TrackedBlock):
+        def trial(self, genes, number):
+            found = super().trial(genes, number)
+            return 0.0 if number == 5 else found
+
+    trials = Trials(Lost(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    settings = settings_named("paper", **SMALL, compare="tracked", compared=20)
+    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
+    compared = found.cycles[0]["L3"]["compared"]
+    assert compared["individuals"] == 13  # the start, twelve candidates, the best again, one lost
+    assert compared["after"]["poses"] < compared["before"]["poses"]
+
+
 def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
     settings = settings_named("paper", **SMALL, compare="tracked")
     found = alternation(tmp_path / "trials.jsonl", settings).run()
