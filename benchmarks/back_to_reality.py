@@ -307,7 +307,7 @@ def main() -> None:
     if options.paper:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
     if options.quick:
-        size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2, "budget": 4}
+        size |= {"seconds": 1.0, "generations": 3, "adapt_generations": 2, "budget": 8}
     try:
         file = JsonLines(options.out, "neurosim-table", 1, {"size": size})
     except FileError as error:  # such as runs of another size

@@ -417,7 +417,7 @@ def make(folder: Path, lab: bool = True) -> None:
     _edit(folder / "driven" / "recording.json", complete=False)
     do("run plan -o trial --calibration calibration.json")
     do("sample sampled --angles 8 --distances 2 --step 10 --grid 2")
-    do("back-to-reality -o found --seconds 1 --budget 3 --compare recent")
+    do("back-to-reality -o found --seconds 1 --budget 8 --candidates 3 --compare recent")
 
 
 def _edit(path: Path, **changes: Any) -> None:

@@ -250,8 +250,9 @@ class Alternation:
             fitness = self._simulated.fitness(genes, self._sets[0])
             chosen = similar(fitness, real, settings.compared)
         else:
-            known = self._record.latest()
-            recent = [*known[-settings.compared + 1 :], self._believed()]
+            best = self._believed()
+            others = [one for one in self._record.latest() if (one.genes != best.genes).any()]
+            recent = [*others[max(len(others) + 1 - settings.compared, 0) :], best]
             if settings.compare == "tracked":
                 recent = [one for one in recent if self._poses(one.genes[None]) is not None]
                 if not recent:
@@ -259,8 +260,10 @@ class Alternation:
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
             chosen = np.arange(len(recent))
-        others = np.setdiff1d(np.arange(len(genes)), chosen)
+        left_out = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
+        if settings.compare == "tracked" and ten.poses is None:
+            return  # tracked for different numbers of steps
         climb = begin_adapting(
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
@@ -281,9 +284,9 @@ class Alternation:
                 "simulated_after": self._simulated.fitness(ten.genes, self._sets[0]).tolist(),
             },
         }
-        if len(others):
+        if len(left_out):
             self.cycles[cycle]["L3"]["left_out"] = self._agreement(
-                cycle, genes[others], real[others]
+                cycle, genes[left_out], real[left_out]
             )
 
     def _agreement(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -29,9 +31,9 @@ class ByHand:
 
         Args:
             controller: of the genes.
-            type_in: shows a message and returns the answer; by default ``input``.
+            type_in: shows a message and returns the answer; by default on stderr and from stdin.
         """
-        self._controller, self._type_in = controller, type_in or input
+        self._controller, self._type_in = controller, type_in or _asked
 
     def describe(self) -> dict[str, Any]:
         """Return what it is."""
@@ -40,12 +42,19 @@ class ByHand:
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
         """Show the individual [G], and return the fitness that is typed."""
         named = getattr(self._controller, "named", None)
-        shown = named(genes) if named else {f"gene {n}": v for n, v in enumerate(genes.tolist())}
+        given = named(genes) if named else {f"gene {n}": v for n, v in enumerate(genes.tolist())}
+        shown = json.dumps({name: float(f"{value:.4g}") for name, value in given.items()})
+        asked = f"Trial {number + 1}: {shown}\nFitness (0 if it fell): "
         while True:
-            typed = self._type_in(
-                f"Trial {number + 1}: {json.dumps(shown)}\nFitness (0 if it fell): "
-            )
+            typed = self._type_in(asked)
             try:
-                return float(typed)
+                if math.isfinite(float(typed)):
+                    return float(typed)
             except ValueError:
-                continue
+                pass
+            asked = "A number, please: "
+
+
+def _asked(message: str) -> str:
+    print(message, end="", file=sys.stderr, flush=True)
+    return input()

@@ -28,6 +28,8 @@ from neurosim.base.trajectory import Tracked
 FORMAT, VERSION = "neurosim-real-trials", 1
 #: No more trials are made at once: what an interruption loses.
 AT_ONCE = 6
+#: After Ctrl-C a trial that is under way has so long to end, s; then it is not waited for.
+GRACE = 10.0
 
 
 @runtime_checkable
@@ -132,6 +134,7 @@ class Trials:
         self._count = len(self._file.rows)
         self.used = self.made = 0
         self._taken: dict[bytes, int] = {}
+        self._interrupted = False
 
     @property
     def evaluations(self) -> float:
@@ -151,6 +154,7 @@ class Trials:
         Raises:
             UserError: if the reality returned no finite number.
             RobotError: if it did not answer in time, or was lost.
+            KeyboardInterrupt: at Ctrl-C; a trial that ended within :data:`GRACE` is written down.
         """
         wanted = evaluations * self._each
         missing = []
@@ -187,12 +191,18 @@ class Trials:
                     raise _no_number(found, int(which[0]))
                 for row, fitness in zip(part, found, strict=True):
                     self._write(row, fitness, why)
+                self._stop_if_interrupted()
             return
         for row, number in zip(rows, numbers, strict=True):
             if self._ask is not None and self._instruction is not None:
                 self._ask(self._instruction)
             call = partial(self._reality.trial, row, int(number))
             self._write(row, self._answer(call, 1, int(number)), why)
+            self._stop_if_interrupted()
+
+    def _stop_if_interrupted(self) -> None:
+        if self._interrupted:
+            raise KeyboardInterrupt
 
     def _answer(self, call: Callable[[], Any], trials: int, number: int) -> Any:
         """Return what a call returns, unless it takes too long."""
@@ -206,15 +216,21 @@ class Trials:
             except BaseException as error:
                 box.put((None, error))
 
-        threading.Thread(target=work, daemon=True).start()
         try:
-            found, error = box.get(timeout=self._patience * trials)
+            try:
+                threading.Thread(target=work, daemon=True).start()
+                found, error = box.get(timeout=self._patience * trials)
+            except KeyboardInterrupt:
+                self._interrupted = True
+                found, error = box.get(timeout=GRACE)
         except queue.Empty:
+            self._stop_if_interrupted()
             raise RobotError(
                 f"reality did not answer in trial {number + 1} within {self._patience:g} s; what "
                 "was tried before is kept: put it right and go on with --resume"
             ) from None
         if error is not None:
+            self._stop_if_interrupted()
             raise error
         return found
 

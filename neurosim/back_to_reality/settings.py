@@ -95,6 +95,11 @@ class BackToRealitySettings:
             raise UserError(f"adapt is ga, cma or none, not {self.adapt!r}")
         if self.compare not in COMPARED:
             raise UserError(f"compare is one of {', '.join(COMPARED)}, not {self.compare!r}")
+        if self.confirm > 1 and 0 < self.budget <= 1 + self.finalists:
+            raise UserError(
+                f"a budget of {self.budget} leaves nothing to try: the start is an evaluation, and "
+                f"{self.finalists} are kept to confirm the best ones (finalists)"
+            )
         if not 0.0 < self.spread <= 1.0:
             raise UserError(f"spread is a share of the ranges, 0 to 1, not {self.spread:g}")
 

@@ -29,7 +29,7 @@ def section(artefacts: Artefacts) -> Section | None:
         blocks += [
             _figure_3(one, f"btr{place}"),
             _evaluations(one, f"btr-real{place}"),
-            _agreement(one),
+            *([_agreement(one)] if any("L3" in cycle for cycle in one.meta["cycles"]) else []),
             _parameters(one),
         ]
         if one.meta["controller"].get("named"):
@@ -61,11 +61,16 @@ def _figure_3(one: Artefact, prefix: str) -> Picture:
     with drawing(9.0, 5.6, nrows=2, ncols=2) as (figure, axes):
         first, *later = [cycle.get("L1", {}) for cycle in cycles] or [{}]
         _curves(axes[0, 0], [first], "Controllers in the simulator (L1)", "fitness", "generation")
-        adapted = [cycle["L3"]["history"] for cycle in cycles if "L3" in cycle]
-        _curves(axes[0, 1], adapted, "Its discrepancy from reality (L3)", "norm", "generation")
+        l3 = [cycle["L3"] for cycle in cycles if "L3" in cycle]
+        what = (
+            "poses' distance, m" if any("poses" in o["compared"]["after"] for o in l3) else "norm"
+        )
+        history = [one["history"] for one in l3]
+        _curves(axes[0, 1], history, "Its discrepancy from reality (L3)", what, "generation")
         learned = [cycle["L2"] for cycle in cycles if "L2" in cycle]
         _curves(axes[1, 0], learned, "Learning in reality (L2)", "fitness", "step")
-        _curves(axes[1, 1], later, "Back in the adapted simulator (L1)", "fitness", "generation")
+        back = f"Back in the {'adapted ' * bool(l3)}simulator (L1)"
+        _curves(axes[1, 1], later, back, "fitness", "generation")
         svg = to_svg(figure, label, prefix)
     caption = (
         "As Figure 3 of Zagal et al. 2004: the best of each generation or step, and the mean "

@@ -67,6 +67,8 @@ class VirtualNxt:
         for name, value, most in (("slip", slip, 0.9), ("worn", worn, 0.5)):
             if value is not None and not 0.0 <= value <= most:
                 raise UserError(f"{name} is a share from 0 to {most:g}, not {value:g}")
+        if min(lab_seed, seed) < 0:
+            raise UserError(f"seeds must not be negative, not {min(lab_seed, seed)}")
         if battery is not None and not 6.0 <= battery <= 10.0:
             raise UserError(f"the battery has 6 to 10 V, not {battery:g}")
         self.controller, self.task = controller, task

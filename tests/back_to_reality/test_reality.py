@@ -1,7 +1,9 @@
 """Trials in reality: written down, never repeated, counted, and what reality may do wrong."""
 
 import json
+import signal
 import threading
+import time
 
 import numpy as np
 import pytest
@@ -80,6 +82,26 @@ def test_a_reality_that_hangs_is_given_up(tmp_path):
     with pytest.raises(RobotError, match=r"did not answer in trial 1 within 0\.1 s"):
         trials.evaluate(ONE[None], "first")
     wait.set()
+
+
+@pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals for a thread: POSIX")
+@pytest.mark.parametrize(("grace", "kept"), [(60.0, 1), (0.01, 0)])
+def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
+    tmp_path, monkeypatch, grace, kept
+):
+    monkeypatch.setattr("neurosim.back_to_reality.reality.GRACE", grace)
+
+    class Slow:
+        def trial(self, genes, number):
+            signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
+            time.sleep(0.5)
+            return 1.5
+
+    trials = Trials(Slow(), tmp_path / "trials.jsonl", each=3)
+    with pytest.raises(KeyboardInterrupt):
+        trials.evaluate(ONE[None], "first")
+    trials.close()
+    assert [row["fitness"] for row in read_trials(tmp_path / "trials.jsonl")] == [1.5] * kept
 
 
 def test_what_a_reality_raises_comes_through(tmp_path):

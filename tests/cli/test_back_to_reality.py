@@ -55,8 +55,10 @@ def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
 
 def test_our_own_choices_are_the_default(neurosim, tmp_path):
     pytest.importorskip("cma")
-    words = ("--seconds", 1, "--generations", 2, "--sets", 2, "--budget", 6, "--trials", 1)
-    code, out, said = neurosim("back-to-reality", "-o", "found", *words, "--candidates", 1)
+    words = ("--seconds", 1, "--generations", 2, "--sets", 2, "--budget", 4, "--trials", 1)
+    code, out, said = neurosim(
+        "back-to-reality", "-o", "found", *words, "--candidates", 1, "--confirm", 1
+    )
     assert code == 0, said
     assert "were not adapted: reality returned a fitness, and no poses" in out
     content = json.loads((tmp_path / "found/back-to-reality.json").read_text())
@@ -65,9 +67,9 @@ def test_our_own_choices_are_the_default(neurosim, tmp_path):
 
 def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monkeypatch):
     """A person types what came out; after three trials the terminal is closed."""
-    answers = iter(["0.1", "0.2", "0.3"])
+    answers = iter(["0.1", "fast", "nan", "0.2", "0.3"])
 
-    def typed(message):
+    def typed():
         try:
             return next(answers)
         except StopIteration:
@@ -81,7 +83,7 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
     assert "--resume" in said
     lines = (tmp_path / "found.checkpoint/trials.jsonl").read_text().splitlines()
     assert [json.loads(line)["fitness"] for line in lines[1:]] == [0.1, 0.2, 0.3]
-    monkeypatch.setattr("builtins.input", lambda message: "0.15")
+    monkeypatch.setattr("builtins.input", lambda: "0.15")
     code, out, said = neurosim("back-to-reality", "-o", "found", "--resume", "--json")
     assert code == 0, said
     content = json.loads(out)
@@ -94,6 +96,9 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
     ("words", "said"),
     [
         (["--place", "moon"], "there is no place 'moon' in the lab"),
+        (["--reality-seed", "-1"], "the seed of reality must not be negative"),
+        (["--task", "go-to"], "judged by how fast it walks, not by go-to"),
+        (["--budget", "5"], "a budget of 5 leaves nothing to try"),
         (["--cycles", "0"], "cycles must be at least 1"),
         (["--seconds", "0"], "a trial of walking takes a second at least"),
         (["--settings", "best"], "paper and better"),

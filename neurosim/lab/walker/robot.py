@@ -172,16 +172,18 @@ class VirtualWalker:
         place: the robot's name and where it walks.
     """
 
-    def __init__(self, controller: Any, place: str = "main", seed: int = 0):
+    def __init__(self, controller: Any, place: str = "main", seed: int = 0, task: Any = None):
         """Put a robot of the lab in its place.
 
         Args:
             controller: a controller whose commands depend on time alone, such as a gait.
             place: Where it walks: main, carpet or parquet.
             seed: of the noise from trial to trial.
+            task: that is to be done: walking, or None.
 
         Raises:
-            UserError: if there is no such place, or the controller is of another kind.
+            UserError: if there is no such place, the controller is of another kind, the task is
+                another one, or the seed is negative.
         """
         if place not in PLACES:
             raise UserError(f"there is no place {place!r} in the lab; there is {', '.join(PLACES)}")
@@ -190,6 +192,12 @@ class VirtualWalker:
                 f"the walking robot of the lab does gaits; a controller of the kind "
                 f"{controller.kind} gives it no angles of its joints"
             )
+        if task is not None and task.name != "walking":
+            raise UserError(
+                f"the walking robot of the lab is judged by how fast it walks, not by {task.name}"
+            )
+        if seed < 0:
+            raise UserError(f"the seed of reality must not be negative, not {seed}")
         self.controller, self.place, self._seed = controller, place, seed
         self._place = PLACES[place]
         self._build = replace(self._place.build, bumps=_bumps(self._place))
