@@ -74,7 +74,8 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
     except (TypeError, ValueError, AttributeError):
         genes = np.empty(0)
     if genes.shape != (controller.genes,) or not np.isfinite(genes).all():
-        raise FileError(path, f"expected {controller.genes} finite numbers", field="genes")
+        field = "genes" if named is None else "parameters"
+        raise FileError(path, f"expected {controller.genes} finite numbers", field=field)
     return genes
 
 
