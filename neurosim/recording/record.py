@@ -216,18 +216,24 @@ def _to_both(sink: VideoSink, spotter: Spotter | None) -> Callable[[float, np.nd
 
 
 def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
-    """Make poses.csv of what was seen live; a session that was not is tracked from its video."""
+    """Make poses.csv of what was seen live; a session that was not is tracked from its video.
+
+    So are all where what was seen live is doubted: the whole video says more.
+    """
     model = _model(recording.path)
     sessions = range(1, recording.sessions + 1)
     try:
-        live = {number: seen_live(recording, number, model) for number in sessions}
+        seen = {number: seen_live(recording, number, model) for number in sessions}
+        live = {number: one for number, one in seen.items() if one}
         # Without a lamp the motion alone joins the clocks.
         flashed = any(line.kind == "lamp-on" for line in recording.commands())
-        summary = track(
-            recording.path,
-            live={number: seen for number, seen in live.items() if seen},
-            sync="flash" if flashed else "motion",
-        )
+        sync = "flash" if flashed else "motion"
+        try:
+            summary = track(recording.path, live=live, sync=sync)
+        except UserError:
+            if not live:
+                raise
+            summary = track(recording.path, sync=sync)
         if doubtful := describe_doubtful(summary):
             say(doubtful)
     except UserError as error:

@@ -6,6 +6,7 @@ import shutil
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from urllib.request import urlopen
 
 import numpy as np
@@ -233,6 +234,18 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
     assert len(said) == 1
     assert "the recording is whole, but its poses are not" in said[0]
     assert "neurosim track" in said[0]
+
+
+def test_what_was_seen_live_and_is_doubted_is_looked_at_again_in_the_video(tmp_path, monkeypatch):
+    def doubted(recording, session, model):
+        seen = seen_live(recording, session, model)
+        return replace(seen, colours=[one | {"doubt": "it is grey"} for one in seen.colours])
+
+    monkeypatch.setattr("neurosim.recording.record.seen_live", doubted)
+    recording, said, _ = make(tmp_path / "r", STEADY, 2)
+    assert said == []
+    assert recording.is_tracked
+    assert not recording.poses().doubtful.any()
 
 
 def test_one_that_was_killed_before_its_poses_gets_them_when_it_is_resumed(tmp_path, monkeypatch):
