@@ -89,7 +89,13 @@ class Alternation:
             state: what ``save`` was given before an interruption.
             save: keeps the state.
             progress: whether to show progress on stderr.
+
+        Raises:
+            UserError: if a search needs a package that is not installed.
         """
+        for search in {settings.search, settings.adapt} - {"none"}:
+            # Now, not when trials were made already.
+            make_search(search, start, settings.genetic, settings.spread, seed)
         self._simulated, self._trials, self._start = simulated, trials, start
         self._settings, self._seed = settings, seed
         self._state = dict(state or {})

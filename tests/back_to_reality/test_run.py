@@ -1,6 +1,7 @@
 """A whole run and its folder: written whole, resumed, refused."""
 
 import json
+import sys
 
 import numpy as np
 import pytest
@@ -46,6 +47,16 @@ def _registered(monkeypatch):
 def run(out, reality, **others):
     settings = {"settings": SMALL, "seed": 3, "start": START, "progress": False, **others}
     return back_to_reality(Block(), Slide(), Push(), reality, out=out, **settings)
+
+
+def test_a_search_that_is_not_installed_is_refused_before_any_trial(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "cma", None)
+    reality = Real()
+    for settings in (settings_named("better"), settings_named("paper", adapt="cma")):
+        with pytest.raises(UserError, match=r"pip install 'neurosim\[cma\]'"):
+            run(tmp_path / "out", reality, settings=settings)
+    assert reality.made == 0
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_the_folder_of_a_run(tmp_path):
