@@ -62,9 +62,8 @@ def _figure_3(one: Artefact, prefix: str) -> Picture:
         first, *later = [cycle.get("L1", {}) for cycle in cycles] or [{}]
         _curves(axes[0, 0], [first], "Controllers in the simulator (L1)", "fitness", "generation")
         l3 = [cycle["L3"] for cycle in cycles if "L3" in cycle]
-        what = (
-            "poses' distance, m" if any("poses" in o["compared"]["after"] for o in l3) else "norm"
-        )
+        tracked = any("poses" in one.get("compared", {}).get("after", {}) for one in l3)
+        what = "poses' distance, m" if tracked else "norm"
         history = [one["history"] for one in l3]
         _curves(axes[0, 1], history, "Its discrepancy from reality (L3)", what, "generation")
         learned = [cycle["L2"] for cycle in cycles if "L2" in cycle]
@@ -126,23 +125,25 @@ def _evaluations(one: Artefact, prefix: str) -> Picture:
 
 
 def _agreement(one: Artefact) -> Table:
+    each = {
+        f"cycle {number}, {words}": cycle["L3"][name]
+        for number, cycle in enumerate(one.meta["cycles"], 1)
+        for name, words in _GROUPS.items()
+        if name in cycle.get("L3", {})
+    }
+    measures = {"norm": "norm", "median": "median", "rank": "rank correlation"}
+    if any("poses" in found["after"] for found in each.values()):
+        measures["poses"] = "poses' distance, m"
     rows = []
-    for number, cycle in enumerate(one.meta["cycles"], 1):
-        for name, words in _GROUPS.items():
-            found = cycle.get("L3", {}).get(name)
-            if found is None:
-                continue
-            cells = [f"cycle {number}, {words}", str(found["individuals"])]
-            for measure in ("norm", "median", "rank"):
-                for when in ("before", "after"):
-                    value = found[when][measure]
-                    cells.append("-" if value is None else f"{value:.3f}")
-            rows.append(cells)
+    for words, found in each.items():
+        values = [found[when].get(name) for name in measures for when in ("before", "after")]
+        cells = ["-" if value is None else f"{value:.3f}" for value in values]
+        rows.append([words, str(found["individuals"]), *cells])
     return Table(
         f"{one.name}: fitness in the simulator against reality, before and after L3",
-        ["controllers", "number", *("before", "after") * 3],
+        ["controllers", "number", *("before", "after") * len(measures)],
         rows,
-        groups=[("", 1), ("norm", 2), ("median", 2), ("rank correlation", 2)],
+        groups=[("", 1), *((words, 2) for words in measures.values())],
         note="Norm and median of the absolute differences in fitness; rank correlation is "
         "Spearman's. Controllers of the next round and neighbours were not seen by L3.",
     )

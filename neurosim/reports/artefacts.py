@@ -33,7 +33,7 @@ KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-re
 
 _ROBOT = {"kind?": str, "virtual?": bool}
 _RUN = {"best": Rows(None), "mean": Rows(None)}
-_DIFFERENCES = {"norm": float, "median": float, "rank": Maybe(float)}
+_DIFFERENCES = {"norm": float, "median": float, "rank": Maybe(float), "poses?": float}
 _COMPARED = {"individuals": int, "before": _DIFFERENCES, "after": _DIFFERENCES}
 _FIELDS: dict[str, dict[str, Shape]] = {
     "trial": {
