@@ -121,11 +121,11 @@ class Alternation:
         start = float(self._try(self._start[None], "start")[0])
         for cycle in range(settings.cycles + 1):
             last = cycle == settings.cycles
-            if self._room() <= self._spared():
+            if self._room() <= settings.spared:
                 break
             self.cycles.append({"parameters": self._named(self._sets[0])})
             candidates = self._search(cycle, best)
-            genes, real = self._candidates(cycle, candidates, self._spared())
+            genes, real = self._candidates(cycle, candidates, settings.spared)
             self._confirm()
             if last or not len(genes):
                 break
@@ -149,10 +149,6 @@ class Alternation:
         if not self._settings.budget:
             return 1_000_000
         return self._settings.budget - round(self._trials.evaluations)
-
-    def _spared(self) -> int:
-        """Return how many evaluations are kept for confirming a leader."""
-        return self._settings.finalists if self._settings.confirm > 1 else 0
 
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals in an evaluation in reality."""
@@ -250,7 +246,10 @@ class Alternation:
     # L3
 
     def _adapt(self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]) -> None:
-        """Search the parameters with which the simulator gives what reality gave, if they shall."""
+        """Search the parameters with which the simulator gives what reality gave.
+
+        Nothing is done where poses are to be compared, and reality tracked none.
+        """
         settings = self._settings
         if settings.compare == "similar":
             fitness = self._simulated.fitness(genes, self._sets[0])
@@ -259,17 +258,16 @@ class Alternation:
             best = self._believed()
             others = [one for one in self._record.latest() if (one.genes != best.genes).any()]
             recent = [*others[max(len(others) + 1 - settings.compared, 0) :], best]
-            if settings.compare == "tracked":
-                recent = [one for one in recent if self._poses(one.genes[None]) is not None]
-                if not recent:
-                    return
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
-            chosen = np.arange(len(recent))
+            if settings.compare == "tracked":
+                tracked = [self._poses(one[None]) is not None for one in genes]
+                genes, real = genes[tracked], real[tracked]
+            chosen = np.arange(len(genes))
         left_out = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
         if settings.compare == "tracked" and ten.poses is None:
-            return  # tracked for different numbers of steps
+            return  # none was tracked, or for different numbers of steps
         climb = begin_adapting(
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
@@ -320,7 +318,7 @@ class Alternation:
         learner = PolicyGradient(start, settings.policy, [self._seed, cycle, 2])
         best, mean, tried, scores = [], [], [], []
         for step in range(settings.policy_steps):
-            if self._room() - self._spared() < settings.policy.policies:
+            if self._room() - settings.spared < settings.policy.policies:
                 break
             asked = learner.ask()
             score = self._try(asked, f"cycle {cycle + 1}, L2, step {step + 1}")

@@ -95,13 +95,18 @@ class BackToRealitySettings:
             raise UserError(f"adapt is ga, cma or none, not {self.adapt!r}")
         if self.compare not in COMPARED:
             raise UserError(f"compare is one of {', '.join(COMPARED)}, not {self.compare!r}")
-        if self.confirm > 1 and 0 < self.budget <= 1 + self.finalists:
+        if self.spared and 0 < self.budget <= 1 + self.spared:
             raise UserError(
                 f"a budget of {self.budget} leaves nothing to try: the start is an evaluation, and "
-                f"{self.finalists} are kept to confirm the best ones (finalists)"
+                f"{self.spared} are kept to confirm the best ones (finalists)"
             )
         if not 0.0 < self.spread <= 1.0:
             raise UserError(f"spread is a share of the ranges, 0 to 1, not {self.spread:g}")
+
+    @property
+    def spared(self) -> int:
+        """How many evaluations are kept to confirm the best ones."""
+        return self.finalists if self.confirm > 1 else 0
 
 
 #: Our choices beside the paper's, by which it is compared with itself.

@@ -189,7 +189,6 @@ def _text(content: dict[str, Any], out: Path) -> str:
         f"{out}: fitness {start:.3g} in reality to start with, {best['fitness']:.3g} in the end"
         f"{times}, after {content['trials']} trial{'s' * (content['trials'] != 1)}.\n"
     )
-    number = 0
     for number, cycle in enumerate(content["cycles"], 1):
         if "L3" in cycle:
             compared = cycle["L3"]["compared"]
@@ -200,7 +199,12 @@ def _text(content: dict[str, Any], out: Path) -> str:
                 f"({by}), by {compared['after'][by]:.3g}{unit} after its parameters were adapted.\n"
             )
     how, adapted = content["settings"], any("L3" in cycle for cycle in content["cycles"])
-    if how["adapt"] != "none" and how["compare"] == "tracked" and not adapted and number > 1:
+    if (
+        how["adapt"] != "none"
+        and how["compare"] == "tracked"
+        and not adapted
+        and len(content["cycles"]) > 1
+    ):
         text += (
             "The simulator's parameters were not adapted: reality returned a fitness, and no poses "
             "(--compare recent adapts them to fitness).\n"
