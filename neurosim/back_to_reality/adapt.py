@@ -2,7 +2,7 @@
 
 Zagal et al. 2004, section 5.3: ten individuals with similar fitness in reality and in the
 simulator are compared; what is minimised is the norm of the ten differences. Where reality tracked
-them all it is their poses that are compared, which say more than one number a trial.
+some it is their poses that are compared, which say more than one number a trial.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ class Compared:
         simulated: the simulator.
         genes: [P, G] of them.
         fitness: [P] in reality.
-        poses: [P, K, 3] in reality, NaN where not seen; None if not all were tracked.
+        poses: [P, K, 3] in reality, NaN where not seen; None if none was tracked.
 
     Raises:
         UserError: if the simulator gives other poses than reality tracked.

@@ -260,9 +260,6 @@ class Alternation:
             recent = [*others[max(len(others) + 1 - settings.compared, 0) :], best]
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
-            if settings.compare == "tracked":
-                tracked = [self._poses(one[None]) is not None for one in genes]
-                genes, real = genes[tracked], real[tracked]
             chosen = np.arange(len(genes))
         left_out = np.setdiff1d(np.arange(len(genes)), chosen)
         ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"

@@ -168,14 +168,16 @@ class Trials:
     def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return where individuals [P, G] that were tried were, [P, K, 3], mean over their trials.
 
-        NaN where one was not seen in any trial; None if any was not tracked at all, or for another
-        number of steps than the others.
+        NaN where one was not seen in any trial; None if none was seen at all, or not all for the
+        same number of steps.
         """
         each = [self._tracked.get(row.tobytes(), []) for row in genes]
         shapes = {poses.shape for trials in each for poses in trials}
-        if len(shapes) != 1 or not all(np.isfinite(trials).any() for trials in each):
+        if len(shapes) != 1:
             return None
-        return np.stack([_mean_pose(np.stack(trials)) for trials in each])
+        unseen = np.full(shapes.pop(), np.nan)
+        found = np.stack([_mean_pose(np.stack(trials or [unseen])) for trials in each])
+        return found if np.isfinite(found).any() else None
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
         if not rows:

@@ -43,7 +43,8 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
             with ``genes``. None: what was tuned by hand, where the controller knows of one.
 
     Raises:
-        UserError: if there is nothing to start from, or it is of another kind.
+        UserError: if there is nothing to start from, or it is of another kind or out of the
+            controller's range of genes.
         FileError: if the file is missing or wrong.
     """
     if path is None:
@@ -53,6 +54,17 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
                 "was tuned by hand"
             )
         return np.asarray(controller.hand_tuned(), np.float64)
+    genes, (low, high) = _read_genes(controller, path), controller.gene_range
+    if not ((genes >= low) & (genes <= high)).all():
+        raise UserError(
+            f"{path}: a gene lies outside of {low:g} to {high:g}, where controllers of the kind "
+            f"{controller.kind} are searched"
+        )
+    return genes
+
+
+def _read_genes(controller: Controller, path: str | Path) -> NDArray[np.float64]:
+    """Return the genes [G] that a file or a controller's folder holds."""
     if Path(path).is_dir():
         saved = read_controller(path)
         if saved.commands and saved.kind == controller.kind and hasattr(controller, "encode"):

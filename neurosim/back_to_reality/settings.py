@@ -39,8 +39,8 @@ class BackToRealitySettings:
         compared: L3 compares so many individuals.
         compare: Which these are: similar, those of the round with the most similar success in
             both, as the paper's ten; recent, those that were tried last, failures included, and
-            the best one; or tracked, those of the recent ones that reality tracked: if it tracked
-            none, there is no L3.
+            the best one; or tracked, the same, but if reality tracked none of them there is no
+            L3.
         policy_steps: Steps of the policy gradient in reality (L2); 0: there is none.
         policy: the policy gradient.
         confirm: A leader is tried in so many evaluations before it is believed, and learned from;

@@ -169,8 +169,8 @@ def main() -> None:
 
 def _interrupted() -> None:
     click.echo(
-        "neurosim: interrupted; what was written so far can be read; re-run with --resume to "
-        "continue, where supported",
+        "neurosim: interrupted; what was written so far can be read; where there is a checkpoint, "
+        "re-run with --resume to continue",
         err=True,
     )
     sys.exit(exit_code())

@@ -112,30 +112,19 @@ def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
     assert adapted["history"]["best"][-1] >= adapted["compared"]["after"]["poses"] - 1e-12
 
 
-def test_fitness_is_compared_where_one_was_not_tracked(tmp_path):
-    class Sometimes(TrackedBlock):
-        def trial(self, genes, number):
-            found = super().trial(genes, number)
-            return found if number % 2 else reality_of()(genes)
-
-    trials = Trials(Sometimes(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
-    settings = settings_named("paper", **SMALL)
-    found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
-    assert "poses" not in found.cycles[0]["L3"]["compared"]["after"]
-
-
-def test_one_lost_trial_does_not_keep_the_others_from_being_compared(tmp_path):
+@pytest.mark.parametrize("compare", ["recent", "tracked"])
+def test_lost_trials_do_not_keep_the_others_from_being_compared(tmp_path, compare):
     class Lost(TrackedBlock):
         def trial(self, genes, number):
             found = super().trial(genes, number)
-            return 0.0 if number == 5 else found
+            return 0.0 if number in (5, 15) else found  # one of each round
 
     trials = Trials(Lost(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
-    settings = settings_named("paper", **SMALL, compare="tracked", compared=20)
+    settings = settings_named("paper", **SMALL, compare=compare, compared=20)
     found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
-    compared = found.cycles[0]["L3"]["compared"]
-    assert compared["individuals"] == 12  # the start and twelve candidates, one lost
-    assert compared["after"]["poses"] < compared["before"]["poses"]
+    adapted = found.cycles[0]["L3"]
+    for group in ("compared", "held_out"):
+        assert adapted[group]["after"]["poses"] < adapted[group]["before"]["poses"]
 
 
 def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):

@@ -131,7 +131,9 @@ def test_poses_are_written_and_read_again(tmp_path):
     for known in (trials, Trials(lambda genes: None, path, each=2)):
         expected = [[[1.5, 2.0, 3.05], [nan] * 3]]
         np.testing.assert_allclose(known.poses(ONE[None]), expected)
-        assert known.poses(np.stack([ONE, TWO])) is None  # the second was not tracked
+        both = known.poses(np.stack([ONE, TWO]))  # the second was not tracked
+        np.testing.assert_allclose(both, [*expected, np.full((2, 3), nan)])
+        assert known.poses(TWO[None]) is None
 
 
 def test_headings_are_averaged_as_directions(tmp_path):

@@ -155,6 +155,9 @@ def test_what_to_start_from(tmp_path):
     path.write_text(json.dumps({**head, "genes": [0.5] * 19}))
     with pytest.raises(FileError, match="expected 20 finite numbers"):
         start_genes(Gait(), path)
+    path.write_text(json.dumps({**head, "genes": [0.5] * 19 + [1.5]}))
+    with pytest.raises(UserError, match=r"gait\.json: a gene lies outside of 0 to 1"):
+        start_genes(Gait(), path)
     path.write_text(json.dumps({**head, "parameters": ["fast"]}))
     with pytest.raises(FileError, match=r"gait\.json"):
         start_genes(Gait(), path)
