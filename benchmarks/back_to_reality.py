@@ -7,6 +7,7 @@ that it believes in then is measured in ten trials that it never saw, and the me
     python benchmarks/back_to_reality.py --show                   # what there is so far
     python benchmarks/back_to_reality.py --seeds 10               # go on with it
     python benchmarks/back_to_reality.py -o table.jsonl           # anew: one seed, three places
+    python benchmarks/back_to_reality.py --change sets=3 -o 3.jsonl   # other settings beside ours
     python benchmarks/back_to_reality.py --speed                  # what a trial costs
 
 Each run (a method, a seed, a place) is a line of the file, on the disk as soon as it is over; what
@@ -32,7 +33,7 @@ from neurosim.back_to_reality import Alternation, Simulated, Trials, settings_na
 from neurosim.back_to_reality.climb import BoundedCMA
 from neurosim.back_to_reality.evaluations import Evaluations
 from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings
-from neurosim.base.errors import FileError
+from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import JsonLines
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.lab.walker import PLACES, VirtualWalker
@@ -52,6 +53,7 @@ LEARNERS = (
     "the same with L3",
     "back to reality, as in the paper",
 )
+BETTER = LEARNERS[0]
 KEPT = Path(__file__).with_suffix(".jsonl")
 
 
@@ -158,7 +160,7 @@ def randomised_then_cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
 
 
 METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {
-    "back to reality, better choices": lambda job: job.alternate("better"),
+    BETTER: lambda job: job.alternate("better"),
     "the same with L3": lambda job: job.alternate("better", compare="recent"),
     "CMA-ES from the hand-tuned gait": cma,
     "domain randomisation, then CMA-ES": randomised_then_cma,
@@ -167,6 +169,25 @@ METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {
     "policy gradient from the hand-tuned gait": policy_gradient,
     "simulation once": once,
 }
+
+
+def changed(texts: list[str]) -> dict[str, Any]:
+    """Return settings that are written as NAME=VALUE.
+
+    Raises:
+        UserError: if one is not, or there is none of the name, or a value is wrong.
+    """
+    changes: dict[str, Any] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if not hasattr(settings_named("better"), name) or not value:
+            raise UserError(f"expected SETTING=VALUE, such as sets=3, not {text!r}")
+        try:
+            changes[name] = type(getattr(settings_named("better"), name))(value)
+        except (TypeError, ValueError):
+            raise UserError(f"{name} cannot be {value!r}") from None
+    settings_named("better", **changes)
+    return changes
 
 
 def run(method: str, place: str, seed: int, size: dict[str, Any]) -> dict[str, Any]:
@@ -295,6 +316,10 @@ def main() -> None:
     parser.add_argument("--first-seed", type=int, default=0, help="the first of them")
     parser.add_argument("--places", nargs="+", choices=list(PLACES), default=list(PLACES))
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
+    parser.add_argument(
+        "--change", nargs="+", default=[], metavar="SETTING=VALUE",
+        help="run the better choices as they are and with other settings",
+    )  # fmt: skip
     parser.add_argument("--paper", action="store_true", help="at the paper's size")
     parser.add_argument("--quick", action="store_true", help="a small size, to try the benchmark")
     parser.add_argument("--show", action="store_true", help="run nothing")
@@ -303,6 +328,16 @@ def main() -> None:
     if options.speed:
         print(speed())
         return
+    if options.change:
+        if options.out == KEPT:
+            parser.error("runs with other settings want a file of their own: -o")
+        try:
+            changes = changed(options.change)
+        except UserError as error:
+            parser.error(str(error))
+        name = f"{BETTER}, {', '.join(options.change)}"
+        METHODS[name] = lambda job: job.alternate("better", **changes)
+        options.methods = [BETTER, name]
     size = {"seconds": 5.0, "generations": 120, "adapt_generations": 20, "budget": READ_AT[-1]}
     if options.paper:
         size |= {"seconds": 20.0, "generations": 600, "adapt_generations": 45}
