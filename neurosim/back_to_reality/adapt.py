@@ -24,8 +24,9 @@ APART = 0.05
 SPREAD = 0.2
 #: Where poses are compared a difference of headings by a radian counts as so many metres.
 HEADING_LENGTH = 0.3
-#: So far from reality is a simulation that blew up, m.
-NOWHERE = 1e6
+#: So far from reality is a pose that a simulation lacks, because the robot fell or numbers blew
+#: up, m.
+NOWHERE = 10.0
 
 
 def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -36,13 +37,13 @@ def discrepancy(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> ND
 def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> float:
     """Return the root mean square distance (m) of poses [..., 3] where reality's are finite.
 
-    It is :data:`NOWHERE` where the simulator's are not.
+    A pose of the simulator that is not counts as :data:`NOWHERE`.
     """
     apart = simulated - real
     turn = np.remainder(apart[..., 2] + np.pi, 2.0 * np.pi) - np.pi
     square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + (HEADING_LENGTH * turn) ** 2
     square = square[np.isfinite(real).all(axis=-1)]
-    return float(np.nan_to_num(np.sqrt(square.mean()), nan=NOWHERE, posinf=NOWHERE))
+    return float(np.sqrt(np.where(np.isfinite(square), square, NOWHERE**2).mean()))
 
 
 @dataclass(frozen=True, eq=False)

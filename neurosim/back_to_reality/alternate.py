@@ -109,6 +109,8 @@ class Alternation:
             others = np.clip(simulated.as_is + settings.prior * drawn, 0.0, 1.0)
             self._sets = np.concatenate([self._sets, others])
         self.cycles: list[dict[str, Any]] = []
+        #: The first parameter set [K] before and after L3 of a cycle.
+        self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
     def run(self) -> Found:
         """Run all cycles and return what came of them.
@@ -151,9 +153,12 @@ class Alternation:
         return self._settings.budget - round(self._trials.evaluations)
 
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
-        """Return the fitness [P] of individuals in an evaluation in reality."""
+        """Return the fitness [P] of individuals in their first evaluation in reality."""
         fitness = self._trials.evaluate(self._simulated.real_genes(genes), why)
-        self._record.add(genes, fitness)
+        known = {one.genes.tobytes() for one in self._record.latest()}
+        rows = {row.tobytes(): number for number, row in enumerate(genes)}
+        new = sorted(number for key, number in rows.items() if key not in known)
+        self._record.add(genes[new], fitness[new])
         return fitness
 
     def _confirm(self) -> None:
@@ -190,6 +195,7 @@ class Alternation:
             total = settings.later_generations
         name = f"{cycle}.L1"
         climb = Climb(search, evaluate, before=self._state.get(name))
+        self._simulated.tried += climb.individuals * len(sets)
         self._climb(climb, name, total, f"cycle {cycle + 1}: controllers in the simulator (L1)")
         self.cycles[cycle]["L1"] = climb.history()
         return climb
@@ -269,12 +275,12 @@ class Alternation:
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
         )  # fmt: skip
+        self._simulated.tried += climb.individuals * len(ten.genes)
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
         self._climb(climb, name, settings.adapt_generations, label)
         before, worth = self._sets, -ten.discrepancy(self._sets)
         self._sets, before = kept_sets(climb, settings.sets, before, worth), before[0]
-        self.cycles[cycle]["adapted"] = self._sets.tolist()
-        self.cycles[cycle]["before"] = before.tolist()
+        self._adapted[cycle] = before, self._sets[0]
         self.cycles[cycle]["L3"] = {
             "history": {name: [-v for v in values] for name, values in climb.history().items()},
             "parameters": [self._named(one) for one in self._sets],
@@ -293,9 +299,7 @@ class Alternation:
     def _agreement(
         self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]
     ) -> dict[str, Any]:
-        what = self.cycles[cycle]
-        before, after = np.array(what["before"]), np.array(what["adapted"])[0]
-        return agreement(self._compared(genes, real), before, after)
+        return agreement(self._compared(genes, real), *self._adapted[cycle])
 
     def _compared(self, genes: NDArray[np.float64], real: NDArray[np.float64]) -> Compared:
         return Compared(self._simulated, genes, real, self._poses(genes))
@@ -324,6 +328,10 @@ class Alternation:
             mean.append(float(score.mean()))
             tried.append(asked)
             scores.append(score)
+        if tried and self._room() > settings.spared:
+            end = self._try(learner.point[None], f"cycle {cycle + 1}, L2, its end")
+            best.append(float(end[0]))
+            mean.append(float(end[0]))
         self.cycles[cycle]["L2"] = {"best": best, "mean": mean}
         if not tried:
             return

@@ -26,14 +26,19 @@ class ByHand:
     instruction = "Put the robot back to the start and press Enter when it is ready"
     patient = True
 
-    def __init__(self, controller: Any, type_in: Callable[[str], str] | None = None):
+    def __init__(
+        self, controller: Any, task: Any = None, type_in: Callable[[str], str] | None = None
+    ):
         """Take the controller whose parameters are shown.
 
         Args:
             controller: of the genes.
+            task: whose fitness is asked for.
             type_in: shows a message and returns the answer; by default on stderr and from stdin.
         """
         self._controller, self._type_in = controller, type_in or _asked
+        unit = getattr(task, "fitness_unit", "")
+        self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
 
     def describe(self) -> dict[str, Any]:
         """Return what it is."""
@@ -44,7 +49,7 @@ class ByHand:
         named = getattr(self._controller, "named", None)
         given = named(genes) if named else {f"gene {n}": v for n, v in enumerate(genes.tolist())}
         shown = json.dumps({name: float(f"{value:.4g}") for name, value in given.items()})
-        asked = f"Trial {number + 1}: {shown}\nFitness (0 if it fell): "
+        asked = f"Trial {number + 1}: {shown}\n{self._asked}"
         while True:
             typed = self._type_in(asked)
             try:

@@ -118,6 +118,11 @@ class Climb:
         return {"fitness": np.stack(self.fitness)} if self.fitness else {}
 
     @property
+    def individuals(self) -> int:
+        """How many were evaluated so far, before an interruption or since."""
+        return sum(map(len, self.asked))
+
+    @property
     def best(self) -> NDArray[np.float64]:
         """Return the best of each generation, [n, G]."""
         pairs = zip(self.asked, self.fitness, strict=True)

@@ -2,8 +2,8 @@
 
 "A conventional genetic algorithm employing fitness-proportional selection with linear scaling,
 no-elitism scheme, two-point crossover and mutation with a certain probability per bit." The
-probability is 0.005 (section 5.3). The paper does not give the bits of a parameter, the
-probability of crossover and the constant of the scaling; those here are Goldberg's usual ones
+probability is 0.005 (section 5.3). The paper does not give the bits of a parameter (8 here), the
+probability of crossover and the constant of the scaling; those two are Goldberg's usual ones
 (Genetic Algorithms in Search, Optimization and Machine Learning, 1989).
 """
 
@@ -79,31 +79,21 @@ def linear_scaling(fitness: NDArray[np.float64], multiple: float) -> NDArray[np.
 
 
 class BitGenetic:
-    """A genetic algorithm of bit strings, ask and tell; it maximises.
-
-    Attributes:
-        done: generations so far.
-        best: [G] the best individual told of so far, and its fitness ``best_fitness``. It is only
-            remembered: nothing keeps it in the population.
-    """
+    """A genetic algorithm of bit strings, ask and tell; it maximises."""
 
     def __init__(self, start: NDArray[np.float64], settings: BitSettings, seed: Any):
         """Begin with mutations of where the search starts from.
 
         Args:
-            start: [G] shares in 0..1, or [N, G] several, of which each has as many mutations as
-                the others.
+            start: [G] shares in 0..1.
             settings: how.
             seed: of ``numpy.random.default_rng``.
         """
         self._settings, self._rng = settings, np.random.default_rng(seed)
-        from_ = encode(np.atleast_2d(start), settings.bits)
-        self._strings = from_[np.arange(settings.population) % len(from_)]
-        flips = self._rng.random(self._strings.shape) < settings.first_mutation
-        flips[: len(from_)] = False
-        self._strings = self._strings ^ flips
-        self.done = 0
-        self.best, self.best_fitness = np.atleast_2d(start)[0], -np.inf
+        copies = np.tile(encode(start, settings.bits), (settings.population, 1))
+        flips = self._rng.random(copies.shape) < settings.first_mutation
+        flips[0] = False
+        self._strings = copies ^ flips
 
     def ask(self) -> NDArray[np.float64]:
         """Return the population [P, G], shares in 0..1."""
@@ -114,8 +104,6 @@ class BitGenetic:
 
         Selection is by shares of the fitness, which is shifted up where one is negative.
         """
-        if fitness.max() > self.best_fitness:
-            self.best, self.best_fitness = self.ask()[fitness.argmax()], float(fitness.max())
         rng, settings, count = self._rng, self._settings, len(fitness)
         scaled = linear_scaling(fitness - min(fitness.min(), 0.0), settings.scaling)
         parents = self._strings[rng.choice(count, count + count % 2, p=scaled / scaled.sum())]
@@ -126,4 +114,3 @@ class BitGenetic:
                 swapped = first[low:high].copy()
                 first[low:high], second[low:high] = second[low:high], swapped
         self._strings = parents[:count] ^ (rng.random((count, length)) < settings.mutation)
-        self.done += 1

@@ -66,12 +66,11 @@ class PolicyGradient:
 
     Attributes:
         point: [G] the policy, shares in 0..1.
-        done: steps so far.
     """
 
     def __init__(self, start: NDArray[np.float64], settings: PolicySettings, seed: Any):
         """Start at a policy [G], shares in 0..1."""
-        self.point, self.done = np.asarray(start, np.float64), 0
+        self.point = np.asarray(start, np.float64)
         self._settings = settings
         self._rng = np.random.default_rng(seed)
         self._signs = np.empty((0, len(self.point)), np.int64)
@@ -86,4 +85,3 @@ class PolicyGradient:
         """Take their scores [m], and make a step."""
         way = self._settings.step * gradient(self._signs, scores)
         self.point = np.clip(self.point + way, 0.0, 1.0)
-        self.done += 1

@@ -169,10 +169,15 @@ def back_to_reality(
             state = checkpoint.resume(begun)
         else:
             checkpoint.begin(begun, options)
-        trials = Trials(
-            reality, checkpoint.folder / TRIALS, each=settings.trials, patience=patience, ask=ask
-        )
+        trials = None
         try:
+            trials = Trials(
+                reality,
+                checkpoint.folder / TRIALS,
+                each=settings.trials,
+                patience=patience,
+                ask=ask,
+            )
             alternation = Alternation(
                 simulated, trials, shares, settings, seed=seed, state=state, save=checkpoint.save,
                 progress=progress,
@@ -184,8 +189,9 @@ def back_to_reality(
                     raise checkpoint.damaged() from None
                 raise
         finally:
-            trials.close()
-            if not (trials.made or resume or checkpoint.saved):
+            if trials is not None:
+                trials.close()
+            if not ((trials and trials.made) or resume or checkpoint.saved):
                 checkpoint.remove()  # nothing came of it
         content = _content(found, simulated, begun, task, controller)
         with files.new_folder(out) as partial:
@@ -230,10 +236,7 @@ def _content(
             found.record.believed(settings["confirm"], first + 1).fitness
             for first in range(len(found.record))
         ],
-        "cycles": [
-            {key: value for key, value in cycle.items() if key not in ("adapted", "before")}
-            for cycle in found.cycles
-        ],
+        "cycles": found.cycles,
     }
 
 

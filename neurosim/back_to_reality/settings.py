@@ -17,7 +17,8 @@ _PAPER_ADAPT = BitSettings(population=20, first_mutation=0.2)
 
 @dataclass(frozen=True)
 class BackToRealitySettings:
-    """Settings of the alternation; the defaults are those of Zagal et al. 2004, section 5.
+    """Settings of the alternation; the defaults are those of Zagal et al. 2004, section 5, where
+    the paper gives one.
 
     Attributes:
         cycles: How often L1, trials, L3 and L2 follow each other before the last L1.
@@ -38,10 +39,11 @@ class BackToRealitySettings:
         adapt_genetic: the genetic algorithm of L3; its population is that of cma, too.
         compared: L3 compares so many individuals.
         compare: Which these are: similar, those of the round with the most similar success in
-            both, as the paper's ten; recent, those that were tried last, failures included, and
-            the best one; or tracked, the same, but if reality tracked none of them there is no
-            L3.
-        policy_steps: Steps of the policy gradient in reality (L2); 0: there is none.
+            both, as the paper's ten, and who failed only where there are no others; recent, those
+            that were tried last, failures included, and the best one; or tracked, the same, but
+            if reality tracked none of them there is no L3.
+        policy_steps: Steps of the policy gradient in reality (L2), and then its end is tried; 0:
+            there is none. The paper goes on until it converges.
         policy: the policy gradient.
         confirm: A leader is tried in so many evaluations before it is believed, and learned from;
             1: it is believed at once.
@@ -74,16 +76,9 @@ class BackToRealitySettings:
 
     def __post_init__(self) -> None:
         for name in (
-            "cycles",
-            "generations",
-            "sets",
-            "candidates",
-            "adapt_generations",
-            "compared",
-        ):
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("trials", "confirm", "finalists"):
+            "cycles", "generations", "sets", "candidates", "adapt_generations", "compared",
+            "trials", "confirm", "finalists",
+        ):  # fmt: skip
             if getattr(self, name) < 1:
                 raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
         for name in ("later_generations", "policy_steps", "budget", "caution", "prior"):

@@ -81,13 +81,15 @@ class Simulated:
     ) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals [P, G] with one set of parameters [K].
 
-        It is what the simulator expects, without noise. A simulation that blows up is worth 0.
+        It is what the simulator expects, without noise. A simulation that blows up is worth 0, or
+        as little as the worst of the others.
         """
         evaluator = self._evaluator(parameters)
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
             merit, _ = evaluator.merit(self.real_genes(genes), evaluator.expectation())
-        return np.nan_to_num(merit.merit, nan=0.0, posinf=0.0, neginf=0.0)
+        found = np.where(np.isfinite(merit.merit), merit.merit, 0.0)
+        return np.where(np.isfinite(merit.merit), found, min(found.min(initial=0.0), 0.0))
 
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]

@@ -73,7 +73,8 @@ def _figure_3(one: Artefact, prefix: str) -> Picture:
         svg = to_svg(figure, label, prefix)
     caption = (
         "As Figure 3 of Zagal et al. 2004: the best of each generation or step, and the mean "
-        "(dashed). Where there were several cycles they follow each other, with a line between."
+        "(dashed); L2's last step is the policy that it came to. Where there were several cycles "
+        "they follow each other, with a line between."
     )
     return Picture(svg, caption, wide=True)
 

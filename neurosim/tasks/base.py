@@ -61,6 +61,7 @@ class Task:
         start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
         trial_starts: a trial is made from so many starts.
         highest_fitness: no trial is worth more; None: nothing is known of that.
+        fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
             said, because no blind one does the task.
     """
@@ -70,6 +71,7 @@ class Task:
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     trial_starts: int = 1
     highest_fitness: float | None = None
+    fitness_unit: ClassVar[str] = ""
     replanned: ClassVar[bool] = False
 
     @property

@@ -32,6 +32,7 @@ class Walking(Task):
 
     name: ClassVar[str] = "walking"
     reasons: ClassVar[tuple[str, ...]] = ("fell", "did not walk")
+    fitness_unit: ClassVar[str] = "m/s"
 
     seconds: float = 20.0
 

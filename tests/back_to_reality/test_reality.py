@@ -158,7 +158,7 @@ def test_what_are_no_poses_is_refused(tmp_path, poses):
 
 def test_a_person_is_asked_before_every_trial(tmp_path):
     asked, typed = [], iter(["fast", "0.5", "0.7", "0"])
-    reality = ByHand(Push(), lambda message: next(typed))
+    reality = ByHand(Push(), type_in=lambda message: next(typed))
     with pytest.raises(UserError, match="needs a person"):
         Trials(reality, tmp_path / "trials.jsonl")
     trials = Trials(reality, tmp_path / "trials.jsonl", ask=asked.append)

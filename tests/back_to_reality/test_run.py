@@ -8,6 +8,7 @@ import pytest
 from sliding_block import Block, Push, Slide, reality_of
 
 from neurosim.back_to_reality import settings_named
+from neurosim.back_to_reality.by_hand import ByHand
 from neurosim.back_to_reality.reality import read_trials
 from neurosim.back_to_reality.run import back_to_reality, start_genes
 from neurosim.base.errors import FileError, RobotError, UserError
@@ -88,15 +89,23 @@ def test_an_interrupted_run_goes_on_and_repeats_no_trial(tmp_path):
     reality = Real()
     again = run(tmp_path / "out", reality, resume=True)
     assert reality.made == whole["trials"] - 30
-    for content in (whole, again):
-        del content["simulated_trials"]  # those before the interruption are not counted
     assert json.dumps(again, default=list) == json.dumps(whole, default=list)
 
 
 def test_nothing_is_left_of_a_run_that_did_not_begin(tmp_path):
     with pytest.raises(RobotError):
         run(tmp_path / "out", Real(breaks=0))
+    with pytest.raises(UserError, match="needs a person"):
+        run(tmp_path / "out", ByHand(Push()))
     assert list(tmp_path.iterdir()) == []
+
+
+def test_where_l2_came_to_is_tried_and_written_down(tmp_path):
+    content = run(tmp_path / "out", Real())
+    trials = read_trials(tmp_path / "out" / "trials.jsonl")
+    ends = [row for row in trials if row["why"] == "cycle 1, L2, its end"]
+    assert len(ends) == SMALL.trials
+    assert len(content["cycles"][0]["L2"]["best"]) == SMALL.policy_steps + 1
 
 
 def test_something_that_stands_there_is_kept(tmp_path):

@@ -81,6 +81,7 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
     code, _, said = neurosim("back-to-reality", "-o", "found", *words)
     assert code == 130
     assert "--resume" in said
+    assert "Fitness in m/s (0 if it fell): " in said
     lines = (tmp_path / "found.checkpoint/trials.jsonl").read_text().splitlines()
     assert [json.loads(line)["fitness"] for line in lines[1:]] == [0.1, 0.2, 0.3]
     monkeypatch.setattr("builtins.input", lambda: "0.15")
