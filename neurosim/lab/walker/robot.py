@@ -9,8 +9,8 @@ The trial is the paper's (Zagal et al. 2004, section 5.2): the robot is put in t
 circle with a radius of 200 cm, is started, and is stopped where it crosses the circle; its fitness
 is the radius divided by the time. A fall, or not to arrive in time, is a fitness of 0.
 
-The constants were fixed before anything was tuned. ``main`` is what methods are developed on, the
-other two are only reported on.
+The constants were fixed before anything was tuned. ``main`` is what numbers are tuned on, the
+other two are not.
 """
 
 from __future__ import annotations
