@@ -165,9 +165,7 @@ METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {
     "CMA-ES from the hand-tuned gait": cma,
     "domain randomisation, then CMA-ES": randomised_then_cma,
     "domain randomisation once": lambda job: once(job, **RANDOM),
-    "domain randomisation once, confirmed": lambda job: once(
-        job, **RANDOM, confirm=3, finalists=4
-    ),
+    "domain randomisation once, confirmed": lambda job: once(job, **RANDOM, confirm=3, finalists=4),
     "back to reality, as in the paper": paper,
     "policy gradient from the hand-tuned gait": policy_gradient,
     "simulation once": once,
