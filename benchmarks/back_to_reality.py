@@ -47,13 +47,13 @@ HAND = genes_of(HAND_TUNED)
 PAPER = 2.47
 #: On whom L3 is judged: those that it saw, the next round's, and the best one's neighbours.
 GROUPS = ("compared", "held_out", "neighbours")
+BETTER = "back to reality, better choices"
 #: Methods that are held against all others.
 LEARNERS = (
-    "back to reality, better choices",
+    BETTER,
     "the same with L3",
     "back to reality, as in the paper",
 )
-BETTER = LEARNERS[0]
 KEPT = Path(__file__).with_suffix(".jsonl")
 
 
@@ -178,13 +178,13 @@ def changed(texts: list[str]) -> dict[str, Any]:
     Raises:
         UserError: if one is not, or there is none of the name, or a value is wrong.
     """
-    changes: dict[str, Any] = {}
+    ours, changes = vars(settings_named("better")), {}
     for text in texts:
         name, _, value = text.partition("=")
-        if not hasattr(settings_named("better"), name) or not value:
+        if name not in ours or not value:
             raise UserError(f"expected SETTING=VALUE, such as sets=3, not {text!r}")
         try:
-            changes[name] = type(getattr(settings_named("better"), name))(value)
+            changes[name] = type(ours[name])(value)
         except (TypeError, ValueError):
             raise UserError(f"{name} cannot be {value!r}") from None
     settings_named("better", **changes)
@@ -319,7 +319,7 @@ def main() -> None:
     parser.add_argument("--methods", nargs="+", choices=list(METHODS), default=list(METHODS))
     parser.add_argument(
         "--change", nargs="+", default=[], metavar="SETTING=VALUE",
-        help="run the better choices as they are and with other settings",
+        help="in place of --methods: the better choices as they are, and with other settings",
     )  # fmt: skip
     parser.add_argument("--paper", action="store_true", help="at the paper's size")
     parser.add_argument("--quick", action="store_true", help="a small size, to try the benchmark")

@@ -155,10 +155,7 @@ class Alternation:
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals in their first evaluation in reality."""
         fitness = self._trials.evaluate(self._simulated.real_genes(genes), why)
-        known = {one.genes.tobytes() for one in self._record.latest()}
-        rows = {row.tobytes(): number for number, row in enumerate(genes)}
-        new = sorted(number for key, number in rows.items() if key not in known)
-        self._record.add(genes[new], fitness[new])
+        self._record.add(genes, fitness)
         return fitness
 
     def _confirm(self) -> None:
@@ -223,7 +220,7 @@ class Alternation:
         all exploit what is peculiar to the simulator.
         """
         count = min(self._settings.candidates, self._room() - spared)
-        known = {one.genes.tobytes() for one in self._record.all}
+        known = self._record.known
         chosen: list[NDArray[np.float64]] = []
         places = np.linspace(climb.done - 1, 0, max(count, 1)).round().astype(int)
         # Where they repeat each other: the others of the last generations.

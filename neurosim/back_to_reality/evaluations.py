@@ -37,9 +37,17 @@ class Evaluations:
         return len(self.all)
 
     def add(self, genes: NDArray[np.float64], fitness: NDArray[np.float64]) -> None:
-        """Add first evaluations of individuals [P, G], their fitness [P]."""
-        pairs = zip(genes, fitness.tolist(), strict=True)
-        self.all += [Evaluation(one, value) for one, value in pairs]
+        """Add first evaluations of those of individuals [P, G] that are new, their fitness [P]."""
+        known = self.known
+        for one, value in zip(genes, fitness.tolist(), strict=True):
+            if one.tobytes() not in known:
+                known.add(one.tobytes())
+                self.all.append(Evaluation(one, value))
+
+    @property
+    def known(self) -> set[bytes]:
+        """The genes, as bytes, of all individuals that were evaluated."""
+        return {one.genes.tobytes() for one in self.all}
 
     def latest(self, first: int | None = None) -> list[Evaluation]:
         """Return what is known of each individual after the first so many evaluations."""

@@ -88,8 +88,8 @@ class Simulated:
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
             merit, _ = evaluator.merit(self.real_genes(genes), evaluator.expectation())
-        found = np.where(np.isfinite(merit.merit), merit.merit, 0.0)
-        return np.where(np.isfinite(merit.merit), found, min(found.min(initial=0.0), 0.0))
+        finite = np.isfinite(merit.merit)
+        return np.where(finite, merit.merit, merit.merit[finite].min(initial=0.0))
 
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
