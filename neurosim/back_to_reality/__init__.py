@@ -1,6 +1,6 @@
 """Back to reality: controller and simulator are adapted to each other (Zagal et al. 2004)."""
 
-from neurosim.back_to_reality.alternate import Alternation, Found, Interrupted
+from neurosim.back_to_reality.alternate import Alternation, Found
 from neurosim.back_to_reality.reality import REALITIES, Reality, Trials, make_reality
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
@@ -10,7 +10,6 @@ __all__ = [
     "Alternation",
     "BackToRealitySettings",
     "Found",
-    "Interrupted",
     "REALITIES",
     "Reality",
     "Simulated",

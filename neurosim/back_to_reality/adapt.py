@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.simulated import Simulated
-from neurosim.base.errors import UserError
 
 #: Parameter sets that are kept differ by this at least: root mean square of their shares.
 APART = 0.05
@@ -48,33 +47,19 @@ def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> fl
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """Individuals of which it is known what they do in reality.
+    """Individuals that were evaluated in reality.
 
     Attributes:
         simulated: the simulator.
         genes: [P, G] of them.
         fitness: [P] in reality.
         poses: [P, K, 3] in reality, NaN where not seen; None if none was tracked.
-
-    Raises:
-        UserError: if the simulator gives other poses than reality tracked.
     """
 
     simulated: Simulated
     genes: NDArray[np.float64]
     fitness: NDArray[np.float64]
     poses: NDArray[np.float64] | None = None
-
-    def __post_init__(self) -> None:
-        if self.poses is None:
-            return
-        expected = self.simulated.poses(self.genes[:1], self.simulated.as_is)
-        steps = None if expected is None else expected.shape[1]
-        if steps != self.poses.shape[1]:
-            raise UserError(
-                f"reality tracked {self.poses.shape[1]} poses a trial, and the simulator gives "
-                f"{steps or 'none'}: expected one after each step of the task's trial"
-            )
 
     def discrepancy(self, sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return by how much the simulator with sets [S, K] differs from reality, [S].
@@ -84,7 +69,7 @@ class Compared:
         if self.poses is None:
             return discrepancy(self.simulated.over(self.genes, sets), self.fitness)
         each = [self.simulated.poses(self.genes, one) for one in sets]
-        return np.array([poses_apart(one, self.poses) for one in each if one is not None])
+        return np.array([poses_apart(one, self.poses) for one in each])
 
 
 def similar(
@@ -122,12 +107,7 @@ def begin_adapting(
     def evaluate(sets: NDArray[np.float64]) -> NDArray[np.float64]:
         return -compared.discrepancy(sets)
 
-    def told(fitness: NDArray[np.float64]) -> NDArray[np.float64]:
-        # Selection by shares needs a fitness above 0: what the worst of the generation loses by
-        # (Goldberg 1989, chapter 3).
-        return fitness - fitness.min() if search == "ga" else fitness
-
-    return Climb(make_search(search, start, genetic, SPREAD, seed), evaluate, told, before)
+    return Climb(make_search(search, start, genetic, SPREAD, seed), evaluate, before)
 
 
 def kept_sets(

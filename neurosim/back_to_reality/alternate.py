@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality.adapt import (
+    SPREAD,
     Compared,
     agreement,
     begin_adapting,
@@ -30,10 +31,6 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base.generations import run_generations
 
 
-class Interrupted(KeyboardInterrupt):
-    """Ctrl-C between two generations: all is written down."""
-
-
 @dataclass
 class Found:
     """What came of a run.
@@ -42,7 +39,9 @@ class Found:
         genes: [G] the best individual, as shares of the controller's range of genes.
         fitness: its mean fitness in reality.
         start: mean fitness in reality of what was started from.
-        sets: [S, K] the adapted parameter sets, shares of their ranges, the best first.
+        sets: [S, K] the parameter sets that controllers were evolved over last, shares of their
+            ranges: without L3 the simulator as it is and others drawn around it; after L3 those
+            that it found, the best first.
         evaluations: used in reality.
         trials: used in reality.
         record: every evaluation in reality, in their order.
@@ -91,11 +90,14 @@ class Alternation:
             progress: whether to show progress on stderr.
 
         Raises:
-            UserError: if a search needs a package that is not installed.
+            UserError: if a search needs a package that is not installed, or more parameters.
+            FileError: if there are trials that were tracked for another number of steps.
         """
-        for search in {settings.search, settings.adapt} - {"none"}:
-            # Now, not when trials were made already.
-            make_search(search, start, settings.genetic, settings.spread, seed)
+        # Now, not when trials were made already.
+        make_search(settings.search, start, settings.genetic, settings.spread, seed)
+        if settings.adapt != "none":
+            make_search(settings.adapt, simulated.as_is, settings.adapt_genetic, SPREAD, seed)
+        trials.expect(simulated.steps)
         self._simulated, self._trials, self._start = simulated, trials, start
         self._settings, self._seed = settings, seed
         self._state = dict(state or {})
@@ -116,18 +118,18 @@ class Alternation:
         """Run all cycles and return what came of them.
 
         Raises:
-            Interrupted: at Ctrl-C; the state was saved.
+            KeyboardInterrupt: at Ctrl-C; the state was saved.
             UserError, RobotError: of reality; what was tried before is written down.
         """
         settings, best = self._settings, self._start
-        start = float(self._try(self._start[None], "start")[0])
+        self._try(self._start[None], "start")
         for cycle in range(settings.cycles + 1):
             last = cycle == settings.cycles
             if self._room() <= settings.spared:
                 break
             self.cycles.append({"parameters": self._named(self._sets[0])})
             candidates = self._search(cycle, best)
-            genes, real = self._candidates(cycle, candidates, settings.spared)
+            genes, real = self._candidates(cycle, candidates)
             self._confirm()
             if last or not len(genes):
                 break
@@ -138,9 +140,9 @@ class Alternation:
                 self._policies(cycle, best)
                 self._confirm()
                 best = self._believed().genes
-        found = self._believed()
+        start, found = self._record.latest()[0], self._believed()
         return Found(
-            found.genes, found.fitness, start, self._sets, self._trials.evaluations,
+            found.genes, found.fitness, start.fitness, self._sets, self._trials.evaluations,
             self._trials.used, self._record, self.cycles,
         )  # fmt: skip
 
@@ -159,9 +161,9 @@ class Alternation:
         return fitness
 
     def _confirm(self) -> None:
-        """Try the leader again, and who leads then, until one has stood its trials.
+        """Evaluate the best again, and who is the best then, until one has enough evaluations.
 
-        The best of many single evaluations has been lucky more often than not.
+        The best of many single results is usually partly luck.
         """
         for _ in range(self._settings.finalists):
             leader = self._record.leader()
@@ -205,24 +207,23 @@ class Alternation:
                 self._save(self._state)
 
         before = climb.done
-        interrupted = run_generations(climb, total, label, save=save, progress=self._progress)
+        if run_generations(climb, total, label, save=save, progress=self._progress):
+            raise KeyboardInterrupt
         if climb.done > before:
             save(climb.state())
-        if interrupted:
-            raise Interrupted
 
     def _candidates(
-        self, cycle: int, climb: Climb, spared: int
+        self, cycle: int, climb: Climb
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Try the best of generations spread over the search; return genes and fitness.
 
         The paper's individuals are some of the best of the evolved populations; the last ones of
         all exploit what is peculiar to the simulator.
         """
-        count = min(self._settings.candidates, self._room() - spared)
+        count = min(self._settings.candidates, self._room() - self._settings.spared)
         known = self._record.known
         chosen: list[NDArray[np.float64]] = []
-        places = np.linspace(climb.done - 1, 0, max(count, 1)).round().astype(int)
+        places = np.linspace(climb.done - 1, 0, count).round().astype(int)
         # Where they repeat each other: the others of the last generations.
         others = [
             asked[np.argsort(-told)] for asked, told in zip(climb.asked, climb.fitness, strict=True)
@@ -253,21 +254,21 @@ class Alternation:
 
         Nothing is done where poses are to be compared, and reality tracked none.
         """
-        settings = self._settings
+        settings, left_out = self._settings, None
         if settings.compare == "similar":
             fitness = self._simulated.fitness(genes, self._sets[0])
             chosen = similar(fitness, real, settings.compared)
+            left_out = np.delete(genes, chosen, axis=0), np.delete(real, chosen)
+            genes, real = genes[chosen], real[chosen]
         else:
             best = self._believed()
             others = [one for one in self._record.latest() if (one.genes != best.genes).any()]
             recent = [*others[max(len(others) + 1 - settings.compared, 0) :], best]
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
-            chosen = np.arange(len(genes))
-        left_out = np.setdiff1d(np.arange(len(genes)), chosen)
-        ten, name = self._compared(genes[chosen], real[chosen]), f"{cycle}.L3"
+        ten, name = self._compared(genes, real), f"{cycle}.L3"
         if settings.compare == "tracked" and ten.poses is None:
-            return  # none was tracked, or for different numbers of steps
+            return
         climb = begin_adapting(
             ten, self._sets[0], settings.adapt,
             settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
@@ -288,10 +289,8 @@ class Alternation:
                 "simulated_after": self._simulated.fitness(ten.genes, self._sets[0]).tolist(),
             },
         }
-        if len(left_out):
-            self.cycles[cycle]["L3"]["left_out"] = self._agreement(
-                cycle, genes[left_out], real[left_out]
-            )
+        if left_out is not None and len(left_out[0]):
+            self.cycles[cycle]["L3"]["left_out"] = self._agreement(cycle, *left_out)
 
     def _agreement(
         self, cycle: int, genes: NDArray[np.float64], real: NDArray[np.float64]

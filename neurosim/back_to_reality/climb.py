@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality.genetic import BitGenetic, BitSettings
+from neurosim.base.errors import UserError
 from neurosim.loop.cma import new_search
 
 
@@ -28,7 +29,13 @@ class BoundedCMA:
     """CMA-ES (pycma) within 0..1."""
 
     def __init__(self, start: NDArray[np.float64], spread: float, population: int, seed: Any):
-        """Begin at shares [G]."""
+        """Begin at shares [G].
+
+        Raises:
+            UserError: if the package is not installed, or G is 1.
+        """
+        if len(start) < 2:
+            raise UserError("cma searches two parameters at least: take ga for a single one")
         self._search = new_search(
             np.clip(start, 0.01, 0.99), spread, seed, bounds=(0.0, 1.0), population=population
         )
@@ -55,6 +62,9 @@ def make_search(
         genetic: the genetic algorithm; its population is that of cma, too.
         spread: of cma's first population, a share of the ranges.
         seed: of ``numpy.random.default_rng``.
+
+    Raises:
+        UserError: if cma cannot be had here; see :class:`BoundedCMA`.
     """
     if name == "ga":
         return BitGenetic(start, genetic, seed)
@@ -64,8 +74,8 @@ def make_search(
 class Climb:
     """A search whose generations are remembered: a :class:`neurosim.base.generations.Stage`.
 
-    An optimiser is not saved itself. What it was told is: a search is gone on with by asking it
-    again and telling it the same, which costs nothing beside the simulations.
+    Only the fitness values are saved, not the optimiser. To resume, the search is repeated with
+    these values, without any simulation.
 
     Attributes:
         done: generations so far.
@@ -77,7 +87,6 @@ class Climb:
         self,
         search: AskTell,
         evaluate: Callable[[NDArray[np.float64]], NDArray[np.float64]],
-        told: Callable[[NDArray[np.float64]], NDArray[np.float64]] = lambda fitness: fitness,
         before: NDArray[np.float64] | None = None,
     ):
         """Begin, or go on.
@@ -85,13 +94,12 @@ class Climb:
         Args:
             search: the optimiser, new.
             evaluate: returns the fitness [P] of a population [P, G].
-            told: makes of the fitness of a generation what the optimiser is told.
             before: [n, P] fitness of generations that were evaluated before.
 
         Raises:
             ValueError: if the generations before are not of this search.
         """
-        self._search, self._evaluate, self._told = search, evaluate, told
+        self._search, self._evaluate = search, evaluate
         self.done = 0
         self.asked: list[NDArray[np.float64]] = []
         self.fitness: list[NDArray[np.float64]] = []
@@ -103,7 +111,7 @@ class Climb:
         fitness = self._evaluate(asked) if known is None else known
         if fitness.shape != (len(asked),):
             raise ValueError("these generations are of another search")
-        self._search.tell(self._told(fitness))
+        self._search.tell(fitness)
         self.asked.append(asked)
         self.fitness.append(fitness)
         self.done += 1

@@ -102,7 +102,8 @@ class BitGenetic:
     def tell(self, fitness: NDArray[np.float64]) -> None:
         """Take its fitness [P], the higher the better, and make the next.
 
-        Selection is by shares of the fitness, which is shifted up where one is negative.
+        Selection is in proportion to fitness. Where one is negative, as the discrepancies of L3
+        are, the worst counts as 0 (Goldberg 1989, chapter 3).
         """
         rng, settings, count = self._rng, self._settings, len(fitness)
         scaled = linear_scaling(fitness - min(fitness.min(), 0.0), settings.scaling)

@@ -15,7 +15,7 @@ import threading
 from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,7 @@ FORMAT, VERSION = "neurosim-real-trials", 1
 AT_ONCE = 6
 #: After Ctrl-C a trial that is under way has so long to end, s; then it is not waited for.
 GRACE = 10.0
+_KEPT = "the trials before it are kept: fix the problem and continue with --resume"
 
 
 @runtime_checkable
@@ -38,7 +39,8 @@ class Reality(Protocol):
 
     Optional besides: ``describe() -> dict``, what it is, for JSON; ``instruction``, a sentence
     for the person who puts the robot back before every trial; ``trials(genes [N, G], numbers
-    [N]) -> [N]``, where several can be made at once.
+    [N]) -> [N]``, where several can be made at once; ``stop()``, called from another thread when
+    a trial under way is given up.
     """
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
@@ -126,15 +128,33 @@ class Trials:
             )
         about = self._reality.describe() if hasattr(self._reality, "describe") else {}
         self._file = JsonLines(path, FORMAT, VERSION, {"reality": about})
-        self._known: dict[bytes, list[float]] = {}
-        self._tracked: dict[bytes, list[NDArray[np.float64]]] = {}
+        self._known: dict[bytes, list[_Trial]] = {}
         for line, row in enumerate(self._file.rows, 2):
-            genes, fitness, poses = _checked(row, self._file.path, line)
-            self._remember(genes, fitness, poses)
+            genes, trial = _checked(row, self._file.path, line)
+            self._known.setdefault(genes.tobytes(), []).append(trial)
         self._count = len(self._file.rows)
         self.used = self.made = 0
         self._taken: dict[bytes, int] = {}
         self._interrupted = False
+        self._steps: int | None = None
+
+    def expect(self, steps: int) -> None:
+        """Refuse, from now on, trials that were tracked for another number of steps.
+
+        Raises:
+            FileError: if there is one among those that were made before.
+        """
+        self._steps = steps
+        for line, row in enumerate(self._file.rows, 2):
+            if "poses" in row and len(row["poses"]) != steps:
+                wrong = self._other_steps(len(row["poses"]))
+                raise FileError(self._file.path, wrong, line=line, field="poses")
+
+    def _other_steps(self, steps: int) -> str:
+        return (
+            f"reality tracked {steps} poses in a trial; expected {self._steps}, one after each "
+            "step of the task's trial"
+        )
 
     @property
     def evaluations(self) -> float:
@@ -163,19 +183,25 @@ class Trials:
             self.used += max(wanted - self._taken.get(key, 0), 0)
             self._taken[key] = max(wanted, self._taken.get(key, 0))
         self._make(missing, why)
-        return np.array([np.mean(self._known[row.tobytes()][:wanted]) for row in genes])
+        each = [self._known[row.tobytes()][:wanted] for row in genes]
+        return np.array([np.mean([trial.fitness for trial in trials]) for trials in each])
 
     def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        """Return where individuals [P, G] that were tried were, [P, K, 3], mean over their trials.
+        """Return where individuals [P, G] that were tried were, [P, K, 3].
 
-        NaN where one was not seen in any trial; None if none was seen at all, or not all for the
-        same number of steps.
+        It is the mean over the trials that the run has used so far, no others that the file holds:
+        an interruption changes nothing. NaN where one was not seen in any of them; None if none
+        was seen at all.
         """
-        each = [self._tracked.get(row.tobytes(), []) for row in genes]
-        shapes = {poses.shape for trials in each for poses in trials}
-        if len(shapes) != 1:
+        each = []
+        for row in genes:
+            key = row.tobytes()
+            used = self._known.get(key, [])[: self._taken.get(key, 0)]
+            each.append([trial.poses for trial in used if trial.poses is not None])
+        seen = [poses for trials in each for poses in trials]
+        if not seen:
             return None
-        unseen = np.full(shapes.pop(), np.nan)
+        unseen = np.full_like(seen[0], np.nan)
         found = np.stack([_mean_pose(np.stack(trials or [unseen])) for trials in each])
         return found if np.isfinite(found).any() else None
 
@@ -204,6 +230,7 @@ class Trials:
 
     def _stop_if_interrupted(self) -> None:
         if self._interrupted:
+            self._interrupted = False
             raise KeyboardInterrupt
 
     def _answer(self, call: Callable[[], Any], trials: int, number: int) -> Any:
@@ -226,10 +253,12 @@ class Trials:
                 self._interrupted = True
                 found, error = box.get(timeout=GRACE)
         except queue.Empty:
+            if hasattr(self._reality, "stop"):
+                self._reality.stop()
             self._stop_if_interrupted()
+            which = f"trial {number + 1}" + (f" to {number + trials}" if trials > 1 else "")
             raise RobotError(
-                f"reality did not answer in trial {number + 1} within {self._patience:g} s; what "
-                "was tried before is kept: put it right and go on with --resume"
+                f"reality did not answer in {which} within {self._patience * trials:g} s; {_KEPT}"
             ) from None
         if error is not None:
             self._stop_if_interrupted()
@@ -245,6 +274,8 @@ class Trials:
                     f"reality returned poses of shape {np.shape(found.poses)} in trial "
                     f"{self._count + 1}, not [K, 3]"
                 )
+            if self._steps not in (None, len(poses)):
+                raise UserError(f"{self._other_steps(len(poses))}; {_KEPT}")
         try:
             value = float(fitness)
         except (TypeError, ValueError):
@@ -260,20 +291,20 @@ class Trials:
         if poses is not None:
             row["poses"] = [one.tolist() if np.isfinite(one).all() else None for one in poses]
         self._file.append(row)
-        self._remember(genes, value, poses)
+        self._known.setdefault(genes.tobytes(), []).append(_Trial(value, poses))
         self._count += 1
         self.made += 1
-
-    def _remember(
-        self, genes: NDArray[np.float64], fitness: float, poses: NDArray[np.float64] | None
-    ) -> None:
-        self._known.setdefault(genes.tobytes(), []).append(fitness)
-        if poses is not None:
-            self._tracked.setdefault(genes.tobytes(), []).append(poses)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+
+class _Trial(NamedTuple):
+    """What came out of a trial: its fitness, and poses [K, 3] if it was tracked."""
+
+    fitness: float
+    poses: NDArray[np.float64] | None
 
 
 class _Function:
@@ -291,10 +322,7 @@ class _Function:
 
 def _no_number(found: Any, number: int) -> UserError:
     shown = "nothing" if found is None else f"{found!s:.40}"
-    return UserError(
-        f"reality returned {shown} in trial {number + 1}, not a fitness; what was tried before is "
-        "kept: put it right and go on with --resume"
-    )
+    return UserError(f"reality returned {shown} in trial {number + 1}, not a fitness; {_KEPT}")
 
 
 def _poses(found: Any) -> NDArray[np.float64] | None:
@@ -319,9 +347,7 @@ def _mean_pose(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-def _checked(
-    row: Mapping[str, Any], path: Path, line: int
-) -> tuple[NDArray[np.float64], float, NDArray[np.float64] | None]:
+def _checked(row: Mapping[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], _Trial]:
     genes, fitness = row.get("genes"), row.get("fitness")
     if not isinstance(fitness, float | int) or isinstance(fitness, bool):
         raise FileError(path, f"expected a number, found {fitness!r}", line=line, field="fitness")
@@ -332,7 +358,7 @@ def _checked(
         if poses is None:
             raise FileError(path, "expected poses, or null each", line=line, field="poses")
     try:
-        return np.array(genes, np.float64).reshape(-1), float(fitness), poses
+        return np.array(genes, np.float64).reshape(-1), _Trial(float(fitness), poses)
     except (TypeError, ValueError):
         raise FileError(path, "expected numbers", line=line, field="genes") from None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 from collections.abc import Callable, Mapping
 from dataclasses import asdict
@@ -20,11 +21,13 @@ from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.controllers.base import Controller
+from neurosim.controllers.files import check_readable
 from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import path_of
 from neurosim.simulators.base import Simulator
-from neurosim.simulators.registry import write_simulator
+from neurosim.simulators.registry import read_simulator, write_simulator
+from neurosim.simulators.sources import named
 from neurosim.tasks.base import Task
 
 FORMAT, VERSION = "neurosim-back-to-reality", 1
@@ -50,8 +53,8 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
     if path is None:
         if not hasattr(controller, "hand_tuned"):
             raise UserError(
-                f"name the controller to start from (--start): of the kind {controller.kind} none "
-                "was tuned by hand"
+                "name the controller to start from (--start): there is no hand-tuned "
+                f"{controller.kind}"
             )
         return np.asarray(controller.hand_tuned(), np.float64)
     genes, (low, high) = _read_genes(controller, path), controller.gene_range
@@ -102,7 +105,7 @@ def _genes_of_plan(controller: Any, saved: SavedController, path: str | Path) ->
 
 
 def back_to_reality(
-    simulator: Simulator,
+    simulator: Simulator | str | Path,
     task: Task,
     controller: Controller,
     reality: Reality,
@@ -122,12 +125,13 @@ def back_to_reality(
     While it runs ``OUT.checkpoint`` holds the trials made so far and the state of the search.
 
     Args:
-        simulator: with adjustable parameters.
+        simulator: with adjustable parameters, or the folder of one.
         task: judges trials in the simulator.
         controller: the family.
         reality: tries controllers.
-        out: folder of the result: ``back-to-reality.json``, ``trials.jsonl``, ``controller`` and,
-            of a simulator that can be written, ``simulator``, ``simulator-2`` ...
+        out: folder of the result: ``back-to-reality.json``, ``trials.jsonl``, ``controller`` (if
+            the best is not a plan without any command) and, of a simulator that can be written,
+            ``simulator``, and ``simulator-2`` ... for the other sets that L3 found.
         start: [G] the genes to start from; None: those tuned by hand.
         settings: how; by default our own choices, ``settings_named("better")``.
         seed: random seed.
@@ -147,6 +151,10 @@ def back_to_reality(
         KeyboardInterrupt: at Ctrl-C; go on with ``resume``.
     """
     settings = settings or settings_named("better")
+    check_readable(controller)
+    made_in: dict[str, Any] = {}
+    if isinstance(simulator, str | Path):
+        made_in, simulator = named(simulator), read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
     shares = simulated.shares_of(start_genes(controller) if start is None else start)
     if start is not None and hasattr(controller, "check"):
@@ -154,7 +162,12 @@ def back_to_reality(
     about = reality.describe() if hasattr(reality, "describe") else {}
     begun = {
         **asdict(settings),
-        **simulator.conditions(),
+        "simulator": {
+            "kind": simulator.kind,
+            "sha256": made_in.get("sha256"),
+            "parameters": [asdict(one) for one in simulated.parameters],
+            "conditions": simulator.conditions(),
+        },
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
@@ -197,9 +210,9 @@ def back_to_reality(
         with files.new_folder(out) as partial:
             shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
             saved_in = _simulators(found, simulated, partial)
-            _controller(found, simulated, task, controller, content, saved_in).write(
-                partial / "controller"
-            )
+            saved = _controller(found, simulated, task, controller, content, saved_in)
+            if saved.kind != "plan" or saved.given:
+                saved.write(partial / "controller")
             files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
         checkpoint.remove()
         return content
@@ -245,9 +258,12 @@ def _times(found: Found) -> float | None:
 
 
 def _simulators(found: Found, simulated: Simulated, folder: Path) -> list[str]:
-    """Write the adapted simulators, where they can be written; return their names."""
-    names = []
-    for place, one in enumerate(found.sets):
+    """Write the adapted simulators, where they can be written; return their names.
+
+    Without L3 it is the one that was begun with; the other sets were only drawn around it.
+    """
+    names, adapted = [], any("L3" in cycle for cycle in found.cycles)
+    for place, one in enumerate(found.sets if adapted else found.sets[:1]):
         simulator = simulated.adjusted(one)
         names.append("simulator" if not place else f"simulator-{place + 1}")
         if not write_simulator(simulator, folder / names[-1]):
@@ -269,11 +285,16 @@ def _controller(
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
     family, own = controller, genes
+    fitness = float(judged.fitness[0].mean())
     poses, rest = path_of(trajectory, 0, evaluator)
+    # The best in reality may fall or blow up in the simulator: it stays where it was seen last.
+    expected = np.isfinite(poses).all(axis=1)
     if controller.kind == "plan":
         family, own = FixedPlan(tuple(commands_of(controller, genes))), np.empty(0)
+        poses = poses[np.maximum.accumulate(np.where(expected, np.arange(len(poses)), 0))]
+        rest = rest if np.isfinite(rest).all() else poses[-1]
     else:
-        poses = poses[np.isfinite(poses).all(axis=1)]
+        poses = poses[expected]
         poses = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
         rest = poses[-1]
     return SavedController(
@@ -284,7 +305,7 @@ def _controller(
         predicted={
             "poses": poses.tolist(),
             "rest": rest.tolist(),
-            "fitness": float(judged.fitness[0].mean()),
+            "fitness": fitness if math.isfinite(fitness) else 0.0,
             "completes": bool(judged.success[0].all()),
             "unsupported": 0.0,
         },

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.policy_gradient import PolicySettings
 from neurosim.base.errors import UserError
 
-SEARCHES = ("ga", "cma")
-COMPARED = ("similar", "recent", "tracked")
+Search = Literal["ga", "cma"]
+Adapt = Literal["ga", "cma", "none"]
+Compare = Literal["similar", "recent", "tracked"]
 _PAPER_GENETIC, _PAPER_POLICY = BitSettings(), PolicySettings()
 _PAPER_ADAPT = BitSettings(population=20, first_mutation=0.2)
 
@@ -21,39 +22,37 @@ class BackToRealitySettings:
     the paper gives one.
 
     Attributes:
-        cycles: How often L1, trials, L3 and L2 follow each other before the last L1.
-        search: What searches controllers in the simulator (L1): ga, the paper's, or cma.
-        generations: Generations of L1.
-        later_generations: Generations of every L1 after the first; 0: as many as of the first.
-        genetic: the genetic algorithm of L1; its population is that of cma, too.
-        spread: With cma L1 begins to look so far from its start, as a share of the ranges.
-        sets: So many parameter sets are kept, and controllers evolved over all of them; 1: the
-            paper's one.
-        prior: The first of several sets are drawn at random, so far from the simulator as it is:
-            standard deviation, as a share of the ranges.
-        caution: Over several sets an individual is worth the mean of its fitness less so many
-            times the standard deviation.
-        candidates: So many of the best of L1's generations are tried in reality.
-        adapt: What adapts the simulator (L3): ga, the paper's, cma, or none.
+        cycles: Cycles of L1, trials, L3 and L2; one more L1 follows the last.
+        search: Algorithm that evolves controllers in the simulator (L1): ga, the paper's, or cma.
+        generations: Generations of the first L1.
+        later_generations: Generations of each later L1; 0: as many as of the first.
+        genetic: the genetic algorithm of L1; cma takes its population size.
+        spread: Initial step size of cma in L1, as a share of the parameter ranges.
+        sets: Number of parameter sets of the simulator; controllers are evolved over all of them.
+            The paper has 1.
+        prior: Standard deviation of the first random parameter sets around the simulator as it is,
+            as a share of the ranges.
+        caution: Over several sets fitness is the mean minus this many standard deviations.
+        candidates: Number of L1's best controllers that are tried in reality in each cycle.
+        adapt: Algorithm that adapts the simulator (L3): ga, the paper's, cma, or none.
         adapt_generations: Generations of L3.
-        adapt_genetic: the genetic algorithm of L3; its population is that of cma, too.
-        compared: L3 compares so many individuals.
-        compare: Which these are: similar, those of the round with the most similar success in
-            both, as the paper's ten, and who failed only where there are no others; recent, those
-            that were tried last, failures included, and the best one; or tracked, the same, but
-            if reality tracked none of them there is no L3.
-        policy_steps: Steps of the policy gradient in reality (L2), and then its end is tried; 0:
-            there is none. The paper goes on until it converges.
+        adapt_genetic: the genetic algorithm of L3; cma takes its population size.
+        compared: Number of controllers that L3 compares.
+        compare: Which controllers L3 compares. similar: those of this round whose fitness agrees
+            best, failures last, as in the paper; recent: the last ones that were tried, failures
+            included, and the best one; tracked: as recent, but there is no L3 unless reality
+            tracked the robot.
+        policy_steps: Number of steps of the policy gradient in reality (L2); the policy that it
+            came to is tried as well. 0: no L2. The paper goes on until it converges.
         policy: the policy gradient.
-        confirm: A leader is tried in so many evaluations before it is believed, and learned from;
-            1: it is believed at once.
-        finalists: With confirm, so many evaluations at most after each round of trials.
-        trials: Trials in reality that are one evaluation.
-        budget: No more evaluations in reality than this; 0: there is no limit.
+        confirm: Number of evaluations after which the best controller is accepted; 1: at once.
+        finalists: With confirm, the most evaluations that are spent on this after each round.
+        trials: Trials in reality of one evaluation.
+        budget: Most evaluations in reality; 0: no limit.
     """
 
     cycles: int = 1
-    search: Literal["ga", "cma"] = "ga"
+    search: Search = "ga"
     generations: int = 600
     later_generations: int = 0
     genetic: BitSettings = field(default=_PAPER_GENETIC)
@@ -62,11 +61,11 @@ class BackToRealitySettings:
     prior: float = 0.15
     caution: float = 0.0
     candidates: int = 15
-    adapt: Literal["ga", "cma", "none"] = "ga"
+    adapt: Adapt = "ga"
     adapt_generations: int = 45
     adapt_genetic: BitSettings = field(default=_PAPER_ADAPT)
     compared: int = 10
-    compare: Literal["similar", "recent", "tracked"] = "similar"
+    compare: Compare = "similar"
     policy_steps: int = 3
     policy: PolicySettings = field(default=_PAPER_POLICY)
     confirm: int = 1
@@ -84,12 +83,10 @@ class BackToRealitySettings:
         for name in ("later_generations", "policy_steps", "budget", "caution", "prior"):
             if getattr(self, name) < 0:
                 raise UserError(f"{name} must not be negative, not {getattr(self, name)}")
-        if self.search not in SEARCHES:
-            raise UserError(f"search is one of {', '.join(SEARCHES)}, not {self.search!r}")
-        if self.adapt not in (*SEARCHES, "none"):
-            raise UserError(f"adapt is ga, cma or none, not {self.adapt!r}")
-        if self.compare not in COMPARED:
-            raise UserError(f"compare is one of {', '.join(COMPARED)}, not {self.compare!r}")
+        for name, choices in (("search", Search), ("adapt", Adapt), ("compare", Compare)):
+            known, found = get_args(choices), getattr(self, name)
+            if found not in known:
+                raise UserError(f"{name} is one of {', '.join(known)}, not {found!r}")
         if self.spared and 0 < self.budget <= 1 + self.spared:
             raise UserError(
                 f"a budget of {self.budget} leaves nothing to try: the start is an evaluation, and "

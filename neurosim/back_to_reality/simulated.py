@@ -24,6 +24,7 @@ class Simulated:
         parameters: of the simulator.
         genes: how many an individual has.
         as_is: [K] shares of the parameters before anything was adjusted.
+        steps: how many a trial has; there is a pose after each.
         tried: how many trials were simulated.
     """
 
@@ -43,7 +44,7 @@ class Simulated:
         self.genes = controller.genes
         self.as_is = np.array([one.share(one.value) for one in self.parameters])
         self.tried = 0
-        self._evaluator(self.as_is)  # refuses what does not fit
+        self.steps = self._evaluator(self.as_is).steps  # refuses what does not fit
 
     def real_genes(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the genes [..., G] of shares [..., G] of the controller's range of genes."""
@@ -93,8 +94,8 @@ class Simulated:
 
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]
-    ) -> NDArray[np.float64] | None:
-        """Return where individuals [P, G] are expected after each step, [P, K, 3]; None: nowhere.
+    ) -> NDArray[np.float64]:
+        """Return where individuals [P, G] are expected after each step, [P, K, 3].
 
         From the task's first start, with one set of parameters [K], without noise.
         """
@@ -102,7 +103,8 @@ class Simulated:
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
             poses = evaluator.run(self.real_genes(genes), evaluator.expectation()).poses
-        return None if poses is None else np.array(poses[:, 0, 1:])
+        assert poses is not None
+        return np.array(poses[:, 0, 1:])
 
     def over(self, genes: NDArray[np.float64], sets: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness [S, P] of individuals [P, G] with sets of parameters [S, K]."""

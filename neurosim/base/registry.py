@@ -60,6 +60,10 @@ class Registry:
         others = {*self._registered, *self._points()} - set(self._own)
         return [*self._own, *sorted(others)]
 
+    def is_own(self, name: str) -> bool:
+        """Return whether the name is of one of ours."""
+        return name in self._own
+
     def get(self, name: str) -> Any:
         """Return what has this name.
 

@@ -20,13 +20,6 @@ from neurosim.cli._options import (
 from neurosim.cli._types import PATH, POSITIVE
 
 
-def _settings(chosen: Chosen) -> Any:
-    """Return the settings that are named; their values are the options' defaults."""
-    from neurosim.back_to_reality import settings_named
-
-    return settings_named(chosen["settings"])
-
-
 class _Named:
     """What ``--settings`` takes."""
 
@@ -42,6 +35,17 @@ class _Named:
 
 
 NAMED = _Named()
+
+
+def _settings(chosen: Chosen) -> Any:
+    """Return the settings that are named; their values are the options' defaults."""
+    return NAMED.get(chosen["settings"])
+
+
+def _may_be_real(name: str) -> bool:
+    from neurosim.back_to_reality.reality import REALITIES
+
+    return not REALITIES.is_own(name)
 
 
 @click.command(
@@ -72,6 +76,8 @@ NAMED = _Named()
     default="virtual-walker",
     help="Where controllers are tried for real. The first is a robot of the lab; by-hand: a person "
     "types what came out.",
+    skip=("controller", "task"),  # which it is given
+    outside=_may_be_real,
 )
 @click.option(
     "--start",
@@ -134,10 +140,10 @@ def back_to_reality(
     """Adapt a controller and a simulator to each other by trials in reality.
 
     Controllers are evolved in the simulator (L1), tried in reality, and the simulator's parameters
-    are changed until it gives what reality gave (L3); the best controller may learn on in reality
-    (L2), and the simulator is gone back to (Zagal, Ruiz-del-Solar and Vallejos 2004). Without more
-    options L3 needs a reality that tracks the robot, and there is no L2. Every trial is on the
-    disk before it is used; --resume continues an interrupted run.
+    are changed until it gives what reality gave (L3); the best controller may be improved further
+    in reality (L2); then evolution continues in the adapted simulator (Zagal, Ruiz-del-Solar and
+    Vallejos 2004). Without more options L3 needs a reality that tracks the robot, and there is no
+    L2. Every trial is on the disk before it is used; --resume continues an interrupted run.
     """
     from neurosim.back_to_reality.reality import make_reality
     from neurosim.back_to_reality.run import back_to_reality as run
@@ -162,7 +168,7 @@ def back_to_reality(
         **how,
     )
     content = run(
-        found,
+        found if simulator is None else simulator,
         made,
         family,
         make_reality(reality, family, made, **reality_options),
@@ -209,4 +215,7 @@ def _text(content: dict[str, Any], out: Path) -> str:
             "The simulator's parameters were not adapted: reality returned a fitness, and no poses "
             "(--compare recent adapts them to fitness).\n"
         )
+    if not (out / "controller").is_dir():
+        text += "The best plan gives no command: there is no controller to send.\n"
+        return text + next_step("report", out, "-o", "report.html")
     return text + next_step("report", out, out / "controller", "-o", "report.html")

@@ -121,11 +121,7 @@ class SavedController:
                 no command, or a function was not registered by a name.
         """
         family = self.controller
-        if family.kind not in CONTROLLERS.names():
-            raise UserError(
-                f"a controller of the kind {family.kind!r} cannot be read again: register its "
-                'family first, as in neurosim.register("controller", NAME, FAMILY)'
-            )
+        check_readable(family)
         if isinstance(family, FixedPlan) and not self.given:
             raise UserError(
                 "a plan that gives no command cannot be written: nothing could drive it"
@@ -153,6 +149,19 @@ class SavedController:
             if not self.commands:
                 files.write_tensors(partial / "weights.safetensors", {"genes": self.genes})
             files.write_json(partial / "controller.json", FORMAT, VERSION, content)
+
+
+def check_readable(family: Controller) -> None:
+    """Refuse a family whose controllers could be written, but not read again.
+
+    Raises:
+        UserError: if it was not registered by its name.
+    """
+    if family.kind not in CONTROLLERS.names():
+        raise UserError(
+            f"a controller of the kind {family.kind!r} cannot be read again: register its "
+            'family first, as in neurosim.register("controller", NAME, FAMILY)'
+        )
 
 
 def read_controller(folder: str | Path) -> SavedController:

@@ -125,7 +125,9 @@ def genes_of(values: Mapping[str, float] | ArrayLike) -> NDArray[np.float64]:
     if isinstance(values, Mapping):
         wrong = [*(set(NAMES) - set(values)), *(set(values) - set(NAMES))]
         if wrong:
-            raise UserError(f"a gait has the parameters {', '.join(NAMES)}; {wrong[0]} is amiss")
+            raise UserError(
+                f"a gait has the parameters {', '.join(NAMES)}; {wrong[0]} is missing or unknown"
+            )
         values = [values[name] for name in NAMES]
     given = np.asarray(values, np.float64)
     if given.shape != _LOW.shape:
@@ -216,13 +218,15 @@ class Gait(Controller):
         found = np.empty((len(genes), len(times), len(JOINTS)))
         for row, each in enumerate(genes):
             feet, at, cycle = loci(each)
+            angles, _ = angles_of(feet, KNEE[:, None])
             for leg in range(4):
-                angles, _ = angles_of(feet[leg], np.full(len(at), KNEE[leg]))
                 phase = (np.asarray(times) / cycle + PHASE[leg]) % 1.0
                 for joint in range(3):
                     # Outwards is to the right on the right side.
                     sign = SIDE[leg] if joint == 1 else 1.0
-                    found[row, :, 3 * leg + joint] = np.interp(phase, at, sign * angles[:, joint])
+                    found[row, :, 3 * leg + joint] = np.interp(
+                        phase, at, sign * angles[leg, :, joint]
+                    )
             found[row] = stand + begin * (found[row] - stand)
         return found
 
@@ -243,14 +247,14 @@ class Gait(Controller):
             UserError: naming a leg and the place.
         """
         feet, _, _ = loci(genes)
-        for leg in range(4):
-            _, reached = angles_of(feet[leg], np.full(len(feet[leg]), KNEE[leg]))
-            if not reached.all():
-                x, y, z = 100.0 * feet[leg][np.argmin(reached)]
-                raise UserError(
-                    f"the {LEGS[leg].replace('_', ' ')} foot cannot reach {x:.1f} cm forward, "
-                    f"{y:.1f} cm outwards and {-z:.1f} cm down from its hip"
-                )
+        _, reached = angles_of(feet, KNEE[:, None])
+        if not reached.all():
+            leg, place = np.argwhere(~reached)[0]
+            x, y, z = 100.0 * feet[leg, place]
+            raise UserError(
+                f"the {LEGS[leg].replace('_', ' ')} foot cannot reach {x:.1f} cm forward, "
+                f"{y:.1f} cm outwards and {-z:.1f} cm down from its hip"
+            )
 
     def hand_tuned(self) -> NDArray[np.float64]:
         """Return the genes [20] of the gait that was tuned by hand."""

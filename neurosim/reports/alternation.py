@@ -101,26 +101,32 @@ def _curves(
         axes.text(0.5, 0.5, "there was none", transform=axes.transAxes, ha="center")
         return
     axes.set_xlim(0, begin + 1)
-    axes.set_ylim(bottom=0)
+    _from_zero(axes)
+
+
+def _from_zero(axes: Axes) -> None:
+    """Begin the axis of fitness at 0, unless there are negative ones."""
+    if axes.dataLim.ymin >= 0.0:
+        axes.set_ylim(bottom=0)
 
 
 def _evaluations(one: Artefact, prefix: str) -> Picture:
     """Draw every evaluation in reality, in their order."""
     real = np.array(one.meta["real"], float)
     number = 1 + np.arange(len(real))
-    label = f"{one.name}: every evaluation in reality, and the best that is believed"
+    label = f"{one.name}: what each evaluation in reality told, and the best that is believed"
     with drawing(9.0, 2.6) as (figure, axes):
         axes.plot(number, real, "o", ms=3, mew=0, color=INK["actual"])
         axes.plot(number, np.array(one.meta["believed"], float), color=INK["predicted"])
         axes.axhline(one.meta["start"]["fitness"], color=INK["muted"], lw=0.8)
         axes.set(xlabel="evaluation in reality", ylabel="fitness")
-        axes.set_ylim(bottom=0)
+        _from_zero(axes)
         svg = to_svg(figure, label, prefix)
     trials = one.meta["settings"].get("trials", 1)
     return Picture(
         svg,
-        f"{label}. An evaluation is the mean of {trials} trial{'s' * (trials != 1)}; the grey line "
-        "is what was started from.",
+        f"{label}. An evaluation is {trials} trial{'s' * (trials != 1)}; a dot is the mean of all "
+        "trials that its controller had till then. The grey line is what was started from.",
         wide=True,
     )
 

@@ -43,8 +43,10 @@ class Adjustable:
         """Return the value at a share 0..1 of the range; what is outside is cut to it."""
         share = min(max(share, 0.0), 1.0)
         if self.log:
-            return self.low * (self.high / self.low) ** share
-        return self.low + (self.high - self.low) * share
+            value = self.low * (self.high / self.low) ** share
+        else:
+            value = self.low + (self.high - self.low) * share
+        return min(max(value, self.low), self.high)
 
     def share(self, value: float) -> float:
         """Return at which share of the range a value is.

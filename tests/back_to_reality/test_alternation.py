@@ -10,7 +10,6 @@ from sliding_block import Block, Push, Slide, reality_of
 
 from neurosim.back_to_reality import (
     Alternation,
-    Interrupted,
     Simulated,
     Tracked,
     Trials,
@@ -28,9 +27,9 @@ from neurosim.back_to_reality.adapt import (
 )
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
-from neurosim.back_to_reality.genetic import BitSettings
+from neurosim.back_to_reality.genetic import BitSettings, decode, encode
 from neurosim.back_to_reality.reality import read_trials
-from neurosim.base.errors import UserError
+from neurosim.base.errors import FileError, UserError
 
 START = np.array([0.5, 0.5])
 SMALL = {"generations": 15, "adapt_generations": 25, "candidates": 12, "policy_steps": 1}
@@ -59,9 +58,10 @@ def test_the_simulator_gives_what_was_worked_out_by_hand():
 def test_discrepancy_and_choice_of_similar_ones_by_hand():
     found = discrepancy(np.array([[1.0, 2.0], [4.0, 6.0]]), np.array([1.0, 2.0]))
     assert found == pytest.approx([0.0, 5.0])
-    simulated_, real = np.array([1.0, 0.5, 0.4, 0.2]), np.array([0.9, 0.1, 0.4, 0.0])
+    simulated_, real = np.array([1.0, 0.5, 0.4, 0.0]), np.array([0.9, 0.1, 0.4, 0.0])
     assert similar(simulated_, real, 2).tolist() == [0, 2]
-    assert similar(simulated_, real, 3).tolist() == [0, 1, 2]  # the failure comes last
+    # What fails in both is alike, and yet comes last.
+    assert similar(simulated_, real, 3).tolist() == [0, 1, 2]
 
 
 def test_agreement_by_hand():
@@ -88,6 +88,155 @@ def test_poses_apart_by_hand():
     # One that is lacking weighs as much as one that is far away, and hides no other.
     fell = np.array([[0.3, 0.4, 0.1], [np.nan] * 3, [np.nan] * 3])
     assert poses_apart(fell, real) == pytest.approx(((0.25 + NOWHERE**2) / 2) ** 0.5)
+
+
+class Remembering(Simulated):
+    """Remembers whom it was asked for over which sets."""
+
+    def __init__(self):
+        super().__init__(Block(), Slide(), Push())
+        self.asked = []
+
+    def over(self, genes, sets):
+        found = super().over(genes, sets)
+        self.asked.append((genes, sets, found))
+        return found
+
+
+#: First populations are copies of what the search starts from.
+COPIES = BitSettings(15, mutation=0.02, first_mutation=0.0)
+
+
+def remembered(tmp_path, **changes):
+    """Run the paper's settings at a small size; return what was asked, trials and the result."""
+    model, path = Remembering(), tmp_path / "trials.jsonl"
+    settings = settings_named("paper", **{**SMALL, "trials": 1, "genetic": COPIES, **changes})
+    run = Alternation(
+        model, Trials(reality_of(), path, each=1), START, settings, seed=5, progress=False
+    )
+    found = run.run()
+    return model.asked, read_trials(path), found
+
+
+def bits(shares):
+    return decode(encode(shares, 8), 8)
+
+
+def test_controllers_are_evolved_over_all_sets_with_caution(tmp_path):
+    asked, _, found = remembered(tmp_path, sets=3, caution=2.0, prior=0.1, adapt="none")
+    expected = []
+    for _, sets, fitness in asked:
+        np.testing.assert_array_equal(sets, found.sets)
+        expected.append((fitness.mean(axis=0) - 2.0 * fitness.std(axis=0)).max())
+    assert found.sets.shape == (3, 2)
+    np.testing.assert_array_equal(found.sets[0], simulated().as_is)
+    each = [best for cycle in found.cycles for best in cycle["L1"]["best"]]
+    assert each == pytest.approx(expected)
+
+
+def test_the_first_sets_are_spread_by_the_prior(tmp_path):
+    *_, found = remembered(tmp_path, sets=300, prior=0.02, adapt="none", generations=1)
+    assert (found.sets[1:] - simulated().as_is).std(axis=0) == pytest.approx(0.02, rel=0.15)
+
+
+def test_later_searches_begin_at_the_best_in_reality_and_have_their_own_length(tmp_path):
+    asked, rows, found = remembered(tmp_path, cycles=2, later_generations=4, adapt="none")
+    assert [len(cycle["L1"]["best"]) for cycle in found.cycles] == [15, 4, 4]
+    done, best, begins = [], [], [0, 15, 19]
+    for cycle in (1, 2, 3):
+        best.append(max(done, key=lambda row: row["fitness"])["genes"] if done else START)
+        done += [row for row in rows if row["why"].startswith((f"cycle {cycle}", "start"))]
+    for begin, start in zip(begins, best, strict=True):
+        np.testing.assert_allclose(asked[begin][0], np.tile(bits(np.array(start)), (15, 1)))
+    # It was L2 that came to where the second one begins.
+    assert best[1] in [row["genes"] for row in rows if "1, L2" in row["why"]]
+
+
+def test_candidates_are_of_generations_spread_over_the_search(tmp_path):
+    genetic = BitSettings(15, mutation=0.05, first_mutation=0.3)
+    asked, rows, _ = remembered(tmp_path, genetic=genetic, candidates=4)
+    tried = [row["genes"] for row in rows if row["why"] == "cycle 1, L1"]
+    firsts = [asked[n][0][asked[n][2][0].argmax()].tolist() for n in (14, 9, 5, 0)]
+    assert len(set(map(tuple, firsts))) == 4
+    assert tried == firsts
+
+
+def test_l2_begins_at_the_best_in_reality(tmp_path):
+    _, rows, _ = remembered(tmp_path, adapt="none")
+    before = [row for row in rows if "L2" not in row["why"] and "cycle 2" not in row["why"]]
+    best = max(before, key=lambda row: row["fitness"])["genes"]
+    policies = np.array([row["genes"] for row in rows if row["why"] == "cycle 1, L2, step 1"])
+    assert best != START.tolist()
+    np.testing.assert_allclose((policies.max(axis=0) + policies.min(axis=0)) / 2.0, best)
+
+
+def test_recent_are_the_last_that_were_tried_and_the_best(tmp_path):
+    _, rows, found = remembered(tmp_path, compare="recent", compared=6, policy_steps=0, cycles=2)
+    by = {row["why"]: [] for row in rows}
+    for row in rows:
+        by[row["why"]].append(row["fitness"])
+    till = by["start"] + by["cycle 1, L1"]
+    for cycle in (1, 2):
+        best = till.index(max(till))
+        expected = [*[fitness for n, fitness in enumerate(till) if n != best][-5:], till[best]]
+        assert found.cycles[cycle - 1]["L3"]["compared"]["real"] == expected
+        till = till + by["cycle 2, L1"]
+
+
+def test_l3_goes_on_from_the_adapted_simulator(tmp_path):
+    genetic = BitSettings(12, mutation=0.02, first_mutation=0.0)
+    asked, _, found = remembered(tmp_path, adapt_genetic=genetic, policy_steps=0, cycles=2)
+    adapting = [n for n, (_, sets, _) in enumerate(asked) if len(sets) == 12]
+    begins = [n for n in adapting if n - 1 not in adapting]
+    named = [asked[n][1][0] for n in begins]
+    model = simulated()
+    first = found.cycles[0]["L3"]["parameters"][0]
+    after = [one.share(first[one.name]) for one in model.parameters]
+    for expected, at in zip([model.as_is, np.array(after)], named, strict=True):
+        np.testing.assert_allclose(at, bits(expected))
+    assert named[0].tolist() != named[1].tolist()
+
+
+@pytest.mark.parametrize(("share", "works"), [(0.76, 1.0), (0.74, 0.0)])
+def test_a_controller_works_in_both_if_it_is_alike_by_a_quarter_of_the_larger(
+    tmp_path, share, works
+):
+    model = simulated()
+    settings = settings_named("paper", **SMALL)
+
+    def real(genes):
+        return share * float(model.fitness(genes[None], model.as_is)[0])
+
+    trials = Trials(real, tmp_path / "trials.jsonl", each=1)
+    found = Alternation(model, trials, START, settings, progress=False).run()
+    assert min(found.cycles[0]["transfer"]["real"]) > 0.0
+    assert found.cycles[0]["transfer"]["works"] == works
+
+
+def test_simulations_that_blow_up_are_failures():
+    class Bursts(Block):
+        def adjusted(self, values):
+            return Bursts(*np.asarray(values).tolist())
+
+        def step(self, state, command, generator=None):
+            return super().step(state, command) + torch.where(command[:, :1] > 0.8, np.nan, 0.0)
+
+    model = Simulated(Bursts(), Slide(), Push())
+    # Pushed by nothing it slides aside by the second gene.
+    found = model.fitness(np.array([[0.9, 0.5], [0.5, 0.5], [0.0, 0.5]]), model.as_is)
+    assert found == pytest.approx([-0.5, 0.45, -0.5])
+    assert model.fitness(np.array([[0.9, 0.5], [0.5, 0.5]]), model.as_is)[0] == 0.0
+
+
+def test_ranks_of_equal_ones_are_their_mean():
+    class Given:
+        def fitness(self, genes, parameters):
+            return genes[:, 0]
+
+    # Ranks 1.5, 1.5, 3, 4 and 1, 2, 3, 4: a covariance of 4.5 by the root of 4.5 times 5.
+    compared = Compared(Given(), np.array([[1.0], [1.0], [2.0], [3.0]]), np.arange(4.0))
+    found = agreement(compared, np.zeros(1), np.zeros(1))
+    assert found["after"]["rank"] == pytest.approx((4.5 / 5.0) ** 0.5)
 
 
 class TrackedBlock:
@@ -139,12 +288,16 @@ def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
 
 
 def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
-    trials = Trials(TrackedBlock(2.0, 0.2, steps=3), tmp_path / "trials.jsonl", each=1)
-    run = Alternation(
-        simulated(), trials, START, settings_named("paper", **SMALL), seed=3, progress=False
-    )
-    with pytest.raises(UserError, match="tracked 3 poses a trial, and the simulator gives 2"):
+    path, said = tmp_path / "trials.jsonl", "tracked 3 poses in a trial; expected 2, one after each"
+    settings = settings_named("paper")
+    trials = Trials(TrackedBlock(2.0, 0.2, steps=3), path, each=1)
+    run = Alternation(simulated(), trials, START, settings, progress=False)
+    with pytest.raises(UserError, match=said):
         run.run()
+    assert read_trials(path) == []
+    Trials(TrackedBlock(2.0, 0.2, steps=3), path, each=1).evaluate(START[None], "before")
+    with pytest.raises(FileError, match=f"line 2, field 'poses': reality {said}"):
+        Alternation(simulated(), Trials(TrackedBlock(2.0, 0.2), path), START, settings)
 
 
 @pytest.mark.parametrize("search", ["ga", "cma"])
@@ -215,6 +368,21 @@ def test_a_lucky_controller_is_found_out(tmp_path):
     assert found.fitness < 5.0
 
 
+@pytest.mark.parametrize(("finalists", "steps"), [(2, 0), (6, 0), (6, 1)])
+def test_evaluations_are_spared_to_confirm_within_the_budget(tmp_path, finalists, steps):
+    settings = settings_named(
+        "paper", **SMALL | {"policy_steps": steps, "candidates": 13}, budget=20, confirm=4,
+        finalists=finalists,
+    )  # fmt: skip
+    found = alternation(tmp_path / "trials.jsonl", settings).run()
+    whys = [row["why"] for row in read_trials(tmp_path / "trials.jsonl")][::3]
+    assert found.evaluations == len(whys) <= 20
+    assert "confirm" in whys
+    last = max(n for n, why in enumerate(whys) if why != "confirm")
+    assert last < 20 - finalists
+    assert found.record.leader().count > 1
+
+
 def test_the_budget_is_kept(tmp_path):
     settings = settings_named("paper", **SMALL, budget=20)
     found = alternation(tmp_path / "trials.jsonl", settings).run()
@@ -261,6 +429,51 @@ def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(tmp_pa
     assert again.cycles == whole.cycles
 
 
+@pytest.mark.parametrize("cut", [20, 40, 55, 70])
+def test_an_interruption_changes_nothing_where_noisy_trials_are_tracked(tmp_path, cut):
+    """What is confirmed after L3 is in the file when L3 is run again."""
+    block = TrackedBlock(2.0, 0.2)
+
+    def noisy(genes, number):
+        at = block.trial(genes, number).poses
+        at = at + 0.05 * np.random.default_rng([9, number]).standard_normal(at.shape)
+        return Tracked(float(at[0, 0]), at)
+
+    class Noisy:
+        breaks = None
+
+        def trial(self, genes, number):
+            if number == self.breaks:
+                raise KeyboardInterrupt
+            return noisy(genes, number)
+
+    settings = settings_named(
+        "paper", **SMALL | {"policy_steps": 0}, cycles=3, compare="recent", sets=3, confirm=3,
+        finalists=4, trials=1,
+    )  # fmt: skip
+
+    def run(path, reality, state=None):
+        trials, states = Trials(reality, path, each=1), []
+        runs = Alternation(
+            simulated(), trials, START, settings, seed=2, state=state, save=states.append,
+            progress=False,
+        )  # fmt: skip
+        try:
+            return runs.run(), states
+        except KeyboardInterrupt:
+            return None, states
+
+    whole, _ = run(tmp_path / "whole.jsonl", Noisy())
+    broken = Noisy()
+    broken.breaks = min(cut, whole.trials - 1)
+    nothing, states = run(tmp_path / "cut.jsonl", broken)
+    assert nothing is None
+    again, _ = run(tmp_path / "cut.jsonl", Noisy(), states[-1])
+    assert again.cycles == whole.cycles
+    assert again.genes.tolist() == whole.genes.tolist()
+    np.testing.assert_array_equal(again.sets, whole.sets)
+
+
 def test_ctrl_c_between_generations_saves_and_stops(tmp_path, monkeypatch):
     settings, states = settings_named("paper", **SMALL), []
     model = simulated()
@@ -273,7 +486,7 @@ def test_ctrl_c_between_generations_saves_and_stops(tmp_path, monkeypatch):
 
     monkeypatch.setattr(model, "fitness", interrupted)
     trials = Trials(reality_of(), tmp_path / "trials.jsonl")
-    with pytest.raises(Interrupted):
+    with pytest.raises(KeyboardInterrupt):
         Alternation(model, trials, START, settings, save=states.append, progress=False).run()
     assert states[-1]["0.L1"].shape == (5, 15)
 
@@ -317,6 +530,32 @@ def test_kept_sets_differ():
     assert kept_sets(climb, 2, *good).tolist() == [[0.7, 0.7], [0.5, 0.5]]
 
 
+def test_cma_of_a_single_parameter_is_refused_before_any_trial(tmp_path):
+    pytest.importorskip("cma")
+
+    class Heavy(Block):
+        @property
+        def parameters(self):
+            return super().parameters[:1]
+
+    model = Simulated(Heavy(), Slide(), Push())
+    with pytest.raises(UserError, match="two parameters at least: take ga"):
+        Alternation(model, Trials(reality_of(), tmp_path / "a.jsonl"), START,
+                    settings_named("paper", adapt="cma"))  # fmt: skip
+
+
+def test_what_was_started_from_is_told_by_all_its_trials(tmp_path):
+    """Its first trial is a bad one, and nothing is better than it."""
+    answers = iter([0.2, *[0.0] * 4, 0.9, 0.7])
+    settings = settings_named(
+        "paper", **SMALL | {"candidates": 4, "policy_steps": 0}, adapt="none", confirm=3, budget=8
+    )
+    trials = Trials(lambda genes: next(answers), tmp_path / "trials.jsonl", each=1)
+    found = Alternation(simulated(), trials, START, settings, progress=False).run()
+    assert found.genes.tolist() == START.tolist()
+    assert found.start == found.fitness == pytest.approx(0.6)
+
+
 def test_what_does_not_fit_is_refused():
     with pytest.raises(UserError, match="has no parameters that could be adjusted"):
         Simulated(SlippingWheels(), Slide(), Push())
@@ -328,9 +567,10 @@ def test_what_does_not_fit_is_refused():
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"search": "hill"}, "search is one of"), ({"adapt": "hill"}, "adapt is ga, cma or none"),
+    [({"search": "hill"}, "search is one of"), ({"adapt": "hill"}, "adapt is one of ga, cma, none"),
      ({"cycles": 0}, "cycles must be at least 1"), ({"spread": 0.0}, "spread is a share"),
-     ({"compare": "all"}, "similar, recent, tracked"), ({"budget": -1}, "not be negative")],
+     ({"compare": "all"}, "compare is one of similar, recent, tracked"),
+     ({"budget": -1}, "not be negative")],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(change, said):
     with pytest.raises(UserError, match=said):

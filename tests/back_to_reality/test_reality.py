@@ -84,6 +84,29 @@ def test_a_reality_that_hangs_is_given_up(tmp_path):
     wait.set()
 
 
+def test_several_at_once_have_the_time_of_all_and_reality_is_told_to_stop(tmp_path):
+    class Slow:
+        stopped = False
+
+        def trials(self, genes, numbers):
+            time.sleep(0.15 if len(genes) > 2 else 1.0)
+            return np.zeros(len(genes))
+
+        def trial(self, genes, number):
+            raise AssertionError
+
+        def stop(self):
+            self.stopped = True
+
+    reality = Slow()
+    trials = Trials(reality, tmp_path / "trials.jsonl", each=1, patience=0.1)
+    trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
+    assert not reality.stopped
+    with pytest.raises(RobotError, match=r"in trial 4 to 5 within 0\.2 s"):
+        trials.evaluate(np.stack([ONE + 0.2, TWO + 0.2]), "second")
+    assert reality.stopped
+
+
 @pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="signals for a thread: POSIX")
 @pytest.mark.parametrize(("grace", "kept"), [(60.0, 1), (0.01, 0)])
 def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
@@ -97,11 +120,13 @@ def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
             time.sleep(0.5)
             return 1.5
 
-    trials = Trials(Slow(), tmp_path / "trials.jsonl", each=3)
+    reality = Slow()
+    trials = Trials(reality, tmp_path / "trials.jsonl", each=3)
     with pytest.raises(KeyboardInterrupt):
         trials.evaluate(ONE[None], "first")
-    trials.close()
     assert [row["fitness"] for row in read_trials(tmp_path / "trials.jsonl")] == [1.5] * kept
+    reality.trial = lambda genes, number: 1.5
+    assert trials.evaluate(ONE[None], "first") == pytest.approx([1.5])  # it can be gone on with
 
 
 def test_what_a_reality_raises_comes_through(tmp_path):
@@ -129,6 +154,7 @@ def test_poses_are_written_and_read_again(tmp_path):
         None,
     ]
     for known in (trials, Trials(lambda genes: None, path, each=2)):
+        known.evaluate(np.stack([ONE, TWO]), "again")  # makes no trial
         expected = [[[1.5, 2.0, 3.05], [nan] * 3]]
         np.testing.assert_allclose(known.poses(ONE[None]), expected)
         both = known.poses(np.stack([ONE, TWO]))  # the second was not tracked

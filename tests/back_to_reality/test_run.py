@@ -2,6 +2,7 @@
 
 import json
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,7 +15,9 @@ from neurosim.back_to_reality.run import back_to_reality, start_genes
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.controllers import CONTROLLERS, read_controller
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.reports import alternation
 from neurosim.reports.report import write_report
+from neurosim.reports.svg import drawing
 from neurosim.tasks.registry import TASKS
 
 START = np.array([0.5, 0.5])
@@ -108,6 +111,67 @@ def test_where_l2_came_to_is_tried_and_written_down(tmp_path):
     assert len(content["cycles"][0]["L2"]["best"]) == SMALL.policy_steps + 1
 
 
+def test_a_controller_that_could_not_be_read_again_is_refused_before_any_trial(
+    tmp_path, monkeypatch
+):
+    monkeypatch.delitem(CONTROLLERS._registered, "push")
+    reality = Real()
+    with pytest.raises(UserError, match="'push' cannot be read again: register its family first"):
+        run(tmp_path / "out", reality)
+    assert reality.made == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_simulator_is_not_gone_on_with(tmp_path):
+    with pytest.raises(RobotError):
+        run(tmp_path / "out", Real(breaks=20))
+    for other in (Block(mass=1.1), Block(friction=0.2)):
+        with pytest.raises(UserError, match="was begun with simulator = "):
+            back_to_reality(
+                other, Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=SMALL,
+                seed=3, resume=True, progress=False,
+            )  # fmt: skip
+
+
+class Written(Block):
+    """A block that can be written."""
+
+    def adjusted(self, values):
+        return Written(*np.asarray(values).tolist())
+
+    def write(self, folder):
+        folder.mkdir()
+
+
+@pytest.mark.parametrize(("compare", "written"), [("tracked", 1), ("recent", 3)])
+def test_only_simulators_that_were_adapted_are_written(tmp_path, compare, written):
+    settings = replace(SMALL, sets=3, compare=compare)
+    back_to_reality(
+        Written(), Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=settings,
+        progress=False,
+    )  # fmt: skip
+    names = ["simulator", "simulator-2", "simulator-3"][:written]
+    assert sorted(path.name for path in (tmp_path / "out").glob("simulator*")) == names
+
+
+def test_the_best_may_blow_up_in_the_simulator(tmp_path):
+    class Bursts(Block):
+        def adjusted(self, values):
+            return Bursts(*np.asarray(values).tolist())
+
+        def step(self, state, command, generator=None):
+            return super().step(state, command) * np.nan
+
+    content = back_to_reality(
+        Bursts(), Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=SMALL,
+        progress=False,
+    )  # fmt: skip
+    assert content["best"]["fitness"] > 0.0
+    saved = read_controller(tmp_path / "out" / "controller")
+    assert saved.predicted["fitness"] == 0.0
+    assert saved.predicted["poses"] == [[0.0, 0.0, 0.0]]
+
+
 def test_something_that_stands_there_is_kept(tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "mine.txt").write_text("mine")
@@ -124,7 +188,17 @@ def test_the_report_has_the_four_panels(tmp_path):
     page = (tmp_path / "a.html").read_text()
     for panel in ("(L1)", "(L2)", "(L3)", "Back in the adapted simulator"):
         assert panel in page
+    assert "there was none" not in page
     assert "of the next round" in page
+
+
+def test_negative_fitness_is_drawn():
+    for lowest, expected in ((0.5, 0.0), (-2.0, -2.0)):
+        with drawing(3.0, 2.0) as (_, axes):
+            curves = {"best": [lowest, 3.0], "mean": [lowest, 2.0]}
+            alternation._curves(axes, [curves], "L1", "fitness", "generation")
+            assert axes.get_ylim()[0] <= expected
+            assert (axes.get_ylim()[0] == 0.0) == (lowest > 0.0)
 
 
 @pytest.mark.parametrize(
@@ -170,7 +244,7 @@ def test_what_to_start_from(tmp_path):
     path.write_text(json.dumps({**head, "parameters": ["fast"]}))
     with pytest.raises(FileError, match=r"gait\.json"):
         start_genes(Gait(), path)
-    with pytest.raises(UserError, match="name the controller to start from"):
+    with pytest.raises(UserError, match="there is no hand-tuned push"):
         start_genes(Push())
     run(tmp_path / "out", Real())
     assert start_genes(Push(), tmp_path / "out" / "controller").shape == (2,)

@@ -7,16 +7,18 @@ import sys
 import numpy as np
 import pytest
 import torch
+from ideal_simulator import IdealWheels
 from motion_networks import NAMES
 
-from neurosim.back_to_reality import make_reality
-from neurosim.back_to_reality.run import start_genes
+from neurosim.back_to_reality import make_reality, settings_named
+from neurosim.back_to_reality.run import back_to_reality, start_genes
 from neurosim.base.errors import UserError
 from neurosim.cli.main import main
-from neurosim.controllers import FixedPlan, Network, Plan, SavedController
+from neurosim.controllers import FixedPlan, Network, Plan, SavedController, read_controller
 from neurosim.controllers.plan import commands_of
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.registry import write_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
@@ -97,6 +99,53 @@ def write_plan(folder):
     predicted = {"poses": [start] * 4, "rest": start, "fitness": 0.0, "completes": False}
     plan = FixedPlan(COMMANDS)
     SavedController(plan, np.empty(0), TASK.describe(), TASK.start, predicted).write(folder)
+
+
+class Wheels(IdealWheels):
+    """Wheels with a parameter; from the second command on nothing is known of them."""
+
+    def __init__(self, scale=1.0):
+        self.scale = scale
+
+    @property
+    def parameters(self):
+        return [Adjustable("scale", self.scale, 0.5, 2.0)]
+
+    def adjusted(self, values):
+        return Wheels(*values.tolist())
+
+    def step(self, state, command, generator=None):
+        lost = (state[:, 3:] != 0.0).any(dim=1, keepdim=True)
+        return super().step(state, command) + torch.where(lost, np.nan, 0.0)
+
+
+def run_in_wheels(out, reality, start):
+    settings = settings_named(
+        "paper", generations=2, candidates=2, trials=1, policy_steps=0, adapt_generations=2
+    )
+    return back_to_reality(
+        Wheels(), TASK, FAMILY, reality, out=out, start=start, settings=settings, progress=False
+    )
+
+
+def test_the_best_plan_may_blow_up_in_the_simulator(tmp_path):
+    """It is written with where it was expected last."""
+    genes = FAMILY.encode(COMMANDS)
+    run_in_wheels(tmp_path / "out", lambda row: float((row == genes).all()), genes)
+    saved = read_controller(tmp_path / "out" / "controller")
+    poses = np.array(saved.predicted["poses"])
+    assert math.isfinite(saved.predicted["fitness"])
+    assert poses.shape == (4, 3)
+    assert poses[1] == pytest.approx([TASK.start[0], TASK.start[1] + 0.3, TASK.start[2]])
+    assert saved.predicted["rest"] == poses[3].tolist() == poses[2].tolist() == poses[1].tolist()
+
+
+def test_a_best_plan_without_commands_is_not_written_but_all_else_is(tmp_path):
+    nothing = FAMILY.encode([None] * 4)
+    content = run_in_wheels(tmp_path / "out", lambda row: -float((row != nothing).any()), nothing)
+    assert content["best"]["fitness"] == 0.0
+    written = [path.name for path in (tmp_path / "out").iterdir()]
+    assert sorted(written) == ["back-to-reality.json", "trials.jsonl"]
 
 
 def test_a_plan_to_start_from(tmp_path):

@@ -5,6 +5,7 @@ import sys
 
 import pytest
 
+from neurosim.back_to_reality import REALITIES
 from neurosim.cli.main import main
 from neurosim.controllers.gait import HAND_TUNED
 
@@ -91,6 +92,32 @@ def test_an_interrupted_run_is_resumed_with_its_options(neurosim, tmp_path, monk
     assert content["real"][:3] == [0.1, 0.2, 0.3]
     assert content["best"]["fitness"] == 0.3
     assert content["settings"]["policy"]["policies"] == 2
+
+
+def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
+    """A file does not choose what is driven."""
+
+    class Robot:
+        def __init__(self, controller):
+            self.left = 3
+
+        def trial(self, genes, number):
+            self.left -= 1
+            if not self.left:
+                raise KeyboardInterrupt
+            return 0.1
+
+    monkeypatch.setitem(REALITIES._registered, "mine", Robot)
+    code, _, said = neurosim("back-to-reality", "-o", "found", "--reality", "mine", *SMALL)
+    assert code == 130, said
+    code, _, said = neurosim("back-to-reality", "-o", "found", "--resume")
+    assert code == 1
+    assert "this was begun with --reality mine: give that and its options again" in said
+    Robot.__init__ = lambda self, controller: setattr(self, "left", 100)
+    words = ("--resume", "--reality", "mine", "--json")
+    code, out, said = neurosim("back-to-reality", "-o", "found", *words)
+    assert code == 0, said
+    assert json.loads(out)["best"]["fitness"] == 0.1
 
 
 @pytest.mark.parametrize(

@@ -100,7 +100,7 @@ def test_values_and_genes_are_each_others_inverse():
 def test_bad_gaits_are_refused():
     with pytest.raises(UserError, match=r"length is 0\.5, outside of 0\.01 to 0\.1 m"):
         gait.genes_of(dict(gait.HAND_TUNED, length=0.5))
-    with pytest.raises(UserError, match="turn is amiss"):
+    with pytest.raises(UserError, match="turn is missing or unknown"):
         gait.genes_of({name: value for name, value in gait.HAND_TUNED.items() if name != "turn"})
     with pytest.raises(UserError, match="length is nan"):
         gait.genes_of(dict(gait.HAND_TUNED, length=float("nan")))

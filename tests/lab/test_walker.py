@@ -11,7 +11,7 @@ from neurosim.robots.quadruped import standing
 pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
 from neurosim.lab.walker import PLACES, VirtualWalker
-from neurosim.lab.walker.robot import servo
+from neurosim.lab.walker.robot import RADIUS, servo
 
 HAND = genes_of(HAND_TUNED)
 
@@ -48,6 +48,40 @@ def test_servos_lag_and_have_a_greatest_speed():
     commands[:, 0] += 0.3
     moved = servo(commands, standing(), 0.5, 0.1)[:, 0] - standing()[0]
     assert moved == pytest.approx([0.1, 0.2, 0.25, 0.275])
+
+
+class Seen:
+    """Physics that keeps what it is given; every robot is at the edge after the tenth frame."""
+
+    def walk(self, models, starts, commands, reach):
+        self.models, self.starts, self.commands = models, starts, commands
+        poses = np.zeros((len(models), commands.shape[1] + 1, 3)) + starts[:, None]
+        poses[:, 10:, 0] += reach
+        return poses
+
+
+def test_a_trial_has_its_battery_its_floor_and_its_noise(monkeypatch):
+    walker = VirtualWalker(Gait())
+    place, walker._physics = PLACES["main"], Seen()
+    builds = []
+    monkeypatch.setattr("neurosim.lab.walker.robot.compile_model", builds.append)
+    numbers = np.array([0, place.charge - 1, place.charge])
+    found = walker.trials(np.stack([HAND] * 3), numbers)
+    left = 1.0 - place.sag * (place.charge - 1) / place.charge
+    torques = np.array([build.torque for build in builds]) / place.build.torque
+    assert torques == pytest.approx([1.0, left, 1.0])
+    assert left < 0.99
+    fastest = np.abs(np.diff(walker._physics.commands, axis=1)).max(axis=(1, 2))
+    assert (fastest <= 1.0001 * place.speed * 0.008 * np.array([1.0, left, 1.0])).all()
+    assert len({build.friction for build in builds}) == 3
+    assert len(builds[0].bumps) > 0
+    assert all(build.bumps == builds[0].bumps for build in builds)
+    assert max(height for *_, height in builds[0].bumps) <= place.height
+    assert len(set(walker._physics.starts[:, 2])) == 3
+    # The watch: ten frames, and what the hand that stops it is early or late.
+    late = RADIUS / found - 10 * 0.008
+    assert len(set(late)) == 3
+    assert np.abs(late).max() < 5.0 * place.scatter[2]
 
 
 def test_no_place_is_like_the_simulator():

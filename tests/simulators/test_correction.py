@@ -16,7 +16,7 @@ from motion_networks import LONGEST, drive_model, random_motion_network
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.simulators import read_simulator
-from neurosim.simulators.adjustable import AdjustableSimulator
+from neurosim.simulators.adjustable import Adjustable, AdjustableSimulator
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.motion.files import write_motion
@@ -206,3 +206,15 @@ def test_bounds_and_what_cannot_be_corrected():
 def test_a_robot_that_does_not_turn_by_its_wheels_has_no_slip():
     drive = drive_model(0, 3, kinematics=torch.eye(9, 3, dtype=torch.float64) * double([1, 1, 0]))
     assert torch.equal(Correction(slip=0.1).of_drive(drive).kinematics, drive.kinematics)
+
+
+@settings(deadline=None)
+@given(
+    st.floats(1e-3, 10.0), st.floats(1.001, 1e3), st.booleans(), st.sampled_from([0.0, 1.0])
+    | st.floats(-1.0, 2.0),
+)  # fmt: skip
+def test_no_share_leads_out_of_bounds(low, width, log, share):
+    one = Adjustable("x", low, low, low * width, log=log)
+    value = one.checked(one.at(share))
+    if 0.0 <= share <= 1.0:
+        assert one.share(value) == pytest.approx(share, abs=1e-9)

@@ -93,36 +93,44 @@ def test_every_parameter_matters(simulator):
         assert evaluate(simulator.adjusted(changed), task, Gait())(HAND) != expected, one.name
 
 
-@pytest.mark.parametrize("slip", [0.01, 0.05])
-def test_a_foot_creeps_by_force_times_the_time_constant(slip):
-    """A capsule that is pulled along itself by a force below friction creeps in proportion."""
+def creep(axis, **build):
+    """Return how fast feet creep along x or y for each newton that pulls at the trunk, m/s."""
     speeds = []
-    for force in (0.5, 1.0):
-        model = compile_model(Build(slip=slip, timestep=0.001))
+    for force in (0.0, 0.5, 1.0):
+        model = compile_model(Build(timestep=0.001, **build))
         data = mujoco.MjData(model)
         data.qpos[7:] = standing()
         data.qpos[2] = 0.12
         for step in range(1500):
             data.ctrl[:] = standing()
-            data.xfrc_applied[model.body("trunk").id, 0] = force * (step >= 500)
+            data.xfrc_applied[model.body("trunk").id, axis] = force * (step >= 500)
             mujoco.mj_step(model, data)
             if step == 1000:
-                begin = data.qpos[0]
-        speeds.append((data.qpos[0] - begin) / 0.5)
-    assert speeds[1] == pytest.approx(2.0 * speeds[0], rel=0.3)
-    if slip == 0.05:
-        assert speeds[1] > 1e-4
+                begin = data.qpos[axis]
+        speeds.append((data.qpos[axis] - begin) / 0.5)
+    assert speeds[2] - speeds[0] == pytest.approx(2.0 * (speeds[1] - speeds[0]), rel=0.05)
+    return speeds[2] - speeds[0]
+
+
+def test_a_foot_creeps_by_force_times_the_time_constant():
+    slow, fast = creep(0, slip=0.05), creep(0, slip=0.1)
+    assert slow > 1e-4
+    assert fast == pytest.approx(2.0 * slow, rel=0.15)
+
+
+def test_slip_ratio_is_how_much_more_a_foot_creeps_to_the_side():
+    ahead, aside = (creep(axis, slip=0.05, slip_ratio=1.0) for axis in (0, 1))
+    assert aside == pytest.approx(ahead, rel=0.15)
+    assert creep(1, slip=0.05, slip_ratio=4.0) == pytest.approx(4.0 * aside, rel=0.15)
+    assert creep(0, slip=0.05, slip_ratio=4.0) == pytest.approx(ahead, rel=0.02)
 
 
 def test_a_fall_has_no_pose_and_no_speed(simulator):
-    """Legs that are thrown to one side at once: the robot falls at the start."""
-    command = standing().reshape(4, 3) + np.array([[0, 1.2, 0], [0, 1.4, 0]] * 2) * [[0, 1, 0]]
+    """The left legs are folded at once: the robot falls onto its side."""
+    command = standing().reshape(4, 3)
+    command[::2, 2] = 2.3 * np.sign(command[::2, 2])
     commands = np.tile(command.ravel(), (1, 250, 1))
-    commands[0, ::2] = standing() + 2.0
     poses = simulator.physics.walk(simulator.model, np.zeros((1, 3)), commands)
-    lying = np.array([[1.0, 0, 0, 0.05, np.cos(1.0), np.sin(1.0), 0, 0]])
-    seen = poses_of(lying[:, None], np.zeros((1, 3)))
-    assert np.isnan(seen).all()
     fallen = np.zeros((1, 251, 3))
     fallen[:, :, 0] = np.linspace(0, 1, 251)
     fallen[0, 100:] = np.nan
@@ -131,7 +139,20 @@ def test_a_fall_has_no_pose_and_no_speed(simulator):
     assert not judged.success[0]
     assert Walking.reasons[judged.reason[0]] == "fell"
     assert judged.segment[0] == 99
-    assert poses.shape == fallen.shape
+    assert np.isfinite(poses[0, :20]).all()
+    assert np.isnan(poses[0, 100:]).all()
+
+
+def test_what_has_fallen_or_flies_is_lost():
+    """Rolled by 59 and by 61 degrees at 5 cm; upright at 34 and at 36 cm."""
+
+    def state(roll, height):
+        half = 0.5 * np.radians(roll)
+        return [1.0, 0.0, 0.0, height, np.cos(half), np.sin(half), 0.0, 0.0]
+
+    states = np.array([state(59, 0.05), state(61, 0.05), state(0, 0.34), state(0, 0.36)])
+    seen = poses_of(states[:, None], np.zeros((4, 3)))
+    assert np.isnan(seen[:, 0, 0]).tolist() == [False, True, False, True]
 
 
 def test_a_model_that_blows_up_falls_and_does_not_disturb_the_others(tmp_path, monkeypatch):
@@ -176,6 +197,17 @@ def test_parameters_out_of_bounds_are_refused(simulator):
         simulator.adjusted(values[:5])
     with pytest.raises(UserError, match=r"gravity is 0, outside of 8 to 11\.5 m/s\^2"):
         LeggedSimulator(Build(gravity=0.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [({"timestep": 0.003}, r"must divide 0\.008 s evenly, not 0\.003 s"),
+     ({"timestep": 0.016}, "must divide"), ({"timestep": 0.0}, "must divide"),
+     ({"iterations": 0}, "one iteration at least"), ({"cone": "round"}, "elliptic or pyramidal")],
+)  # fmt: skip
+def test_physics_that_cannot_be_is_refused(change, said):
+    with pytest.raises(UserError, match=said):
+        Build(**change)
 
 
 def test_a_command_is_held_for_its_duration(simulator):

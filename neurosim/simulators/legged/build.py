@@ -12,6 +12,7 @@ from neurosim.base.errors import UserError
 from neurosim.robots.quadruped import (
     FOLD,
     FOOT,
+    FRAME,
     HIPS,
     JOINTS,
     KNEE,
@@ -71,6 +72,15 @@ class Build:
     backlash: float = 0.0
     legs: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     bumps: tuple[tuple[float, float, float, float], ...] = field(default=())
+
+    def __post_init__(self) -> None:
+        steps = FRAME / self.timestep if self.timestep > 0.0 else 0.0
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+            raise UserError(f"the timestep must divide {FRAME:g} s evenly, not {self.timestep:g} s")
+        if self.iterations < 1:
+            raise UserError(f"the solver makes one iteration at least, not {self.iterations}")
+        if self.cone not in ("elliptic", "pyramidal"):
+            raise UserError(f"the cone is elliptic or pyramidal, not {self.cone!r}")
 
 
 def mujoco() -> Any:

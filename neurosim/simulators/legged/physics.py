@@ -109,8 +109,8 @@ class Physics:
             models: one for all or one for each.
             starts: [B, 3] poses at which they stand (m, m, rad).
             commands: [B, T, 12] joint angles, rad.
-            reach: a trial ends when the robot is this far from its start, m; it keeps its last
-                pose then.
+            reach: a trial ends, with NaN from the next chunk on, when the robot is this far from
+                its start, m.
         """
         rows, frames = commands.shape[:2]
         poses = np.full((rows, frames + 1, 3), np.nan)
@@ -126,9 +126,7 @@ class Physics:
             over = np.isnan(seen[:, -1, 0])
             if reach is not None:
                 away = np.linalg.norm(seen[..., :2] - starts[going, None, :2], axis=-1)
-                arrived = ~over & (np.nanmax(np.where(over[:, None], 0.0, away), axis=1) >= reach)
-                poses[going[arrived], part.stop + 1 :] = seen[arrived, -1:]
-                over |= arrived
+                over |= (away >= reach).any(axis=1)
             going = going[~over]
             if not len(going):
                 break

@@ -35,12 +35,12 @@ class Correction:
     """What is corrected of the motion; as it stands, nothing.
 
     Attributes:
-        forward: ways forward are so many times as long.
-        turn: turns are so many times as large.
-        yaw: turns to the left beside it for every metre forward, rad/m.
-        drift: way forward beside it for every radian of turn, m/rad.
-        slip: speed to the left for an acceleration to the left, the product of the drive model's
-            speed forward and its turn rate, s.
+        forward: factor of the distance forward.
+        turn: factor of the turn.
+        yaw: additional left turn per metre driven forward, rad/m.
+        drift: additional distance forward per radian of turn, m/rad.
+        slip: speed to the left per acceleration to the left, which is the product of the drive
+            model's forward speed and turn rate, s.
 
     Raises:
         ValueError: if one is not finite, or a factor not above 0.
