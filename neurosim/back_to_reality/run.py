@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
 import shutil
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -25,6 +27,7 @@ from neurosim.controllers.files import check_readable
 from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import path_of
+from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.registry import read_simulator, write_simulator
 from neurosim.simulators.sources import named
@@ -162,12 +165,7 @@ def back_to_reality(
     about = reality.describe() if hasattr(reality, "describe") else {}
     begun = {
         **asdict(settings),
-        "simulator": {
-            "kind": simulator.kind,
-            "sha256": made_in.get("sha256"),
-            "parameters": [asdict(one) for one in simulated.parameters],
-            "conditions": simulator.conditions(),
-        },
+        "simulator": _digest(simulator, simulated.parameters, made_in.get("sha256")),
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
@@ -216,6 +214,13 @@ def back_to_reality(
             files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
         checkpoint.remove()
         return content
+
+
+def _digest(simulator: Simulator, parameters: Sequence[Adjustable], sha256: str | None) -> str:
+    """Return the kind of a simulator and a digest of all that is known of it."""
+    known = [sha256, [asdict(one) for one in parameters], simulator.conditions()]
+    text = json.dumps(known, sort_keys=True, default=float)
+    return f"{simulator.kind} {hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
 def _content(

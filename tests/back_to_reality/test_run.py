@@ -126,7 +126,7 @@ def test_another_simulator_is_not_gone_on_with(tmp_path):
     with pytest.raises(RobotError):
         run(tmp_path / "out", Real(breaks=20))
     for other in (Block(mass=1.1), Block(friction=0.2)):
-        with pytest.raises(UserError, match="was begun with simulator = "):
+        with pytest.raises(UserError, match=r"was begun with simulator = 'block \w{12}', not"):
             back_to_reality(
                 other, Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=SMALL,
                 seed=3, resume=True, progress=False,
