@@ -30,7 +30,6 @@ from neurosim.loop.evolve import path_of
 from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.registry import read_simulator, write_simulator
-from neurosim.simulators.sources import named
 from neurosim.tasks.base import Task
 
 FORMAT, VERSION = "neurosim-back-to-reality", 1
@@ -155,9 +154,11 @@ def back_to_reality(
     """
     settings = settings or settings_named("better")
     check_readable(controller)
-    made_in: dict[str, Any] = {}
+    written = []
     if isinstance(simulator, str | Path):
-        made_in, simulator = named(simulator), read_simulator(simulator)
+        files_of = sorted(path for path in Path(simulator).rglob("*") if path.is_file())
+        written = [files.sha256(path) for path in files_of]
+        simulator = read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
     shares = simulated.shares_of(start_genes(controller) if start is None else start)
     if start is not None and hasattr(controller, "check"):
@@ -165,7 +166,7 @@ def back_to_reality(
     about = reality.describe() if hasattr(reality, "describe") else {}
     begun = {
         **asdict(settings),
-        "simulator": _digest(simulator, simulated.parameters, made_in.get("sha256")),
+        "simulator": _digest(simulator, simulated.parameters, written),
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
@@ -216,9 +217,9 @@ def back_to_reality(
         return content
 
 
-def _digest(simulator: Simulator, parameters: Sequence[Adjustable], sha256: str | None) -> str:
-    """Return the kind of a simulator and a digest of all that is known of it."""
-    known = [sha256, [asdict(one) for one in parameters], simulator.conditions()]
+def _digest(simulator: Simulator, parameters: Sequence[Adjustable], written: Sequence[str]) -> str:
+    """Return a simulator's kind and a digest of its parameters, conditions and files' digests."""
+    known = [list(written), [asdict(one) for one in parameters], simulator.conditions()]
     text = json.dumps(known, sort_keys=True, default=float)
     return f"{simulator.kind} {hashlib.sha256(text.encode()).hexdigest()[:12]}"
 

@@ -2,6 +2,7 @@
 
 import json
 import math
+import shutil
 import sys
 
 import numpy as np
@@ -12,7 +13,7 @@ from motion_networks import NAMES
 
 from neurosim.back_to_reality import make_reality, settings_named
 from neurosim.back_to_reality.run import back_to_reality, start_genes
-from neurosim.base.errors import UserError
+from neurosim.base.errors import RobotError, UserError
 from neurosim.cli.main import main
 from neurosim.controllers import FixedPlan, Network, Plan, SavedController, read_controller
 from neurosim.controllers.plan import commands_of
@@ -126,6 +127,30 @@ def run_in_wheels(out, reality, start):
     return back_to_reality(
         Wheels(), TASK, FAMILY, reality, out=out, start=start, settings=settings, progress=False
     )
+
+
+def test_another_network_in_the_same_folder_is_not_gone_on_with(tmp_path):
+    answers = iter([0.5])
+
+    def lost(genes):
+        for answer in answers:
+            return answer
+        raise RobotError("the robot is gone")
+
+    def run(**others):
+        return back_to_reality(
+            tmp_path / "simulator", TASK, FAMILY, lost, out=tmp_path / "out",
+            start=FAMILY.encode(COMMANDS), settings=settings_named("paper", trials=1),
+            progress=False, **others,
+        )  # fmt: skip
+
+    write_simulator(nxt(), tmp_path / "simulator")
+    with pytest.raises(RobotError):
+        run()
+    shutil.rmtree(tmp_path / "simulator")
+    write_simulator(nxt(forward=1.2), tmp_path / "simulator")
+    with pytest.raises(UserError, match="was begun with simulator = "):
+        run(resume=True)
 
 
 def test_the_best_plan_may_blow_up_in_the_simulator(tmp_path):
