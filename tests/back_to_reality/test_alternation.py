@@ -215,9 +215,6 @@ def test_a_controller_works_in_both_if_it_is_alike_by_a_quarter_of_the_larger(
 
 def test_simulations_that_blow_up_are_failures():
     class Bursts(Block):
-        def adjusted(self, values):
-            return Bursts(*np.asarray(values).tolist())
-
         def step(self, state, command, generator=None):
             return super().step(state, command) + torch.where(command[:, :1] > 0.8, np.nan, 0.0)
 

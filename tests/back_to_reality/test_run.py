@@ -136,9 +136,6 @@ def test_another_simulator_is_not_gone_on_with(tmp_path):
 class Written(Block):
     """A block that can be written."""
 
-    def adjusted(self, values):
-        return Written(*np.asarray(values).tolist())
-
     def write(self, folder):
         folder.mkdir()
 
@@ -156,9 +153,6 @@ def test_only_simulators_that_were_adapted_are_written(tmp_path, compare, writte
 
 def test_the_best_may_blow_up_in_the_simulator(tmp_path):
     class Bursts(Block):
-        def adjusted(self, values):
-            return Bursts(*np.asarray(values).tolist())
-
         def step(self, state, command, generator=None):
             return super().step(state, command) * np.nan
 

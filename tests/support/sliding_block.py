@@ -36,7 +36,7 @@ class Block(Simulator):
         )
 
     def adjusted(self, values):
-        return Block(*np.asarray(values).tolist())
+        return type(self)(*np.asarray(values).tolist())
 
     def start(self, pose, generator=None):
         return pose
