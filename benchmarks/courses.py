@@ -57,7 +57,8 @@ from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import Result, evolve_in
 from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.loop.settings import RobustSettings, default_settings
-from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.go_to import GoTo, anywhere
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.training.train import learn

@@ -46,7 +46,8 @@ from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.simulators import read_simulator
-from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.training.train import learn, train, training_data
 from tracking.datasets.dataset import Dataset

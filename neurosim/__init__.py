@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from neurosim.loop.evolve import evolve
     from neurosim.loop.shortcuts import load, read_dataset, rollout
     from neurosim.simulators.base import Simulator
+    from neurosim.simulators.engine import compiled
     from neurosim.tasks.base import Judgement, Task
     from neurosim.tasks.registry import make_task
     from neurosim.training.train import train
@@ -41,6 +42,7 @@ _PUBLIC = {
     "evaluate": "neurosim.loop.evaluate",
     "evolve": "neurosim.loop.evolve",
     "check": "neurosim.loop.check",
+    "compiled": "neurosim.simulators.engine",
     "Simulator": "neurosim.simulators.base",
     "Controller": "neurosim.controllers",
     "Function": "neurosim.controllers",
@@ -77,6 +79,7 @@ __all__ = [
     "Trajectory",
     "UserError",
     "check",
+    "compiled",
     "evaluate",
     "evolve",
     "load",

@@ -278,8 +278,10 @@ def _check_noise(simulator: Simulator, state: Tensor, command: Tensor) -> None:
         _require(not differs, "has_noise is false, but a generator makes a difference")
     if simulator.noise_width:
         rows, steps, width = _ROWS, 2, simulator.noise_width
-        drawn = simulator.draw_noise(rows, steps, torch.Generator().manual_seed(1))
-        _shape("draw_noise(rows, steps, generator)", drawn, (rows, steps, width))
+        numbers = simulator.noise_of(np.arange(rows, dtype=np.uint64), steps)
+        assert numbers is not None
+        drawn = torch.from_numpy(numbers).double()
+        _shape("noise_of(seeds, steps)", drawn, (rows, steps, width))
 
         def given(s: Tensor, c: Tensor, z: Tensor) -> Tensor:
             return simulator.step(s, c, z=z)  # type: ignore[call-arg]

@@ -67,7 +67,7 @@ from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import RecordSettings, record
 from neurosim.sampling import SampleSettings, sample
 from neurosim.simulators import TableSimulator, read_simulator
-from neurosim.simulators.base import PLACING
+from neurosim.simulators.sampling import PLACING
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction

@@ -198,3 +198,23 @@ def planned(poses: NDArray, commands: NDArray, active: NDArray, rest: float) -> 
         np.broadcast_to(durations[:, None], shape),
         active=np.broadcast_to(active[:, None], shape),
     )
+
+
+def stepped(
+    poses: NDArray, commands: NDArray, readings: NDArray | None, episode: Episode
+) -> Trajectory:
+    """Return the trajectories of closed-loop controllers.
+
+    Args:
+        poses: [P, R, T + 1, 3].
+        commands: [P, R, T, C], without the duration.
+        readings: [P, R, T, S], or None.
+        episode: the trial.
+    """
+    durations: float | NDArray = episode.step
+    active, shape = None, commands.shape[:-1]
+    if episode.rest > 0:
+        each = np.append(np.full(episode.steps, episode.step), episode.rest)
+        durations = np.broadcast_to(each, shape)
+        active = np.broadcast_to(np.arange(shape[-1]) < episode.steps, shape)
+    return Trajectory(poses, commands, durations, readings, active)

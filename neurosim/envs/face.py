@@ -28,7 +28,7 @@ from neurosim.networks.control import (
     NetworkArrays,
     input_sources,
 )
-from neurosim.networks.control_kernels import make_loop, observe
+from neurosim.networks.control_kernels import closed_loop, observe
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
 from neurosim.tasks.score import Interval, Rows
@@ -86,7 +86,7 @@ class Face:
         sources = input_sources(self.names, simulator.reading_names)
         # Of the network that this is of, nothing is used but its inputs.
         shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
-        self._loop = make_loop(shape, sources, self.episode)
+        self._pilot = closed_loop(shape, sources, self.episode, False)
         self._goal, self._every = np.zeros(count, np.int64), np.arange(count)
 
     def _actions(self) -> Box[np.float32]:
@@ -137,7 +137,7 @@ class Face:
         limits = space.low, space.high
         if readings is None:
             readings = np.empty((len(poses), 0), np.float32)
-        _observe(self._loop, self._goal, self._every[rows], poses, times, readings, *limits, out)
+        _observe(self._pilot, self._goal, self._every[rows], poses, times, readings, *limits, out)
         return out
 
     def checked(self, actions: ArrayLike, count: int | None = None) -> NDArray[np.float64]:
@@ -228,13 +228,13 @@ def _outside(values: NDArray, low: NDArray, high: NDArray) -> int:
 
 
 @njit(cache=True, error_model="numpy")
-def _observe(loop, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
+def _observe(pilot, goal, rows, poses, times, readings, low, high, out):  # type: ignore[no-untyped-def]
     """Write observations [K, I], cut off at their limits; ``goal`` [B] is each row's next one."""
     for k in range(len(rows)):
         x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
         if math.isnan(x + y + heading):
             x, y, heading = 0.0, 0.0, 0.0
-        row, cos, sin = rows[k], math.cos(heading), math.sin(heading)
-        goal[row] = observe(loop, x, y, cos, sin, goal[row], times[k], readings[k], out[k])
+        row = rows[k]
+        goal[row] = observe(pilot, x, y, heading, goal[row], times[k], readings[k], out[k])
         for i in range(out.shape[1]):
             out[k, i] = min(max(out[k, i], low[i]), high[i])

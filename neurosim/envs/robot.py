@@ -9,7 +9,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
@@ -22,7 +21,8 @@ from neurosim.recording.markers import marker_settings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Counters, Sensors, drive_for
 from neurosim.robots.odometry import Odometry
-from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Task
 from neurosim.tasks.score import Interval
 from neurosim.trials.rig import RIGS, Setup, open_rig
@@ -157,7 +157,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         start = np.asarray(task.start if starts is None else starts[0], np.float64)
         there = start
         if self._virtual and starts is None:  # as exactly as a person does
-            there = put_down(start[None], PLACING, _generator(self.np_random))[0]
+            there = placed(start[None], PLACING, self.np_random)[0]
         self._place([float(value) for value in there])
         clock = self.robot.clock
         clock.sleep_until(clock.now() + REST)
@@ -273,10 +273,6 @@ class _Nothing:
 
     def append(self, *values: Any) -> None:
         """Forget it."""
-
-
-def _generator(rng: np.random.Generator) -> torch.Generator:
-    return torch.Generator().manual_seed(as_seed(rng))
 
 
 def _ask(pose: Sequence[float]) -> None:

@@ -14,8 +14,9 @@ from neurosim.base.errors import UserError
 from neurosim.envs.face import rate
 from neurosim.envs.picture import Picture, check_mode
 from neurosim.envs.trials import Trials
-from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.base import Simulator
 from neurosim.simulators.registry import read_simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
 

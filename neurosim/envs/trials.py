@@ -5,17 +5,19 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import torch
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.threads import one_core
 from neurosim.envs.face import Face
 from neurosim.loop.evaluate import draw_starts
-from neurosim.simulators.base import PLACING, Simulator, as_seed, put_down
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Task
 from neurosim.tasks.score import Interval, Rows
 
+#: From so many rows on, sharing them out to several cores pays.
+WORTH_SHARING = 500
 #: So many outcomes are drawn at once: most of the work of drawing is not in the numbers.
 BLOCK = 16
 
@@ -64,8 +66,7 @@ class Outcomes:
         starts, drawn = draw_starts(self._simulator, self._task, BLOCK, rng)
         if self._noise:
             if not drawn:
-                generator = torch.Generator().manual_seed(as_seed(rng))
-                starts = put_down(starts, self._placing, generator)
+                starts = placed(starts, self._placing, rng)
             if self._simulator.members > 1:
                 self._member[row] = rng.integers(self._simulator.members, size=BLOCK)
             self._seeds[row] = rng.integers(2**64, size=BLOCK, dtype=np.uint64)
@@ -132,7 +133,7 @@ class Trials:
         self.state[rows] = self._stepper.start(starts, member)
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)
-        with one_core(len(self) < self._stepper.worth_sharing):
+        with one_core(len(self) < WORTH_SHARING):
             self._look(rows)
 
     def step(
@@ -150,7 +151,7 @@ class Trials:
             Rewards [B]: how much the task's progress grew; which trials are decided so, and which
             others have no time left, [B] bool each.
         """
-        with one_core(len(self) < self._stepper.worth_sharing):
+        with one_core(len(self) < WORTH_SHARING):
             return self._step(commands)
 
     def _step(

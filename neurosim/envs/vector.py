@@ -17,7 +17,8 @@ from neurosim.envs.face import rate
 from neurosim.envs.picture import Picture, check_mode
 from neurosim.envs.single import CLOSED, made
 from neurosim.envs.trials import Trials
-from neurosim.simulators.base import PLACING, Simulator
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 
 Stepped = tuple[

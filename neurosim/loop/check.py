@@ -15,8 +15,9 @@ from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import SavedController, read_controller
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import check_uncertain
-from neurosim.simulators.base import PLACING, Simulator, check_commands
+from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 

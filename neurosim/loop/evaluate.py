@@ -26,7 +26,8 @@ from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.loop.workers import Name, workers_named
-from neurosim.simulators.base import PLACING, Rollouts, Simulator
+from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
 
 #: Trajectories that are driven at once hold at most so many poses: so few that what closed loops
@@ -189,10 +190,7 @@ class Evaluator:
     @cached_property
     def steps(self) -> int:
         """How many steps a trial has, the stop at its end included."""
-        if self.controller.blind:
-            genes = np.zeros((1, self.controller.genes))
-            return self.controller.commands(genes, self.episode.rest)[0].shape[1]
-        return self.episode.steps + (self.episode.rest > 0)
+        return trial_steps(self.controller, self.episode)
 
     @contextmanager
     def threads_for(self, individuals: int) -> Iterator[None]:

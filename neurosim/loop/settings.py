@@ -9,7 +9,7 @@ from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.objectives import objective_named
-from neurosim.simulators.base import PLACING
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 
 #: Plans: Table 1 of Pretorius et al. 2009 but for its tournament of 50, which leaves a run with

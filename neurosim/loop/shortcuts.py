@@ -17,8 +17,9 @@ from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.loop.evaluate import Evaluator, rollouts_of
-from neurosim.simulators.base import PLACING, Simulator, check_commands
+from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
+from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
 from tracking.datasets.dataset import Dataset

@@ -5,7 +5,6 @@ This is what compiled rollouts are held to.
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,11 +12,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.base.trajectory import Draws, Episode, Trajectory, stepped
 from neurosim.controllers.base import Controller, observe
 from neurosim.controllers.goals import Goals
 from neurosim.networks.control import NOT_READINGS
-from neurosim.simulators.base import Simulator, as_seed, draw_outcomes
+from neurosim.simulators.base import Simulator
+from neurosim.simulators.sampling import began, draw_samples, trial_steps
 
 
 class SteppedRollouts:
@@ -40,21 +40,12 @@ class SteppedRollouts:
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw outcomes: where each robot stands, its member, and its noise or a seed for it."""
-        drawn = draw_outcomes(self._simulator, starts, rng, placing, self._steps())
-        if drawn.noise is not None or not self._simulator.has_noise:
-            return drawn
-        return replace(drawn, seeds=np.array([as_seed(rng)], np.uint64))
-
-    def _steps(self) -> int:
-        if self._controller.blind:
-            genes = np.zeros((1, self._controller.genes))
-            return self._controller.commands(genes, self._episode.rest)[0].shape[1]
-        return self._episode.steps + (self._episode.rest > 0)
+        steps = trial_steps(self._controller, self._episode)
+        return draw_samples(self._simulator, starts, rng, placing, steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
-        noise = self._simulator.noise_of(draws, self._steps())
-        trial = _Trial(self._simulator, self._episode, len(genes), draws, noise, self._reads)
+        trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
         with torch.no_grad():
             if self._controller.blind:
                 return trial.blind(*self._controller.commands(genes, self._episode.rest))
@@ -70,23 +61,19 @@ class _Trial:
         episode: Episode,
         count: int,
         draws: Draws,
-        noise: NDArray | None,
         reads: bool,
     ):
         self._simulator, self._episode, self._reads = simulator, episode, reads
         self._shape = count, len(draws)
-        self._noise = None if noise is None else torch.from_numpy(noise)
+        self._noise = None if draws.noise is None else torch.from_numpy(draws.noise).double()
         self._generator = None
         if self._noise is None and draws.seeds is not None:
             self._generator = torch.Generator().manual_seed(int(draws.seeds[0]) % 2**63)
-        starts = self._each(torch.from_numpy(np.asarray(draws.starts, np.float64)))
-        if draws.member is None:
+        if self._generator is None or draws.member is not None:
+            self._state = self._each(torch.from_numpy(began(simulator, draws)))
+        else:  # it may draw something at the start, too
+            starts = self._each(torch.from_numpy(np.asarray(draws.starts, np.float64)))
             self._state = simulator.start(starts, self._generator)
-        else:
-            self._state = simulator.start_as(starts, self._each(torch.from_numpy(draws.member)))
-        if draws.state is not None:
-            own = [name not in ("x", "y", "theta", "member") for name in simulator.state_names]
-            self._state[:, own] = torch.from_numpy(draws.state)[own]
         self._poses = [self._state[:, :3]]
         self._readings: list[Tensor] = []
 
@@ -129,9 +116,12 @@ class _Trial:
             self._step_given(command, sent, given)
             sent = sent + given
         shape = (*self._shape, steps)
-        return self._trajectory(
+        poses, readings = self._driven()
+        return Trajectory(
+            poses,
             np.broadcast_to(commands[:, None], (*shape, commands.shape[-1])),
             np.broadcast_to(self._durations(commands, active)[:, None], shape),
+            readings,
             np.broadcast_to(active[:, None], shape),
         )
 
@@ -178,25 +168,18 @@ class _Trial:
                 lasting = torch.full_like(command[:, :1], episode.step)
                 command = torch.cat([command, lasting], dim=1)
             self._step(command, step)
-        durations: Any = episode.step
-        active = None
         if episode.rest > 0:
             stop = torch.zeros_like(given[0])
             lasting = torch.full_like(stop[:, :1], episode.rest)
             self._sense(episode.steps)
             self._step(torch.cat([stop, lasting], 1) if timed else stop, episode.steps)
             given.append(stop)
-            durations = np.append(np.full(episode.steps, episode.step), episode.rest)
-            active = np.append(np.ones(episode.steps, np.bool_), False)
-        commands = torch.stack(given, dim=1).unflatten(0, self._shape).numpy()
-        shape = commands.shape[:-1]
-        if active is not None:
-            durations, active = np.broadcast_to(durations, shape), np.broadcast_to(active, shape)
-        return self._trajectory(commands, durations, active)
+        poses, read = self._driven()
+        return stepped(poses, self._stacked(given), read, episode)
 
-    def _trajectory(self, commands: NDArray, durations: Any, active: NDArray | None) -> Trajectory:
-        poses = torch.stack(self._poses, dim=1).unflatten(0, self._shape).numpy()
-        readings = None
-        if self._readings:
-            readings = torch.stack(self._readings, dim=1).unflatten(0, self._shape).numpy()
-        return Trajectory(poses, commands, durations, readings, active)
+    def _driven(self) -> tuple[NDArray, NDArray | None]:
+        """Return poses [P, R, T + 1, 3] and readings [P, R, T, S], if they were read."""
+        return self._stacked(self._poses), self._stacked(self._readings) if self._reads else None
+
+    def _stacked(self, steps: list[Tensor]) -> NDArray:
+        return torch.stack(steps, dim=1).unflatten(0, self._shape).numpy()

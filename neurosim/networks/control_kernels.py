@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from neurosim.base.kernels import kernel
 from neurosim.base.trajectory import Episode
 from neurosim.networks.control import (
     CTRNN,
@@ -30,15 +31,23 @@ _POLAR = input_sources(POLAR_INPUTS, ())
 _MATHS = {"contract", "nsz"}
 
 
-class Loop(NamedTuple):
-    """A family of networks and the trial that they are in, as numbers."""
+class Pilot(NamedTuple):
+    """A family of controllers and the trial that they are in, as numbers.
 
+    A controller is open-loop, its commands known beforehand, or a network.
+    """
+
+    blind: bool  #: whether it is open-loop
+    commands: np.ndarray  #: [P, T, C] of open-loop ones
+    given: np.ndarray  #: [P, T] bool; a command that is not given leaves the robot as it is
+    length: int  #: steps of a trial, the stop at its end included
+    reads: int  #: sensors are read from this step on
     source: np.ndarray  #: [I] of the inputs, see :func:`neurosim.networks.control.input_sources`
     hidden: np.ndarray  #: this and the next two as in NetworkArrays
     scale: np.ndarray
     recurrence: int
-    turned: bool  #: whether the cosine and sine of the heading are needed
     polar: bool  #: whether the goal's polar coordinates are needed
+    turned: bool  #: whether the cosine and sine of the heading are needed
     goals: np.ndarray  #: [N, 4] x, y, cosine and sine of the heading; N = 0: there are none
     reach: float  #: as in Episode, like the next three
     step: float
@@ -46,68 +55,107 @@ class Loop(NamedTuple):
     rest: float
 
 
-def make_loop(net: NetworkArrays, source: np.ndarray, episode: Episode) -> Loop:
-    """Return what the kernels compute with."""
-    goals = np.empty((0, 3)) if episode.goals is None else np.asarray(episode.goals, np.float64)
-    x, y, heading = goals.reshape(-1, 3).T
-    return Loop(
-        source,
-        net.hidden,
-        net.scale,
-        net.recurrence,
-        bool(np.isin(source, _TURNED).any()),
-        bool(np.isin(source, _POLAR).any()),
-        np.stack([x, y, np.cos(heading), np.sin(heading)], axis=1),
-        float(episode.reach),
-        float(episode.step),
-        int(episode.steps),
-        float(episode.rest),
+def open_loop(commands: np.ndarray, given: np.ndarray, reads: int) -> Pilot:
+    """Return the pilot of open-loop controllers; arguments as in :class:`Pilot`."""
+    none = np.empty(0, np.int64)
+    return Pilot(
+        blind=True,
+        commands=np.ascontiguousarray(commands, np.float64),
+        given=np.ascontiguousarray(given, np.bool_),
+        length=given.shape[1],
+        reads=reads,
+        source=none,
+        hidden=none,
+        scale=np.empty(commands.shape[2] - 1),
+        recurrence=FEED_FORWARD,
+        polar=False,
+        turned=False,
+        goals=np.empty((0, 4)),
+        reach=0.0,
+        step=0.0,
+        steps=0,
+        rest=0.0,
     )
 
 
-def room(loop: Loop) -> int:
+def closed_loop(net: NetworkArrays, source: np.ndarray, episode: Episode, reads: bool) -> Pilot:
+    """Return the pilot of networks.
+
+    Args:
+        net: the networks.
+        source: of their inputs, as in :class:`Pilot`.
+        episode: the trial.
+        reads: whether sensors are read.
+    """
+    goals = np.empty((0, 3)) if episode.goals is None else np.asarray(episode.goals, np.float64)
+    x, y, heading = goals.reshape(-1, 3).T
+    length = episode.steps + (episode.rest > 0)
+    return Pilot(
+        blind=False,
+        commands=np.empty((0, 0, 0)),
+        given=np.empty((0, 0), np.bool_),
+        length=length,
+        reads=0 if reads else length,
+        source=source,
+        hidden=net.hidden,
+        scale=net.scale,
+        recurrence=net.recurrence,
+        polar=bool(np.isin(source, _POLAR).any()),
+        turned=bool(np.isin(source, _TURNED).any()),
+        goals=np.stack([x, y, np.cos(heading), np.sin(heading)], axis=1),
+        reach=float(episode.reach),
+        step=float(episode.step),
+        steps=int(episode.steps),
+        rest=float(episode.rest),
+    )
+
+
+@njit(error_model="numpy")
+def room(pilot):
     """Return how many values of units :func:`act` works with."""
-    kept = 1 if loop.recurrence == FEED_FORWARD else 3
-    return len(loop.source) + kept * int(loop.hidden.sum())
+    kept = 1 if pilot.recurrence == FEED_FORWARD else 3
+    return len(pilot.source) + kept * pilot.hidden.sum()
 
 
-@njit(cache=True, fastmath=_MATHS, error_model="numpy", inline="always")
-def observe(loop, x, y, cos, sin, goal, time, readings, seen):
+@kernel(fastmath=_MATHS, inline="always")
+def observe(pilot, x, y, theta, goal, time, readings, seen):
     """Write what a network observes; return the index of the next goal.
 
     Args:
-        loop: :class:`Loop`.
-        x, y: position, m.
-        cos, sin: of the heading.
+        pilot: :class:`Pilot`.
+        x, y, theta: pose, m, m, rad.
         goal: the index of the goal that was the next one so far.
         time: since the start, s.
         readings: [S] of sensors.
         seen: [I], written.
     """
+    cos, sin = 1.0, 0.0
+    if pilot.turned:
+        cos, sin = math.cos(theta), math.sin(theta)
     ahead, left, goal_cos, goal_sin = 0.0, 0.0, 1.0, 0.0
-    if len(loop.goals) > 0:
-        dx, dy = loop.goals[goal, 0] - x, loop.goals[goal, 1] - y
-        if goal + 1 < len(loop.goals) and math.sqrt(dx * dx + dy * dy) <= loop.reach:
+    if len(pilot.goals) > 0:
+        dx, dy = pilot.goals[goal, 0] - x, pilot.goals[goal, 1] - y
+        if goal + 1 < len(pilot.goals) and math.sqrt(dx * dx + dy * dy) <= pilot.reach:
             goal += 1
-            dx, dy = loop.goals[goal, 0] - x, loop.goals[goal, 1] - y
+            dx, dy = pilot.goals[goal, 0] - x, pilot.goals[goal, 1] - y
         ahead, left = cos * dx + sin * dy, cos * dy - sin * dx
-        goal_cos = loop.goals[goal, 2] * cos + loop.goals[goal, 3] * sin
-        goal_sin = loop.goals[goal, 3] * cos - loop.goals[goal, 2] * sin
+        goal_cos = pilot.goals[goal, 2] * cos + pilot.goals[goal, 3] * sin
+        goal_sin = pilot.goals[goal, 3] * cos - pilot.goals[goal, 2] * sin
     distance, bearing, approach = 0.0, 0.0, 0.0
-    if loop.polar:
+    if pilot.polar:
         side = 1.0 if ahead >= 0.0 else -1.0
         distance = side * math.sqrt(ahead * ahead + left * left)
         bearing = math.atan2(side * left, side * ahead)
         approach = math.atan2(goal_sin, goal_cos) - bearing
         approach -= 2.0 * math.pi * math.floor(approach / (2.0 * math.pi) + 0.5)
     known = (x, y, cos, sin, ahead, left, goal_cos, goal_sin, time, distance, bearing, approach)
-    for i in range(len(loop.source)):
-        source = loop.source[i]
+    for i in range(len(pilot.source)):
+        source = pilot.source[i]
         seen[i] = readings[source] if source >= 0 else known[-1 - source]
     return goal
 
 
-@njit(cache=True, fastmath=_MATHS, error_model="numpy", inline="always")
+@kernel(fastmath=_MATHS, inline="always")
 def _sum(genes, first, values, at, count):
     """Return the sum of a unit: its row of genes begins at ``first``, its inputs at ``at``."""
     total = genes[first + count]
@@ -116,23 +164,25 @@ def _sum(genes, first, values, at, count):
     return total
 
 
-@njit(cache=True, fastmath=_MATHS, error_model="numpy", inline="always")
+@kernel(fastmath=_MATHS, inline="always")
 def _tanh(x, scale):
     """Return scale tanh(x); the library's own takes twice as long."""
     return scale - 2.0 * scale / (math.exp(2.0 * x) + 1.0)
 
 
-@njit(cache=True, fastmath=_MATHS, error_model="numpy", forceinline=True)
-def act(hidden, scale, recurrence, inputs, genes, values, command):
+@kernel(fastmath=_MATHS, forceinline=True)
+def act(pilot, genes, values, command):
     """Write what a network commands.
 
     Args:
-        hidden, scale, recurrence, inputs: as in NetworkArrays.
+        pilot: :class:`Pilot`.
         genes: [G] of an individual.
         values: [V] of the units, zeros at first; see :func:`room`. The first are the inputs, the
             rest is written, and remembered by recurrent networks.
         command: [C or more], written: the first C.
     """
+    hidden, scale, recurrence = pilot.hidden, pilot.scale, pilot.recurrence
+    inputs = len(pilot.source)
     at, count, first = 0, inputs, 0
     if recurrence == FEED_FORWARD:
         for layer in range(len(hidden)):

@@ -13,7 +13,10 @@ from torch import Tensor
 from neurosim.base.errors import UserError
 from neurosim.base.schema import Rows, Shape
 from neurosim.base.trajectory import Draws, Episode, Trajectory
-from neurosim.simulators import numbers
+from neurosim.simulators.engine import CompiledRollouts, CompiledStepper
+from neurosim.simulators.numbers import NORMAL, UNIFORM
+from neurosim.simulators.numbers import numbers as random_numbers
+from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network.
 FORMAT, VERSION = "neurosim-simulator", 3
@@ -53,8 +56,8 @@ ABOUT: dict[str, Shape] = {
     "virtual?": bool,
 }
 
-#: How well a person puts a robot down at a mark: standard deviations in x and y (m), heading (rad).
-PLACING = (0.003, float(np.radians(0.5)))
+#: Values of :attr:`Simulator.noise_kind`.
+NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
 
 
 class Rollouts(Protocol):
@@ -88,83 +91,6 @@ class Rollouts(Protocol):
         ...
 
 
-class Stepper:
-    """Steps whole batches in NumPy, each row with random numbers of its own.
-
-    It asks the simulator's own :meth:`Simulator.step` and :meth:`Simulator.sense`; what is
-    compiled is a subclass, held to this one by a test. What a row meets follows from its own seed
-    and step alone, however many other rows there are.
-
-    Attributes:
-        simulator: whose steps they are.
-        worth_sharing: from so many rows on, sharing them out to several cores pays.
-    """
-
-    worth_sharing: int = 0
-
-    def __init__(self, simulator: Simulator):
-        self.simulator = simulator
-
-    def start(
-        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
-    ) -> NDArray[np.float64]:
-        """Return the states [B, S] of robots that stand still at poses [B, 3] (m, m, rad).
-
-        Args:
-            poses: where they stand.
-            member: [B] which member of an ensemble each moves as, -1 for the mean; None: the mean.
-        """
-        pose = torch.from_numpy(np.asarray(poses, np.float64))
-        if member is None or self.simulator.members == 1:
-            return self.simulator.start(pose).numpy()
-        return self.simulator.start_as(pose, torch.from_numpy(member)).numpy()
-
-    def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
-        """Return what the noise of a step is made of, as :meth:`step` and :meth:`sense` take it.
-
-        Args:
-            seeds: [B] of the rows' outcomes.
-            steps: [B] the number of the step in each row.
-
-        Returns:
-            Numbers [B, noise_width]; or a seed for each row [B, 1], where the simulator draws its
-            noise itself.
-        """
-        drawn = numbers.words_at(seeds, steps) >> np.uint64(1)
-        if not self.simulator.noise_width:
-            return drawn[:, None]
-        rows = [self.simulator.draw_noise(1, 1, _generator(seed))[0, 0] for seed in drawn]
-        return torch.stack(rows).numpy()
-
-    def step(
-        self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
-    ) -> NDArray[np.float64]:
-        """Return the states [B, S] after commands [B, C]; ``noise`` of :meth:`noise`, or None."""
-        return self._ask(self.simulator.step, noise, state, command)
-
-    def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
-        """Return the readings [B, R] in 0..1 in states [B, S]; ``noise`` as in :meth:`step`."""
-        return self._ask(self.simulator.sense, noise, state)
-
-    def _ask(self, what: Any, noise: NDArray | None, *given: NDArray) -> NDArray:
-        tensors = [torch.from_numpy(one) for one in given]
-        with torch.no_grad():
-            if noise is None:
-                return what(*tensors).numpy()
-            if self.simulator.noise_width:
-                return what(*tensors, z=torch.from_numpy(noise)).numpy()
-            rows = zip(*(one.split(1) for one in tensors), strict=True)
-            found = [
-                what(*row, generator=_generator(seed))
-                for row, seed in zip(rows, noise[:, 0], strict=True)
-            ]
-            return torch.cat(found).numpy()
-
-
-def _generator(seed: np.uint64) -> torch.Generator:
-    return torch.Generator().manual_seed(int(seed))
-
-
 class Simulator:
     """Predicts the state that a command leads to, for a whole batch at once; subclass it.
 
@@ -180,7 +106,8 @@ class Simulator:
         members: how many networks an ensemble has; a state may name one.
         has_noise: whether :meth:`step` or :meth:`sense` draws noise where it is given a generator.
         noise_width: where above 0, ``step`` and ``sense`` also take the numbers that the noise is
-            made of, ``z`` [B, noise_width], in place of a generator; see :meth:`draw_noise`.
+            made of, ``z`` [B, noise_width], in place of a generator.
+        noise_kind: of these numbers: ``normal`` (standard) or ``uniform`` (-1 to 1).
         domain: lowest and highest value of the command's columns that it was made from, by name;
             a column that is not named has no limits.
         slack: commands may leave the domain by this share of its width.
@@ -197,6 +124,7 @@ class Simulator:
     members: int = 1
     has_noise: bool = False
     noise_width: int = 0
+    noise_kind: str = "normal"
     radius: float | None = None
     slack: float = 0.05
     knows_gaps: bool = False
@@ -251,16 +179,43 @@ class Simulator:
         """Return the readings [B, len(reading_names)] in 0..1 of robots in ``state`` [B, S]."""
         raise NotImplementedError(f"{type(self).__name__} has no sensors")
 
-    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
-        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
-        raise NotImplementedError(f"{type(self).__name__} draws its noise itself")
+    def noise_of(
+        self,
+        seeds: NDArray[np.uint64],
+        steps: int,
+        first: NDArray[np.int64] | None = None,
+    ) -> NDArray[np.float32] | None:
+        """Return the numbers [R, steps, noise_width] that the noise of samples is made of.
 
-    def noise_of(self, draws: Draws, steps: int) -> NDArray[np.float64] | None:
-        """Return the numbers [R, steps, noise_width] of drawn outcomes' noise.
+        None where the simulator draws its noise itself.
 
-        None where there is no noise, or it is drawn from generators of ``draws.seeds``.
+        Args:
+            seeds: [R] of the samples.
+            steps: how many steps.
+            first: [R] the number of the first of them; by default 0.
         """
-        return draws.noise
+        if not self.noise_width:
+            return None
+        first = np.zeros(len(seeds), np.int64) if first is None else first
+        return random_numbers(NOISE_KINDS[self.noise_kind], seeds, first, steps, self.noise_width)
+
+    def standing(
+        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] of robots that stand still at poses [B, 3] (m, m, rad).
+
+        Args:
+            poses: where they stand.
+            member: [B] which member of an ensemble each moves as, -1 for the mean; None: the mean.
+        """
+        pose = torch.from_numpy(np.asarray(poses, np.float64))
+        if member is None or self.members == 1:
+            return self.start(pose).numpy()
+        return self.start_as(pose, torch.from_numpy(member)).numpy()
+
+    def over(self, state: Tensor) -> Tensor:
+        """Return states [B, S] in which the last command is over: given again, it begins anew."""
+        return state
 
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64] | None:
         """Return random poses [count, 3] where the robot fits; None: it knows of no place."""
@@ -307,64 +262,31 @@ class Simulator:
             "takes depends on where the robots are; those of the kind motion-network can"
         )
 
+    def compiled(self) -> Any:
+        """Return the model that compiled functions take, a ``NamedTuple``; None: there is none.
+
+        :func:`neurosim.simulators.engine.compiled` says which functions there are for its class.
+        """
+        return None
+
     def stepper(self) -> Stepper:
-        """Return what steps batches of robots of which each has random numbers of its own."""
-        return Stepper(self)
+        """Return a :class:`Stepper`: advances a batch, one random stream per robot."""
+        if self.compiled() is None:
+            return Stepper(self)
+        return CompiledStepper(self)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.
 
-        What they compute is held to :meth:`step` by a test, for the same draws.
+        What they compute is held to :meth:`step` by a test, for the same samples.
         """
-        return None
-
-
-def as_seed(rng: np.random.Generator | int) -> int:
-    """Return a seed for PyTorch: the number itself, or one drawn."""
-    return rng if isinstance(rng, int) else int(rng.integers(2**62))
-
-
-def draw_members(count: int, members: int, generator: torch.Generator) -> NDArray[np.int64]:
-    """Return which member each of so many outcomes moves as, in random order.
-
-    As many of each as can be: what is left to chance is noise in the fitness.
-    """
-    order = torch.randperm(count, generator=generator)
-    return (torch.arange(count) % members)[order].numpy()
-
-
-def draw_outcomes(
-    simulator: Simulator,
-    starts: NDArray[np.float64],
-    rng: np.random.Generator | int,
-    placing: tuple[float, float] | None,
-    steps: int,
-) -> Draws:
-    """Draw outcomes: where each robot stands, its member, and the noise that a simulator is given.
-
-    Args:
-        simulator: in which they are.
-        starts, rng, placing: as :meth:`Rollouts.draw` takes them.
-        steps: of a trial.
-    """
-    generator = torch.Generator().manual_seed(as_seed(rng))
-    starts = put_down(starts, placing, generator)
-    member = noise = None
-    if simulator.members > 1:
-        member = draw_members(len(starts), simulator.members, generator)
-    if simulator.has_noise and simulator.noise_width:
-        noise = simulator.draw_noise(len(starts), steps, generator).numpy()
-    return Draws(starts, member, noise)
-
-
-def put_down(
-    starts: NDArray[np.float64], placing: tuple[float, float] | None, generator: torch.Generator
-) -> NDArray[np.float64]:
-    """Return poses [R, 3] that robots put down by hand at ``starts`` [R, 3] really have."""
-    if placing is None:
-        return np.asarray(starts, np.float64)
-    scatter = torch.randn(len(starts), 3, generator=generator, dtype=torch.float64).numpy()
-    return starts + scatter * np.array([placing[0], placing[0], placing[1]])
+        outputs = tuple(controller.outputs)
+        timed = outputs if controller.blind else (*outputs, "duration")
+        fits = self.command_names == timed or self.command_names == outputs
+        drives = controller.blind or controller.arrays() is not None
+        if not fits or not drives or self.compiled() is None:
+            return None
+        return CompiledRollouts(self, controller, episode)
 
 
 def _limits(simulator: Simulator, name: str) -> tuple[float, float]:

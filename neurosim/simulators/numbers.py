@@ -56,32 +56,33 @@ def draw(noise, state, out):
 
 
 @njit(cache=True, parallel=True, error_model="numpy")
-def numbers_at(
-    noise: int, seeds: NDArray[np.uint64], steps: NDArray[np.int64], width: int
+def numbers(
+    noise: int, seeds: NDArray[np.uint64], first: NDArray[np.int64], steps: int, width: int
 ) -> NDArray[np.float32]:
-    """Return the numbers [B, width] of a step, as :func:`draw` gives them step after step.
+    """Return the numbers [R, steps, width] of some steps of outcomes.
 
     Args:
         noise: UNIFORM or NORMAL.
-        seeds: [B] of the outcomes.
-        steps: [B] the number of the step, from 0 on.
-        width: how many numbers each is to have.
+        seeds: [R] of the outcomes.
+        first: [R] the number of the first of these steps, from 0 on.
+        steps: how many follow each other.
+        width: how many numbers a step has.
     """
     padded = (width + 3) // 4 * 4
     words = padded // 4 if noise == UNIFORM else padded // 2
-    out = np.empty((len(seeds), padded), np.float32)
+    out = np.empty((len(seeds), steps, width), np.float32)
     for row in prange(len(seeds)):
-        draw(noise, seeds[row] + _GOLDEN * np.uint64(steps[row] * words), out[row])
-    return out[:, :width]
-
-
-def words_at(seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray[np.uint64]:
-    """Return a word of 64 random bits [B] for each seed and step, [B] both."""
-    return _words(np.ascontiguousarray(seeds), np.ascontiguousarray(steps))
+        drawn = np.empty(padded, np.float32)
+        state = seeds[row] + _GOLDEN * np.uint64(first[row] * words)
+        for step in range(steps):
+            state = draw(noise, state, drawn)
+            out[row, step] = drawn[:width]
+    return out
 
 
 @njit(cache=True)
-def _words(seeds, steps):
+def words(seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray[np.uint64]:
+    """Return a word of 64 random bits [R] for each seed and step, [R] both."""
     out = np.empty(len(seeds), np.uint64)
     for row in range(len(seeds)):
         out[row] = _random(seeds[row] + _GOLDEN * np.uint64(steps[row] + 1))

@@ -93,13 +93,13 @@ def go(seed, push=(0.0, 0.0), commands=()):
 
 @pytest.mark.parametrize("push", [(0.0, 0.0), (-0.06, 0.08)])
 def test_a_robot_arrives_though_it_slips_and_is_pushed(push):
-    there = [go(seed, push) for seed in range(3)]
+    there = [go(seed, push) for seed in range(2, 5)]
     assert all(away < 0.02 and off < math.radians(3.0) for away, off, *_ in there)
     replanner, given = there[0][2:]
     assert len(replanner.foreseen) == len(given) <= replanner.steps == 15
     # The last is standing, to look again; nothing moves it from its goal any more.
     assert given[-1] == (0.0, 0.0, QUICK.settle)
-    again = go(0, push)[3]
+    again = go(2, push)[3]
     assert again == given
 
 

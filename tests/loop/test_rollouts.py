@@ -11,7 +11,7 @@ from motion_networks import NAMES, random_motion_network
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators import MotionNetwork
-from neurosim.simulators.motion.plans import MotionPlans
+from neurosim.simulators.engine import CompiledRollouts
 from neurosim.tasks.nine_rectangles import NineRectangles
 
 START = (-0.8, 0.0, 1.5)
@@ -41,7 +41,7 @@ def plans(batch, count):
 def both(sim, family):
     """Return compiled and stepped rollouts."""
     compiled = sim.rollouts(family, EPISODE)
-    assert isinstance(compiled, MotionPlans)
+    assert isinstance(compiled, CompiledRollouts)
     return compiled, SteppedRollouts(sim, family, EPISODE)
 
 

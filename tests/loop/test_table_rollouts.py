@@ -7,9 +7,9 @@ from khepera_data import made_up
 
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators import TableSimulator
+from neurosim.simulators.engine import CompiledRollouts
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
-from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 
 START = (-0.1, 0.02, 1.5)
@@ -37,7 +37,7 @@ def plans():
 
 def compiled(sim, family):
     driver = sim.rollouts(family, EPISODE)
-    assert isinstance(driver, TablePlans)
+    assert isinstance(driver, CompiledRollouts)
     return driver
 
 

@@ -16,7 +16,7 @@ from motion_networks import random_motion_network
 
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
-from neurosim.simulators.base import PLACING
+from neurosim.simulators.sampling import PLACING
 
 GOALS = np.array([[0.05, 0.02, 0.3], [0.3, -0.2, 2.0], [-0.4, 0.1, -1.0]])
 EPISODE = Episode(0.4, 25, 0.5, GOALS, reach=0.1)

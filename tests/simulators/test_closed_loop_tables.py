@@ -20,7 +20,7 @@ from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.base import PLACING
+from neurosim.simulators.sampling import PLACING
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import SensorTable
@@ -86,7 +86,7 @@ def test_with_and_without(rest, reads):
 def test_seeds_expand_to_numbers_of_their_kind(noise):
     sim = simulator(noise)
     seeds = np.random.default_rng(0).integers(0, 2**64, 400, dtype=np.uint64)
-    found = sim.expand_noise(seeds, 50)
+    found = sim.noise_of(seeds, 50)
     assert found.shape == (400, 50, 11)
     assert np.abs(found.mean(axis=(0, 1))).max() < 0.03
     width = 1.0 if noise == "samples" else 1.0 / np.sqrt(3.0)
@@ -94,7 +94,7 @@ def test_seeds_expand_to_numbers_of_their_kind(noise):
     assert (np.abs(found).max() <= 1.0) == (noise == "uniform")
     between = np.corrcoef(found.reshape(-1, 11).T) - np.eye(11)
     assert np.abs(between).max() < 0.03
-    assert (sim.expand_noise(seeds[3:5], 20) == found[3:5, :20]).all()
+    assert (sim.noise_of(seeds[3:5], 20) == found[3:5, :20]).all()
 
 
 def test_the_same_outcome_is_the_same_for_all():
@@ -102,7 +102,7 @@ def test_the_same_outcome_is_the_same_for_all():
     family = families((*sim.reading_names, "time"))["ctrnn"]
     rollouts = sim.rollouts(family, EPISODE)
     draws = rollouts.draw(starts(sim), np.random.default_rng(1))
-    assert (rollouts.draw(starts(sim), 1).seeds == draws.seeds).all()
+    assert (rollouts.draw(starts(sim), 1).noise == draws.noise).all()
     found = rollouts.run(genes_of(family)[[0, 0]], repeated(draws, 2)).poses
     assert (found == found[0, 0]).all()
     assert_reused(sim, family, EPISODE, draws)

@@ -117,8 +117,8 @@ def test_as_it_stands_nothing_changes():
     found = [expected(one.rollouts(plans, Episode(rest=0.5)), plans, starts[0]) for one in
              (sim, SIMULATOR)]  # fmt: skip
     assert np.array_equal(*found)
-    for name, value in SIMULATOR.arrays()._asdict().items():
-        assert np.array_equal(getattr(sim.arrays(), name), value, equal_nan=True), name
+    for name, value in SIMULATOR.compiled()._asdict().items():
+        assert np.array_equal(getattr(sim.compiled(), name), value, equal_nan=True), name
 
 
 @settings(max_examples=15, deadline=None)

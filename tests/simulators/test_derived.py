@@ -12,7 +12,7 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.kernels import memory_size, tell
+from neurosim.simulators.motion.kernels import _LAW, _inputs, swung
 from neurosim.simulators.motion.noise import CommandFeatures
 
 #: Inputs, and by how many half turns the direction changes where a reversal may be short of 0.03.
@@ -48,32 +48,33 @@ def test_the_change_of_direction_in_half_turns(speeds, turns):
 @pytest.mark.parametrize("swing", [None, 0.03, -0.03])
 def test_the_compiled_form_agrees(swing):
     sim = random_motion_network(swing=swing, drives=False)
-    arrays, source = sim.arrays(), sim.input_sources()
+    model = sim.compiled()
     rows = [[*speeds, 0.5] for speeds, _ in CHANGES]
     rows += np.random.default_rng(0).uniform(-50, 50, (50, 5)).tolist()
     expected = given(sim, torch.tensor(rows, dtype=torch.float64)).numpy()
     for row, wanted in zip(np.array(rows), expected, strict=True):
-        memory, found = np.zeros(memory_size(arrays)), np.empty(len(wanted))
-        memory[:2] = row[:2]
-        assert tell(arrays, source, row[2:], 4, memory, found) == 4
+        state, found = np.array([0.0, 0.0, 0.0, *row[:2]]), np.empty(len(wanted))
+        assert not _inputs(model, state, row[2:], np.empty((2, _LAW)), np.empty(7), found)
+        swung(model, found)
         assert found == pytest.approx(wanted, abs=1e-12)
-        assert memory[:2] == pytest.approx(row[2:4])
 
 
 @pytest.mark.parametrize("swing", [None, 0.03])
 def test_the_compiled_form_agrees_beside_a_drive_model(swing):
     """The speeds before are those reached, which turn towards the command's."""
     sim = random_motion_network(swing=swing)
-    arrays, source = sim.arrays(), sim.input_sources()
+    model, law = sim.compiled(), np.empty((2, _LAW))
     inputs = np.random.default_rng(0).uniform((-50, -50, 0.05), (50, 50, 0.4), (40, 3))
     inputs[::5, :2] = 0.0
-    state, memory = sim.start(torch.zeros(1, 3)), np.zeros(memory_size(arrays))
-    for k, command in enumerate(inputs):
+    state = sim.start(torch.zeros(1, 3))
+    for command in inputs:
+        before = state[0].numpy().copy()
         state = sim.step(state, torch.from_numpy(command[None]))
         speeds, driven = state[0, 3:5], torch.from_numpy(command[None, :2])
         x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 7:8] / sim.longest])
         found = np.empty(5 + len(sim.derived))
-        assert tell(arrays, source, command, k, memory, found) == k
+        assert not _inputs(model, before, command, law, np.empty(7), found)
+        swung(model, found)
         wanted = sim.derived.append(sim.columns, x[None])[0]
         assert found == pytest.approx(wanted.numpy(), abs=1e-12)
 

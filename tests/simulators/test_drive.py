@@ -239,7 +239,7 @@ def test_straight_ahead_the_phases_are_exact():
     assert se2.compose(moved, se2.exp(steady))[0].tolist() == pytest.approx(arc[0].tolist())
 
 
-ARRAYS = random_motion_network(noise=False).arrays()
+ARRAYS = random_motion_network(noise=False).compiled()
 
 
 @settings(max_examples=40, deadline=None)
@@ -248,12 +248,14 @@ def test_the_compiled_form_agrees(drive, before, told, time):
     told = drive.shaped(told)
     arrays = ARRAYS._replace(**{name: getattr(drive, name).numpy() for name in DriveModel.NAMES})
     each = torch.stack(drive.approach(before[None], told[None], double([time])))[:, 0]
+    law = np.empty((2, kernels._LAW))
     for c in range(2):
-        found = kernels._approach(arrays, c, float(before[c]), float(told[c]), time)
+        kernels._law(arrays, c, float(before[c]), float(told[c]), law[c])
+        found = *kernels._follow(arrays, law[c], time), law[c, -1]
         assert found == pytest.approx(each[:, c].tolist(), abs=1e-14)
     x = np.array([*before, *told, time / LONGEST, 0.0])
     twist, moved = np.empty(3), np.empty(3)
-    kernels.phases(arrays, x, np.empty((2, 2)), twist, moved)
+    kernels.phases(arrays, x, law, np.empty((2, 2)), twist, moved)
     wanted = drive.phases(before[None], told[None], double([time]))
     np.testing.assert_allclose(moved, wanted[0][0], atol=1e-13)
     np.testing.assert_allclose(twist, wanted[1][0], atol=1e-13)

@@ -194,7 +194,7 @@ def test_tails_have_a_limit():
 @pytest.mark.parametrize("central", [False, True])
 def test_compiled_noise_is_that_of_tensors(central, drives):
     noisy = random_motion_network(central=central, drives=drives)
-    arrays, before = noisy.arrays(), normal(5, 12, 2) * 30.0
+    arrays, before = noisy.compiled(), normal(5, 12, 2) * 30.0
     x = noisy.scaled(torch.cat([before, commands(3, 12)], 1))
     z = normal(4, 12, DRAWS)
     for member in (-1, 0, 2):
@@ -203,9 +203,11 @@ def test_compiled_noise_is_that_of_tensors(central, drives):
         per_row = noisy.displacement_of(x, torch.full((12,), member))
         assert torch.allclose(mean, per_row, rtol=1e-12, atol=1e-12)
         for n in range(12):
-            size, moved = np.empty(kernels.SIZES), np.empty(3)
-            kernels.spread(arrays, x[n].numpy(), mean[n].numpy(), size)
-            kernels.shake(mean[n].numpy(), size, z[n].numpy(), moved)
+            size = np.empty(kernels.SIZES)
+            kernels.own_spread(arrays, x[n].numpy(), size)
+            scale = size[0], size[1], size[2], size[9]
+            kernels.spread(arrays, scale, mean[n].numpy(), size)
+            moved = kernels.shake(*mean[n].tolist(), size, *z[n].tolist())
             assert moved == pytest.approx(expected[n], rel=1e-9, abs=1e-12)
 
 

@@ -63,7 +63,7 @@ def test_a_trial_is_in_the_arena_in_which_it_starts(many):
     for one, place in enumerate(where):
         local = starts[[one]] - (PITCH * place, 0.0, 0.0)
         alone = rollouts_of(many.places[place], FAMILY, EPISODE).run(
-            genes, Draws(local, seeds=draws.seeds[[one]])
+            genes, Draws(local, noise=draws.noise[[one]])
         )
         assert found.readings[:, one] == pytest.approx(alone.readings[:, 0])
         moved = found.poses[:, one] - (PITCH * place, 0.0, 0.0)

@@ -14,11 +14,11 @@ from neurosim.base.trajectory import Episode
 from neurosim.controllers import Plan
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators import read_simulator
-from neurosim.simulators.base import PLACING, Stepper
 from neurosim.simulators.export import export
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.noise import DRAWS
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
+from neurosim.simulators.sampling import PLACING, Stepper
 from neurosim.testing import check_simulator
 
 STARTS = np.random.default_rng(3).normal(0, 0.4, (6, 3))
@@ -96,11 +96,12 @@ def test_readings_that_nobody_needs_are_not_kept_and_change_nothing():
 def test_tasks_that_need_readings_of_plans_get_them():
     sim, plan = simulator(), Plan(slots=3)
     episode = Episode(0.4, 3, 0.5, readings=True)
-    assert sim.rollouts(plan, episode) is None
-    stepped = SteppedRollouts(sim, plan, episode)
     genes = np.full((2, plan.genes), 0.6)
-    assert stepped.run(genes, stepped.draw(STARTS, 0)).readings.shape == (2, 6, 4, 3)
-    assert sim.rollouts(plan, Episode(0.4, 3, 0.5)) is not None
+    draws = SteppedRollouts(sim, plan, episode).draw(STARTS, 0)
+    found, expected = both(sim, plan, episode, draws, genes)
+    assert found.readings.shape == (2, 6, 4, 3)
+    assert_alike(found, expected, 1e-9, 1e-6, 1e-6)
+    assert sim.rollouts(plan, Episode(0.4, 3, 0.5)).run(genes, draws).readings is None
 
 
 def test_compiled_readings_are_the_simulators_own():

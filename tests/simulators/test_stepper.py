@@ -5,7 +5,7 @@ import pytest
 from motion_networks import random_motion_network
 from simulators_of_tests import Walker, motion_network, tables
 
-from neurosim.simulators.base import Stepper
+from neurosim.simulators.sampling import Stepper
 from neurosim.simulators.tables.reaction import Reaction
 
 MADE = {
@@ -55,7 +55,7 @@ def test_compiled_steps_are_the_simulators_own(name, noisy):
 
 def test_noise_of_tables_is_that_of_their_rollouts():
     simulator, seeds = tables(), np.array([7, 2**63 + 1], np.uint64)
-    expanded = simulator.expand_noise(seeds, 5)
+    expanded = simulator.noise_of(seeds, 5)
     stepper = simulator.stepper()
     for step in range(5):
         drawn = stepper.noise(seeds, np.full(2, step))

@@ -258,7 +258,8 @@ def test_no_such_reaction():
 
 def driven(sim, genes, starts, seeds, steps, duration):
     drives = sim.rollouts(Network(sim.reading_names), Episode(duration, steps))
-    found = drives.run(genes, Draws(starts, seeds=seeds))
+    noise = None if seeds is None else sim.noise_of(seeds, steps)
+    found = drives.run(genes, Draws(starts, noise=noise))
     return found.poses, found.readings, found.commands
 
 

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import torch
 
 from neurosim.networks import Perceptron
@@ -31,8 +32,8 @@ def given(simulator, commands, seed=3):
     state = simulator.start(pose, member=member if simulator.members > 1 else None)
     if not simulator.noise_width:
         return state, None
-    generator = torch.Generator().manual_seed(seed)
-    noise = simulator.draw_noise(count, commands.shape[1], generator).float().double()
+    seeds = np.arange(count, dtype=np.uint64) + np.uint64(1000 * seed)
+    noise = torch.from_numpy(simulator.noise_of(seeds, commands.shape[1])).double()
     return state, noise * (torch.arange(count) % 2)[:, None, None]
 
 

@@ -9,20 +9,22 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
+from neurosim.base.kernels import kernel
 
+#: Below this square of half the turn a series is exact to rounding, and takes less time.
+_SMALL = 0.04
 #: An arc that turns by no more than this (rad) is a straight line: ratios of such sines may be 0/0.
 _STRAIGHT = 1e-100
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def compose(x, y, theta, dx, dy, dtheta):
     """Return the pose reached from a pose by a displacement given in its frame."""
     cos, sin = math.cos(theta), math.sin(theta)
     return x + cos * dx - sin * dy, y + sin * dx + cos * dy, theta + dtheta
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def exp(vx, vy, omega):
     """Return the displacement of a constant body twist held for unit time."""
     along = chord(omega)
@@ -30,7 +32,7 @@ def exp(vx, vy, omega):
     return cos * vx - sin * vy, sin * vx + cos * vy, omega
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def compose_exp(x, y, theta, vx, vy, omega):
     """Return the pose reached by a constant body twist: ``compose`` of ``exp`` for less work."""
     along, heading = chord(omega), theta + 0.5 * omega
@@ -38,28 +40,32 @@ def compose_exp(x, y, theta, vx, vy, omega):
     return x + cos * vx - sin * vy, y + sin * vx + cos * vy, theta + omega
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def mid_turn(dx, dy, turn):
     """Return a displacement with x and y in its mid-turn frame."""
     ahead, left = rotate(-0.5 * turn, dx, dy)
     return ahead, left, turn
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def chord(turn):
     """Return the length of an arc's chord over that of the arc: sin(turn / 2) / (turn / 2)."""
     half = 0.5 * turn
-    return math.sin(half) / half if half != 0.0 else 1.0
+    square = half * half
+    if square < _SMALL:
+        series = 1.0 / 120.0 - square * (1.0 / 5040.0 - square / 362880.0)
+        return 1.0 - square * (1.0 / 6.0 - square * series)
+    return math.sin(half) / half
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def arc_length(dx, dy, turn):
     """Return the length of the constant-twist arc, infinite or huge where there is none."""
     along = abs(chord(turn))
     return math.sqrt(dx * dx + dy * dy) / along if along > 0.0 else math.inf
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def arc(dx, dy, turn, fraction):
     """Return x and y of a constant-twist arc after a fraction of it.
 
@@ -75,7 +81,7 @@ def arc(dx, dy, turn, fraction):
     return part * x, part * y
 
 
-@njit(inline="always", error_model="numpy")
+@kernel(inline="always")
 def rotate(angle, x, y):
     """Return a vector turned by an angle, rad."""
     cos, sin = math.cos(angle), math.sin(angle)

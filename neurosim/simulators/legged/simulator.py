@@ -30,9 +30,10 @@ from neurosim.base.schema import fields_of
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.robots.quadruped import FOLD, FRAME, JOINTS, KNEE, SPREAD, SWING
 from neurosim.simulators.adjustable import Adjustable, adjustables
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, draw_outcomes
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
+from neurosim.simulators.sampling import draw_samples
 
 #: name -> lowest, highest, unit, whether on a logarithmic scale.
 _RANGES: dict[str, tuple[float, float, str, bool]] = {
@@ -197,7 +198,7 @@ class _OpenLoop:
         placing: tuple[float, float] | None = None,
     ) -> Draws:
         """Draw where each robot stands; nothing else is uncertain."""
-        return draw_outcomes(self._simulator, starts, rng, placing, len(self._times))
+        return draw_samples(self._simulator, starts, rng, placing, len(self._times))
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""

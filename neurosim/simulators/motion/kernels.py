@@ -1,235 +1,361 @@
-"""What a motion network's rollouts share: inputs, drive model and noise, compiled, of one robot.
+"""The motion network, compiled: steps of robots that obey the same commands.
 
 They compute what :class:`MotionNetwork`, :class:`neurosim.simulators.motion.drive.DriveModel` and
-:func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. Call them from functions
-compiled by Numba.
+:func:`neurosim.simulators.motion.noise.disturb` do for batches of tensors. What follows from the
+command alone, the prediction of each ensemble member and the size of its noise, is computed once
+for all robots.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
+from neurosim.base.kernels import kernel
 from neurosim.base.se2 import compiled as se2
+from neurosim.networks import LOG_LIMIT
+from neurosim.simulators import engine
 from neurosim.simulators.motion.derived import SAME
-from neurosim.simulators.motion.drive import (
-    ALIKE,
-    MOVING,
-    PHASES,
-    SETTLED,
-    SHORTEST,
-    STILL,
-)
-from neurosim.simulators.motion.noise import HEAVIEST, LEAST_CHORD, TINY
+from neurosim.simulators.motion.drive import ALIKE, MOVING, PHASES, SETTLED, SHORTEST, STILL
+from neurosim.simulators.motion.noise import DRAWS, HEAVIEST, LEAST_CHORD, TINY
+from neurosim.simulators.motion.sensors import read
 
 #: Numbers that the size of the noise is, see :func:`spread`.
 SIZES = 10
+#: Numbers that the law of an actuator is, see :func:`_law`.
+_LAW = 10
 
+#: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
+_FAST = {"contract", "reassoc", "nsz", "arcp"}
+
+_LOG2_LIMIT = LOG_LIMIT / math.log(2.0)
+#: Added to a number of at most 2^51 it leaves the nearest whole number in the lowest bits.
+_ROUND = 1.5 * 2.0**52
+#: For exp(-x / 2) as a power of 2.
+HALF_LOG2_E = -0.5 / math.log(2.0)
+
+#: Groups of units are filled up to multiples of it with such that weigh nothing: what is left over
+#: beside whole vectors takes several times as long.
+LANES = 16
 #: As :data:`neurosim.simulators.motion.network.HELD`.
 _HELD = 0.05
 
 
-class Arrays(NamedTuple):
-    """A simulator's numbers: C-contiguous, float64 but for the places, which are int64."""
+class MotionModel(NamedTuple):
+    """A motion network's numbers: C-contiguous, float64 but for indices, which are int64.
 
-    exponents: np.ndarray  #: of product units, [M, O, P, I]
-    ceiling: np.ndarray  #: of the logarithms of product units' magnitudes, [M, O, P]
-    signed: np.ndarray  #: product weight times cosine; bit i: input i < 0. [M, O, 2^I, P]
-    linear: np.ndarray  #: of scaled inputs; as the two others in m and rad. [M, O, I]
-    bias: np.ndarray  #: [M, O]
+    Networks are those of the mean (0) and of the members (1 + m); a row is one output of one
+    network, ``3 * network + output``. It is a sum of terms, each over a group of product units;
+    groups that several networks share stand here once.
+    """
+
+    exponents: np.ndarray  #: [I, U] of all product units, for base-2 logarithms
+    ceiling: np.ndarray  #: [U] of the base-2 logarithms of their magnitudes
+    group: np.ndarray  #: [K + 1] first product unit of each group, and their number
+    terms: np.ndarray  #: [R + 1] first term of each row, and their number
+    term_group: np.ndarray  #: [T] the group of product units that each term sums
+    term_weight: np.ndarray  #: [T] its first weight in ``signed``
+    signed: np.ndarray  #: [2^I, W] weights times cosines; bit i of the index: input i is negative
+    linear: np.ndarray  #: [R, I] of scaled inputs
+    bias: np.ndarray  #: [R]
+    kernel_weights: np.ndarray  #: [R, K]
+    centres: np.ndarray  #: [I, K], this and the next two make the base-2 logarithm of kernel units
+    centre_square: np.ndarray  #: [K]: the sum of x times centres, of this, and of x^2 times
+    nearness: np.ndarray  #: [I]
     input_scale: np.ndarray  #: [I]
     dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
     floor: float  #: the smallest magnitude of a scaled input in a product unit
-    centres: np.ndarray  #: of kernel units, over their lengths, [J, K]
-    lengths: np.ndarray  #: [J]
-    kernel_weights: np.ndarray  #: [M, O, K]
-    drives: bool  #: whether there is a drive model; if not, the next nine hold anything
-    lag: np.ndarray  #: [C], this and the next seven as in DriveModel
-    slowing: np.ndarray  #: [C]
-    braking: np.ndarray  #: [C]
-    rate: np.ndarray  #: [C]
-    bend: np.ndarray  #: [C]
-    stick: np.ndarray  #: [C]
-    delay: np.ndarray  #: [1]
-    kinematics: np.ndarray  #: [F, 3], corrected
-    correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
-    longest: float  #: what durations are scaled by, s; infinite without one
-    central: bool  #: whether the first network is the mean's own, and no member
-    noisy: bool  #: whether there is a noise model; if not, the rest holds zeros
-    noise_unit: np.ndarray  #: [3], this and the next three as in NoiseModel
-    noise_log_scale: np.ndarray  #: [3, F]
-    noise_tail: np.ndarray  #: [F]
-    noise_sources: np.ndarray  #: [K, 3, 3]
+    source: np.ndarray  #: [I] column c of the command, or -c - 1 for column c of the state
+    following: np.ndarray  #: without a drive model, the command that each remembered column takes
     driven: np.ndarray  #: places of inputs, as in CommandFeatures
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
+    drives: bool  #: whether there is a drive model; if not, the next ten hold anything
+    lag: np.ndarray  #: [C], this and the next seven as in DriveModel
+    slowing: np.ndarray
+    braking: np.ndarray
+    rate: np.ndarray
+    bend: np.ndarray
+    stick: np.ndarray
+    delay: np.ndarray  #: [1]
+    kinematics: np.ndarray  #: [F, 3], corrected
+    correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
+    longest: float  #: what durations are scaled by, s; infinite without one
+    members: bool  #: whether the last column of a state names a member
+    noisy: bool  #: whether there is a noise model; if not, the next four hold zeros
+    noise_unit: np.ndarray  #: [3], this and the next three as in NoiseModel
+    noise_log_scale: np.ndarray  #: [3, F]
+    noise_tail: np.ndarray  #: [F]
+    noise_sources: np.ndarray  #: [K, 3, 3]
+    sensor_mount: np.ndarray  #: [Q, 2] m, robot frame
+    sensor_place: np.ndarray  #: [Q] which map each sensor reads
+    sensor_noise: np.ndarray  #: [Q, 2] standard deviations: of readings, and of places (m)
+    sensor_maps: np.ndarray  #: [K, NY, NX]
+    sensor_origin: np.ndarray  #: [2] m, of the grid's first point
+    sensor_cell: float  #: m, between its points
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@njit(error_model="numpy")
+def scratch(a):
+    """Return the arrays that :func:`step` and :func:`sense` write to, see there."""
+    inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
+    numbers = np.empty(7 * inputs + (_LAW + 5) * actuators + 6 + len(a.ceiling) + len(a.centres[0]))
+    x, end = numbers[:inputs], 2 * inputs
+    log2 = numbers[inputs:end]
+    law = numbers[end : end + _LAW * actuators].reshape(actuators, _LAW)
+    end += _LAW * actuators
+    memory = numbers[end : end + 3 * actuators + 1]
+    end += 3 * actuators + 1
+    distance = numbers[end : end + 2 * actuators].reshape(2, actuators)
+    end += 2 * actuators
+    units = numbers[end : end + len(a.ceiling)]
+    end += len(a.ceiling)
+    nearness = numbers[end : end + len(a.centres[0])]
+    means, sizes = np.empty((networks, 3)), np.empty((networks, SIZES))
+    done, moved = np.empty(networks + len(a.group), np.bool_), np.empty((2, 3))
+    return x, log2, law, memory, distance, units, nearness, means, sizes, done, moved
+
+
+@kernel(forceinline=True)
+def step(a, states, command, z, work):
+    """Change the states [N, S] of robots that have had the same commands since their start.
+
+    The columns are as :class:`MotionNetwork` says.
+
+    Args:
+        a: :class:`MotionModel`.
+        states: of robots that differ in pose, member and noise alone.
+        command: [C or more].
+        z: [N, DRAWS or more] numbers of the noise; N = 0: there is none.
+        work: of :func:`scratch`.
+    """
+    x, log2, law, memory, distance, units, nearness, means, sizes, done, moved = work
+    first, count = states[0], len(a.driven)
+    noisy = a.noisy and len(z) > 0
+    same = _inputs(a, first, command, law, memory, x)
+    swung(a, x)
+    done[:] = False
+    known, summed = done[: len(means)], done[len(means) :]
+    pattern = _prepare(a, x, log2, nearness)
+    if a.drives:
+        phases(a, x, law, distance, moved[0], moved[1])
+    if noisy:
+        own_spread(a, x, sizes[0])
+    scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
+    behind = 3 + 2 * count + 1  # where the displacement since the command began stands
+    for r in range(len(states)):
+        own = states[r]
+        m = int(own[-1]) + 1 if a.members else 0
+        mean, size = means[m], sizes[m]
+        if not known[m]:
+            known[m] = True
+            _predict(a, x, m, pattern, log2, units, nearness, summed, moved, mean)
+            if noisy:
+                spread(a, scale, mean, size)
+        dx, dy, turn = mean[0], mean[1], mean[2]
+        if noisy:
+            t, f, s, w = z[r, 0], z[r, 1], z[r, 2], z[r, 3]
+            if a.drives:
+                drawn = own[behind + 3 : behind + 3 + DRAWS]
+                if same:
+                    t, f, s, w = drawn[0], drawn[1], drawn[2], drawn[3]
+                else:
+                    drawn[0], drawn[1], drawn[2], drawn[3] = t, f, s, w
+            dx, dy, turn = shake(dx, dy, turn, size, t, f, s, w)
+        elif a.drives and not same:
+            own[behind + 3 : behind + 3 + DRAWS] = 0.0
+        if a.drives:
+            for i in range(2 * count + 1):
+                own[3 + i] = memory[i]
+            now_x, now_y, now = dx, dy, turn
+            if same:
+                gone_x, gone_y, gone = own[behind], own[behind + 1], own[behind + 2]
+                dx, dy = se2.rotate(-gone, dx - gone_x, dy - gone_y)
+                turn -= gone
+            own[behind], own[behind + 1], own[behind + 2] = now_x, now_y, now
+        else:
+            for i in range(len(a.following)):
+                own[3 + i] = command[a.following[i]]
+        own[0], own[1], own[2] = se2.compose(own[0], own[1], own[2], dx, dy, turn)
+
+
+@kernel(forceinline=True)
+def sense(a, state, z, work, out):
+    """Write the readings [Q] of a robot in ``state`` [S] with the noise ``z`` [Z], or none [0]."""
+    read(a, state[0], state[1], state[2], z, DRAWS, out)
+
+
+@kernel(forceinline=True)
 def _scaled(a, value, i):
     x = value / a.input_scale[i]
     return 0.0 if abs(x) < a.dead_zone[i] else x
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _speed(a, value, c):
     """Return the speed that a command for actuator c comes to in the end."""
     x = _scaled(a, value, a.driven[c])
     return x * (1.0 - a.bend[c] * abs(x))
 
 
-@njit(cache=True, error_model="numpy")
-def _approach(a, c, before, told, time):
-    """Return (left, missed, settling) of an actuator; see :class:`Approach`."""
-    difference, speed = told - before, max(abs(told), STILL)
-    size = abs(difference)
-    lag = a.lag[c]
+@kernel(forceinline=True)
+def _law(a, c, before, goal, law):
+    """Write how an actuator goes from a speed to its goal; see :meth:`DriveModel.approach`.
+
+    Args:
+        a: :class:`MotionModel`.
+        c: the actuator.
+        before, goal: speeds.
+        law: [_LAW], written: size and sign of the difference, lag, rate, how long the limit of the
+            rate holds, what it leaves, when and how long the actuator is held by static friction
+            and what is left of the difference then, and when the speed has settled.
+    """
+    difference, speed = goal - before, max(abs(goal), STILL)
+    size, lag, rate = abs(difference), a.lag[c], a.rate[c]
     if speed <= STILL:
         lag *= a.braking[c]
     elif speed < abs(before) - ALIKE:
         lag *= a.slowing[c]
-    rate = a.rate[c]
     linear = rate * lag
     ramp, fading = max(size - linear, 0.0) / rate, min(size, linear)
-    t = max(time - a.delay[0], 0.0)
-    stands = stood = then = 0.0
-    held = 1.0 - before * math.copysign(1.0, told) / MOVING
+    stands, zero, left = 0.0, 0.0, 0.0
+    held = 1.0 - before * math.copysign(1.0, goal) / MOVING
     if a.stick[c] > 0.0 and speed > STILL and held > 0.0:
-        then = size if told * before > 0.0 else min(size, speed)
-        zero = (size - then) / rate
-        if then < linear:
-            zero = ramp + lag * math.log(max(fading / max(then, STILL), 1.0))
+        left = size if goal * before > 0.0 else min(size, speed)
+        zero = (size - left) / rate
+        if left < linear:
+            zero = ramp + lag * math.log(max(fading / max(left, STILL), 1.0))
         stands = min(held, 1.0) * a.stick[c] / speed
-        stood = min(max(t - zero, 0.0), stands)
-        t -= stood
+    law[0], law[1], law[2], law[3] = size, math.copysign(1.0, difference), lag, rate
+    law[4], law[5], law[6], law[7], law[8] = ramp, fading, zero, stands, left
+    law[9] = ramp + SETTLED * lag + stands + a.delay[0] if size > ALIKE else 0.0
+
+
+@kernel(forceinline=True)
+def _follow(a, law, time):
+    """Return what is left of the difference after a time (s), and its integral until then."""
+    size, sign, lag, rate, ramp = law[0], law[1], law[2], law[3], law[4]
+    if size == 0.0:
+        return 0.0, 0.0
+    t = max(time - a.delay[0], 0.0)
+    stood = min(max(t - law[6], 0.0), law[7])
+    t -= stood
     on_ramp = min(t, ramp)
     left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
     if t > ramp:
         decay = math.exp(-(t - on_ramp) / lag)
-        left = fading * decay
-        missed += fading * lag * (1.0 - decay)
-    missed += size * min(time, a.delay[0]) + then * stood
-    sign = math.copysign(1.0, difference)
-    settling = ramp + SETTLED * lag + stands + a.delay[0] if size > ALIKE else 0.0
-    return sign * left, sign * missed, settling
+        left = law[5] * decay
+        missed += law[5] * lag * (1.0 - decay)
+    missed += size * min(time, a.delay[0]) + law[8] * stood
+    return sign * left, sign * missed
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def tell(a, source, command, k, memory, x):
-    """Write what networks are given for a command, and remember what it did to the actuators.
+@kernel(forceinline=True)
+def _inputs(a, state, command, law, memory, x):
+    """Write the inputs [I] of the networks, and what the actuators remember.
 
     Args:
-        a: :class:`Arrays`, or others that have its fields of inputs and of the drive model.
-        source: [I] where each input comes from: c for column c of the command, -c - 1 for column c
-            of the command before.
-        command: [C + 1].
-        k: number of the step.
-        memory: of the robot, see :func:`memory_size`; zero at the start; changed.
-        x: [I + derived], written.
+        a: :class:`MotionModel`.
+        state: [S] before the command.
+        command: [C or more].
+        law: [actuators, _LAW], written where there is a drive model.
+        memory: [3 actuators + 1], written: the speeds with which the command began, the command,
+            and how long it has lasted (s).
+        x: [I], written but for what is derived.
 
     Returns:
-        The step with which the command began: another one than ``k`` if the robot was already told
-        the same.
+        Whether the command before goes on.
     """
-    began = k
-    if a.drives:
-        count = len(a.driven)
-        step = command[source[a.duration]]
-        lasted = memory[2 * count]
-        same = lasted > 0.0 and lasted + step <= a.longest * (1.0 + _HELD)
-        for c in range(count):
-            if memory[count + c] != command[source[a.driven[c]]]:
-                same = False
-        if same:
-            began = int(memory[2 * count + 1])
-        else:
-            for c in range(count):
-                told = _speed(a, memory[count + c], c)
-                speed = told - _approach(a, c, memory[c], told, memory[2 * count])[0]
-                memory[c] = 0.0 if abs(speed) < STILL else speed
-                memory[count + c] = command[source[a.driven[c]]]
-            memory[2 * count] = 0.0
-            memory[2 * count + 1] = k
-        memory[2 * count] += step
-        for c in range(count):
-            x[a.before[c]] = memory[c]
-            x[a.driven[c]] = _speed(a, memory[count + c], c)
-        x[a.duration] = memory[2 * count] / a.longest
-    else:
-        for i in range(len(source)):
-            value = memory[-source[i] - 1] if source[i] < 0 else command[source[i]]
-            x[i] = _scaled(a, value, i)
-        for c in range(len(command)):
-            memory[c] = command[c]
-    if not math.isnan(a.swing):
-        place = len(source)
-        now, before = (x[a.driven[0]], x[a.driven[1]]), (x[a.before[0]], x[a.before[1]])
-        x[place] = 0.0
-        if (now[0] != 0.0 or now[1] != 0.0) and (before[0] != 0.0 or before[1] != 0.0):
-            angle = math.atan2(now[1], now[0]) - math.atan2(before[1], before[0])
-            x[place] = angle / math.pi
-            if x[place] >= 1.0 - a.swing:
-                x[place] -= 2.0
-            elif x[place] < -1.0 - a.swing:
-                x[place] += 2.0
-            if abs(x[place]) < SAME:
-                x[place] = 0.0
-    return began
+    if not a.drives:
+        for i in range(len(a.source)):
+            source = a.source[i]
+            x[i] = _scaled(a, command[source] if source >= 0 else state[-source - 1], i)
+        return False
+    count = len(a.driven)
+    time, lasted = command[a.source[a.duration]], state[3 + 2 * count]
+    same = lasted > 0.0 and lasted + time <= a.longest * (1.0 + _HELD)
+    for c in range(count):
+        if state[3 + count + c] != command[a.source[a.driven[c]]]:
+            same = False
+    for c in range(count):
+        speed = state[3 + c]
+        if not same:
+            goal = _speed(a, state[3 + count + c], c)
+            if lasted > 0.0:
+                _law(a, c, speed, goal, law[c])
+                speed = goal - _follow(a, law[c], lasted)[0]
+            speed = 0.0 if abs(speed) < STILL else speed
+        memory[c], memory[count + c] = speed, command[a.source[a.driven[c]]]
+        x[a.before[c]], x[a.driven[c]] = speed, _speed(a, memory[count + c], c)
+        _law(a, c, speed, x[a.driven[c]], law[c])
+    memory[2 * count] = lasted + time if same else time
+    x[a.duration] = memory[2 * count] / a.longest
+    return same
 
 
-def memory_size(a: Any) -> int:
-    """Return how many numbers :func:`tell` remembers of a robot.
+@kernel(forceinline=True)
+def swung(a, x):
+    """Write the derived input, where there is one; see :class:`Derived`."""
+    if math.isnan(a.swing):
+        return
+    place = len(a.source)
+    now, before = (x[a.driven[0]], x[a.driven[1]]), (x[a.before[0]], x[a.before[1]])
+    x[place] = 0.0
+    if (now[0] != 0.0 or now[1] != 0.0) and (before[0] != 0.0 or before[1] != 0.0):
+        angle = math.atan2(now[1], now[0]) - math.atan2(before[1], before[0])
+        x[place] = angle / math.pi
+        if x[place] >= 1.0 - a.swing:
+            x[place] -= 2.0
+        elif x[place] < -1.0 - a.swing:
+            x[place] += 2.0
+        if abs(x[place]) < SAME:
+            x[place] = 0.0
 
-    With a drive model the actuators' speeds when the command began, the command, how long it has
-    lasted, and its first step; without, the command.
-    """
-    return 2 * len(a.driven) + 2
 
-
-@njit(cache=True, error_model="numpy", forceinline=True)
-def phases(a, x, way, twist, moved):
+@kernel(forceinline=True)
+def phases(a, x, law, distance, twist, moved):
     """Write displacement and twist of the drive model; see :meth:`DriveModel.phases`.
 
     Args:
-        a: as :func:`tell` takes it, with a drive model.
-        x: of :func:`tell`.
-        way: [2, C] scratch.
+        a: :class:`MotionModel`.
+        x: [I] inputs.
+        law: of :func:`_law`, of each actuator.
+        distance: [2, C] scratch.
         twist: [3], written: of the piece after the speeds have settled.
         moved: [3], written: while they change.
     """
-    count = len(a.driven)
-    time = x[a.duration] * a.longest
-    settling = SHORTEST
+    count, time, settling = len(a.driven), x[a.duration] * a.longest, SHORTEST
     for c in range(count):
-        settling = max(settling, _approach(a, c, x[a.before[c]], x[a.driven[c]], time)[2])
+        settling = max(settling, law[c, 9])
+        distance[0, c] = 0.0
     settled = min(time, settling)
     px, py, theta, end = 0.0, 0.0, 0.0, 0.0
-    for c in range(count):
-        way[0, c] = 0.0
     for phase in range(PHASES + 1):
         began = end
         end = settled * (phase + 1) / PHASES if phase < PHASES else time
         span = end - began
+        if phase == PHASES and span == 0.0:
+            twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
+            break
         inverse = 1.0 / max(span, 1e-9)
         for c in range(count):
-            told = x[a.driven[c]]
-            until = told * end - _approach(a, c, x[a.before[c]], told, end)[1]
-            way[1, c] = until - way[0, c]
-            way[0, c] = until
+            until = x[a.driven[c]] * end - _follow(a, law[c], end)[1]
+            distance[1, c] = until - distance[0, c]
+            distance[0, c] = until
         vx, vy, turn = 0.0, 0.0, 0.0
         place = count
         for c in range(count):
-            w = way[1, c]
+            w = distance[1, c]
             vx += w * a.kinematics[c, 0]
             vy += w * a.kinematics[c, 1]
             turn += w * a.kinematics[c, 2]
             mean = w * inverse
             for d in range(c, count):
-                q = mean * way[1, d] * inverse * span
+                q = mean * distance[1, d] * inverse * span
                 vx += q * a.kinematics[place, 0]
                 vy += q * a.kinematics[place, 1]
                 turn += q * a.kinematics[place, 2]
@@ -241,16 +367,163 @@ def phases(a, x, way, twist, moved):
     moved[0], moved[1], moved[2] = px, py, theta
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def spread(a, x, mean, out):
-    """Write the size of the noise on a command, the same for all draws of it.
+@kernel(forceinline=True)
+def _prepare(a, x, log2, nearness):
+    """Write logarithms and kernel units of inputs [I]; return the pattern of their signs."""
+    pattern = 0
+    for i in range(len(x)):
+        pattern += (1 << i) * (x[i] < 0.0)
+        log2[i] = math.log2(max(abs(x[i]), a.floor))
+    if len(nearness) > 0:
+        _kernel_units(a, x, nearness)
+    return pattern
+
+
+@kernel(forceinline=True)
+def _predict(a, x, network, pattern, log2, units, nearness, summed, moved, mean):
+    """Write the mean displacement [3] (m, m, rad) that a network predicts.
 
     Args:
-        a: :class:`Arrays` of a simulator with a noise model.
-        x: of :func:`tell`.
-        mean: [3] displacement (m, m, rad) without noise.
-        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the covariance of what happens
-            in the motion (tt, ft, ff, st, sf, ss), and tau.
+        a: :class:`MotionModel`.
+        x: [I] inputs.
+        network: 0 for the mean, 1 + m for a member.
+        pattern, log2, nearness: of :func:`_prepare`.
+        units: [U] product units, written group by group.
+        summed: [K] whether a group is written, changed.
+        moved: [2, 3], of :func:`phases`.
+        mean: [3], written.
+    """
+    signed = a.signed[pattern]
+    for o in range(3):
+        row = 3 * network + o
+        total = a.bias[row]
+        for i in range(len(x)):
+            total += a.linear[row, i] * x[i]
+        for t in range(a.terms[row], a.terms[row + 1]):
+            group, weight = a.term_group[t], a.term_weight[t]
+            begin, end = a.group[group], a.group[group + 1]
+            if not summed[group]:
+                summed[group] = True
+                _units(a.exponents, a.ceiling, log2, begin, end, units)
+            total += _dot(signed[weight : weight + end - begin], units[begin:end])
+        if len(nearness) > 0:
+            total += _dot(a.kernel_weights[row], nearness)
+        mean[o] = total
+    if a.drives:
+        share, c = x[a.duration], a.correction
+        dx, dy, turn = mean[0], mean[1], mean[2]
+        dx, turn = c[0] * dx + c[3] * turn, c[2] * dx + c[1] * turn
+        twist, at = moved[0], moved[1]
+        mean[0], mean[1], mean[2] = se2.compose_exp(
+            at[0],
+            at[1],
+            at[2],
+            twist[0] + share * dx,
+            twist[1] + share * dy,
+            twist[2] + share * turn,
+        )
+
+
+@kernel(fastmath={"contract", "nsz"}, inline="always")
+def _exp2(z):
+    """Return 2 to the power of z, |z| < 1000, to about 1e-12 relative.
+
+    Plain arithmetic, which the compiler turns into vector instructions: Taylor's series of
+    exp(f ln 2) for what is left beside the nearest whole number, whose bits go into the exponent.
+    """
+    shifted = z + _ROUND
+    f = z - (shifted - _ROUND)
+    p = 7.0549116208011233e-9
+    p = p * f + 1.0178086009239699e-7
+    p = p * f + 1.3215486790144309e-6
+    p = p * f + 1.5252733804059840e-5
+    p = p * f + 1.5403530393381608e-4
+    p = p * f + 1.3333558146428443e-3
+    p = p * f + 9.6181291076284772e-3
+    p = p * f + 5.5504108664821580e-2
+    p = p * f + 2.4022650695910071e-1
+    p = p * f + 6.9314718055994531e-1
+    p = p * f + 1.0
+    bits = np.float64(shifted).view(np.int64) << np.int64(52)
+    return np.int64(np.float64(p).view(np.int64) + bits).view(np.float64)
+
+
+@kernel(fastmath={"contract", "nsz"})
+def _units(exponents, ceiling, log2, begin, end, out):
+    """Write the magnitudes of the product units from ``begin`` to before ``end``."""
+    inputs, count = exponents.shape[0], end - begin
+    ceiling, out = ceiling[begin:end], out[begin:end]
+    if 5 <= inputs <= 7:
+        # Without the detour through memory; both kinds of robots have five inputs, and up to two
+        # derived from them. One that is not there counts as the first to the power of 0.
+        l0, l1, l2, l3, l4 = log2[0], log2[1], log2[2], log2[3], log2[4]
+        l5, e5 = (
+            (log2[5], exponents[5][begin:end]) if inputs > 5 else (0.0, exponents[0][begin:end])
+        )
+        l6, e6 = (
+            (log2[6], exponents[6][begin:end]) if inputs > 6 else (0.0, exponents[0][begin:end])
+        )
+        e0, e1, e2 = exponents[0][begin:end], exponents[1][begin:end], exponents[2][begin:end]
+        e3, e4 = exponents[3][begin:end], exponents[4][begin:end]
+        for u in range(count):
+            z = e0[u] * l0 + e1[u] * l1 + e2[u] * l2 + e3[u] * l3 + e4[u] * l4
+            z += e5[u] * l5 + e6[u] * l6
+            out[u] = _exp2(max(min(z, ceiling[u]), -_LOG2_LIMIT))
+        return
+    for u in range(count):
+        out[u] = 0.0
+    for i in range(exponents.shape[0]):
+        e, log = exponents[i][begin:end], log2[i]
+        for u in range(count):
+            out[u] += e[u] * log
+    for u in range(count):
+        out[u] = _exp2(max(min(out[u], ceiling[u]), -_LOG2_LIMIT))
+
+
+@kernel(fastmath=_FAST)
+def _dot(a, b):
+    total = 0.0
+    for i in range(a.shape[0]):
+        total += a[i] * b[i]
+    return total
+
+
+@kernel(fastmath={"contract", "nsz"})
+def _kernel_units(a, x, out):
+    """Write the kernel units; the square of the distance is multiplied out."""
+    here = 0.0
+    for i in range(len(x)):
+        here += x[i] * x[i] * a.nearness[i]
+    square, centres = a.centre_square, a.centres
+    if 5 <= len(x) <= 6:
+        # As in :func:`_units`.
+        x0, x1, x2, x3, x4 = x[0], x[1], x[2], x[3], x[4]
+        x5, c5 = (x[5], centres[5]) if len(x) > 5 else (0.0, centres[0])
+        c0, c1, c2, c3, c4 = centres[0], centres[1], centres[2], centres[3], centres[4]
+        for u in range(out.shape[0]):
+            z = here + square[u] + x0 * c0[u] + x1 * c1[u] + x2 * c2[u]
+            z += x3 * c3[u] + x4 * c4[u] + x5 * c5[u]
+            out[u] = _exp2(max(z, -_LOG2_LIMIT))
+        return
+    for u in range(len(out)):
+        out[u] = square[u] + here
+    for i in range(len(x)):
+        value, row = x[i], centres[i]
+        for u in range(len(out)):
+            out[u] += value * row[u]
+    for u in range(len(out)):
+        out[u] = _exp2(max(out[u], -_LOG2_LIMIT))
+
+
+@kernel(forceinline=True)
+def own_spread(a, x, out):
+    """Write what the size of the noise on a command is for all members alike.
+
+    Args:
+        a: :class:`MotionModel` of a simulator with a noise model.
+        x: [I] inputs.
+        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2) first, and last the part of
+            ln tau that follows from the inputs.
     """
     duration = 1.0
     if a.duration >= 0:
@@ -271,6 +544,21 @@ def spread(a, x, mean, out):
         w = a.noise_log_scale[j]
         log_s = w[0] + w[1] * log_jump + w[2] * root + w[3] * log_time + w[4] * log_before
         out[j] = math.exp(2.0 * log_s)
+    out[9] = a.noise_tail[0] + a.noise_tail[1] * math.log(travel + 0.01)
+
+
+@kernel(forceinline=True)
+def spread(a, scale, mean, out):
+    """Write the size of the noise on a member's displacement, the same for all robots.
+
+    Args:
+        a: :class:`MotionModel` of a simulator with a noise model.
+        scale: of :func:`own_spread`, four numbers.
+        mean: [3] displacement (m, m, rad) without noise.
+        out: [SIZES], written: s_t^2 (rad^2), s_f^2, s_s^2 (m^2), the covariance of what happens
+            in the motion (tt, ft, ff, st, sf, ss), and tau.
+    """
+    out[0], out[1], out[2] = scale[0], scale[1], scale[2]
     ahead, left, turn = se2.mid_turn(mean[0], mean[1], mean[2])
     along = se2.chord(turn)
     bent = -turn / 12.0
@@ -293,31 +581,29 @@ def spread(a, x, mean, out):
         out[6] += s * t
         out[7] += s * f
         out[8] += s * s
-    tail = a.noise_tail
-    log_tau = tail[0] + tail[1] * math.log(travel + 0.01)
-    log_tau += tail[2] * math.log(abs(turn / a.noise_unit[0]) + 0.02)
+    log_tau = scale[3] + a.noise_tail[2] * math.log(abs(turn / a.noise_unit[0]) + 0.02)
     out[9] = min(math.exp(log_tau), HEAVIEST)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
-def shake(mean, size, z, out):
-    """Write a displacement with noise of a size that is known.
+@kernel(forceinline=True)
+def shake(dx, dy, turn, size, t, f, s, w):
+    """Return a displacement with noise of a size that is known.
 
     Args:
-        mean: [3] displacement (m, m, rad) without noise.
+        dx, dy, turn: displacement (m, m, rad) without noise.
         size: [SIZES], of :func:`spread`.
-        z: [4], of :meth:`NoiseModel.draw`.
-        out: [3], written; may be ``mean``.
+        t, f, s, w: standard normal numbers, see :meth:`NoiseModel.draw`.
     """
-    width = math.exp(2.0 * size[9] * z[3])
+    width = math.exp(2.0 * size[9] * w)
     tt = math.sqrt(max(size[0] * width + size[3], TINY))
     ft, st = size[4] / tt, size[6] / tt
     ff = math.sqrt(max(size[1] * width + size[5] - ft * ft, TINY))
     sf = (size[7] - st * ft) / ff
     ss = math.sqrt(max(size[2] * width + size[8] - st * st - sf * sf, TINY))
-    e_t = tt * z[0]
-    e_f = ft * z[0] + ff * z[1]
-    e_s = st * z[0] + sf * z[1] + ss * z[2]
-    theta = mean[2] + e_t
-    x, y = se2.rotate(0.5 * e_t, mean[0], mean[1])
-    out[0], out[1], out[2] = se2.compose(x, y, 0.5 * theta, e_f, e_s, 0.5 * theta)
+    e_t, e_f, e_s = tt * t, ft * t + ff * f, st * t + sf * f + ss * s
+    x, y = se2.rotate(0.5 * e_t, dx, dy)
+    theta = turn + e_t
+    return se2.compose(x, y, 0.5 * theta, e_f, e_s, 0.5 * theta)
+
+
+engine.compiled(MotionModel, step, sense, scratch)

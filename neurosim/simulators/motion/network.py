@@ -15,6 +15,7 @@ import math
 from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, astuple
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -24,22 +25,18 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.base.trajectory import Episode
 from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.adjustable import Adjustable
-from neurosim.simulators.base import Rollouts, Simulator, Stepper
-from neurosim.simulators.motion.closed_loop import MotionClosedLoop
+from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.motion.kernel_units import KernelUnits
-from neurosim.simulators.motion.kernels import Arrays
+from neurosim.simulators.motion.kernels import HALF_LOG2_E, LANES, MotionModel
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb, draw
-from neurosim.simulators.motion.plans import MotionPlans
-from neurosim.simulators.motion.sensors import SensorArrays, Sensors, no_sensors
-from neurosim.simulators.motion.stepper import MotionStepper
+from neurosim.simulators.motion.sensors import Sensors, no_sensors
 
 OUTPUTS = ("dx", "dy", "dtheta")
 
@@ -243,10 +240,6 @@ class MotionNetwork(Simulator):
         """Return whether commands [..., C] are like some that it has learned from, [...]."""
         return super().supported(commands) if self.known is None else self.known.supported(commands)
 
-    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
-        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
-        return draw(rows, steps, generator, self.noise_width)
-
     def start(
         self,
         pose: Tensor,
@@ -273,20 +266,26 @@ class MotionNetwork(Simulator):
         """Return the states [B, S] of robots that move as the members [B], -1 for the mean."""
         return self.start(pose, member=member)
 
-    def remembered(self, state: Tensor) -> Tensor:
-        """Return what motions from ``state`` [B, S] on depend on beside pose and member.
-
-        With a drive model the actuators' speeds and, of the last command, what they were told
-        [B, 2 A]; without, the last command [B, C]. It is over: given again, it begins anew.
-        """
+    def over(self, state: Tensor) -> Tensor:
+        """Return states [B, S] in which the last command is over: given again, it begins anew."""
         if self.drive is None:
-            found = state.new_zeros(len(state), len(self.command_names))
-            found[:, self._next] = state[:, self._remembered]
-            return found
-        count = len(self.columns.driven)
-        speed, told = state[:, 3 : 3 + count], state[:, 3 + count : 3 + 2 * count]
-        reached = self.drive.reached(speed, self._speeds(told), state[:, 3 + 2 * count])
-        return torch.cat([reached, told], dim=1)
+            return state
+        count, state = len(self.columns.driven), state.clone()
+        speed, given = state[:, 3 : 3 + count], state[:, 3 + count : 3 + 2 * count]
+        elapsed = state[:, 3 + 2 * count]
+        state[:, 3 : 3 + count] = self.drive.reached(speed, self._speeds(given), elapsed)
+        state[:, 3 + 2 * count] = 0.0
+        return state
+
+    def standing(
+        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] of robots that stand still at poses [B, 3]."""
+        states = np.zeros((len(poses), len(self.state_names)))
+        states[:, :3] = poses
+        if self.members > 1:
+            states[:, -1] = -1 if member is None else member
+        return states
 
     def draw_members(self, rows: int, generator: torch.Generator) -> Tensor:
         """Return a member for each trajectory, [rows], all alike probable."""
@@ -329,7 +328,7 @@ class MotionNetwork(Simulator):
         if self.sensors is None:
             return super().sense(state, generator)
         if generator is not None:
-            z = self.draw_noise(len(state), 1, generator)[:, 0]
+            z = draw(len(state), 1, generator, self.noise_width)[:, 0]
         return self.sensors.read(state[:, :3], None if z is None else z[:, DRAWS:])
 
     def _step_within(
@@ -524,94 +523,131 @@ class MotionNetwork(Simulator):
             )
         return _in(dtype, self)
 
-    def stepper(self) -> Stepper:
-        """Return compiled steps where the units are linear."""
-        return MotionStepper(self) if self.network.linear else Stepper(self)
+    def compiled(self) -> MotionModel | None:
+        """Return what the compiled functions take; None where the activations are not linear."""
+        return self._model
 
-    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
-        """Return compiled rollouts where the units are linear and the commands are these."""
+    @cached_property
+    def _model(self) -> MotionModel | None:
         if not self.network.linear:
             return None
-        unread = not (self.sensors and episode.readings)
-        if controller.blind and unread and tuple(controller.outputs) == self.command_names:
-            return MotionPlans(self, controller, episode)
-        # A step's duration is put behind the outputs, where it is a command.
-        outputs = tuple(controller.outputs)
-        fits = self.command_names in (outputs, (*outputs, "duration"))
-        if fits and "duration" not in outputs and controller.arrays() is not None:
-            return MotionClosedLoop(self, controller, episode)
-        return None
-
-    def input_sources(self) -> NDArray[np.int64]:
-        """Return where each input comes from, as compiled rollouts take it, [I].
-
-        c for column c of the command, -c - 1 for column c of the command before.
-        """
-        names = self.command_names
-        return np.array(
-            [
-                names.index(name) if name in names else -names.index(name.removeprefix("prev_")) - 1
-                for name in self.input_names
-            ],
-            np.int64,
+        assert isinstance(self.network, ProductSummationNetwork)
+        names, states = self.command_names, self.state_names
+        remembered = [name for name in self.input_names if name.startswith("prev_")]
+        following = [names.index(name.removeprefix("prev_")) for name in remembered]
+        source = [
+            names.index(name)
+            if name in names
+            else -1 - (0 if self.drive is not None else states.index(name))
+            for name in self.input_names
+        ]
+        noise = {
+            f"noise_{name}": torch.zeros(shape) if self.noise is None else getattr(self.noise, name)
+            for name, shape in NoiseModel.SHAPES.items()
+        }
+        shapes = DriveModel.shapes(len(self.columns.driven))
+        drive = self._corrected or DriveModel(
+            **{name: torch.ones(shapes[name]) for name in DriveModel.NAMES}
+        )
+        tensors = {
+            "input_scale": self.input_scale,
+            "dead_zone": self.dead_zone,
+            **{name: getattr(drive, name) for name in DriveModel.NAMES},
+            "correction": torch.tensor(astuple(self.correction)[:4], dtype=torch.float64),
+            **noise,
+        }
+        arrays: dict[str, Any] = {
+            k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()
+        }
+        return MotionModel(
+            **arrays,
+            **self._laid_out(),
+            source=np.array(source, np.int64),
+            following=np.array(following, np.int64),
+            driven=np.array(self.columns.driven, np.int64),
+            before=np.array(self.columns.before, np.int64),
+            duration=self.columns.duration,
+            swing=math.nan if self.derived.swing is None else self.derived.swing,
+            floor=self.network.floor,
+            drives=self.drive is not None,
+            longest=self.longest,
+            members=self.members > 1,
+            noisy=self.noise is not None,
+            **(no_sensors() if self.sensors is None else self.sensors.arrays()),
         )
 
-    def sensor_arrays(self) -> SensorArrays:
-        """Return what compiled code computes readings with."""
-        return no_sensors() if self.sensors is None else self.sensors.arrays()
-
-    def arrays(self) -> Arrays:
-        """Return what :mod:`neurosim.simulators.motion.kernels` computes with.
-
-        Raises:
-            ValueError: if the networks' activations are not linear.
-        """
-        if not self.network.linear:
-            raise ValueError("compiled simulators are of networks with linear activations")
+    def _laid_out(self) -> dict[str, Any]:
+        """Return the networks as :class:`MotionModel` has them: the mean, then the members."""
         assert isinstance(self.network, ProductSummationNetwork)
         parts = self.network.expand(self.genes.cpu()).times(self.output_scale.cpu())
-        shapes = NoiseModel.SHAPES
-        noise = {
-            name: torch.zeros(shapes[name]) if self.noise is None else getattr(self.noise, name)
-            for name in shapes
-        }
-        count = len(self.columns.driven)
-        shapes_of = DriveModel.shapes(count)
-        drive = self._corrected or DriveModel(
-            **{name: torch.ones(shapes_of[name]) for name in DriveModel.NAMES}
-        )
         units = self.kernel_units or KernelUnits(
             torch.zeros(0, self.network.inputs),
             torch.ones(self.network.inputs),
             torch.zeros(*self.genes.shape[:2], 0),
         )
-        tensors = {
-            "exponents": parts.exponents,
-            "ceiling": parts.ceilings,
-            "signed": parts.signed(sign_patterns(self.network.inputs)),
-            "linear": parts.linear,
-            "bias": parts.bias,
-            "input_scale": self.input_scale,
-            "dead_zone": self.dead_zone,
-            "centres": (units.centres / units.lengths).T,
-            "lengths": units.lengths,
-            "kernel_weights": units.weights,
-            **{name: getattr(drive, name) for name in DriveModel.NAMES},
-            "correction": torch.tensor(astuple(self.correction)[:4], dtype=torch.float64),
-            **{f"noise_{name}": value for name, value in noise.items()},
+        centres, lengths = units.centres.cpu().numpy(), units.lengths.cpu().numpy()
+        centres = _filled(centres.T).T
+        signed_of = parts.signed(sign_patterns(self.network.inputs)).numpy()
+        exponents, ceilings = parts.exponents.numpy(), parts.ceilings.numpy() / math.log(2.0)
+        plain = {
+            "linear": parts.linear.numpy(),
+            "bias": parts.bias.numpy(),
+            "kernel_weights": _filled(units.weights.cpu().numpy()),
         }
-        return Arrays(
-            **{k: np.ascontiguousarray(v.cpu().numpy(), np.float64) for k, v in tensors.items()},
-            floor=self.network.floor,
-            drives=self.drive is not None,
-            longest=self.longest,
-            central=self.central,
-            noisy=self.noise is not None,
-            driven=np.array(self.columns.driven, np.int64),
-            before=np.array(self.columns.before, np.int64),
-            duration=self.columns.duration,
-            swing=math.nan if self.derived.swing is None else self.derived.swing,
-        )
+        if not self.central:  # the mean is the members' average
+            plain = {k: np.concatenate([v.mean(0, keepdims=True), v]) for k, v in plain.items()}
+        count = len(self.genes)
+        average = [(m, 1.0 / count) for m in range(count)]
+        networks = [[(m, 1.0)] for m in range(count)]
+        if not self.central:
+            networks = [average, *networks]
+        groups: dict[bytes, int] = {}
+        found: list[tuple[NDArray, NDArray]] = []
+        weights: list[NDArray] = []
+        sizes, terms, rows = [0], [], [0]
+        for network in networks:
+            for o in range(len(OUTPUTS)):
+                sums: dict[int, NDArray] = {}
+                for m, factor in network:
+                    used = (signed_of[m, o] != 0.0).any(axis=0)
+                    if not used.any():
+                        continue
+                    own, ceiling = exponents[m, o][used], ceilings[m, o][used]
+                    group = groups.setdefault(own.tobytes() + ceiling.tobytes(), len(groups))
+                    if group == len(found):
+                        found.append((_filled(own.T), _filled(ceiling)))
+                        sizes.append(sizes[-1] + len(found[-1][1]))
+                    weight = factor * _filled(signed_of[m, o][:, used])
+                    sums[group] = sums.get(group, 0.0) + weight
+                for group, weight in sums.items():
+                    terms.append((group, sum(w.shape[1] for w in weights)))
+                    weights.append(weight)
+                rows.append(len(terms))
+        empty = np.empty((self.network.inputs, 0))
+        columns = np.array(terms, np.int64).reshape(-1, 2).T
+        outputs = len(networks) * len(OUTPUTS)
+        arrays = {
+            "exponents": np.concatenate([empty, *(own for own, _ in found)], axis=1),
+            "ceiling": np.concatenate([np.empty(0), *(ceiling for _, ceiling in found)]),
+            "group": np.array(sizes, np.int64),
+            "terms": np.array(rows, np.int64),
+            "term_group": columns[0],
+            "term_weight": columns[1],
+            "signed": np.concatenate([np.empty((2**self.network.inputs, 0)), *weights], axis=1),
+            "linear": plain["linear"].reshape(outputs, -1),
+            "bias": plain["bias"].reshape(outputs),
+            "kernel_weights": plain["kernel_weights"].reshape(outputs, -1),
+            "centres": -2.0 * HALF_LOG2_E * (centres / lengths**2).T,
+            "centre_square": HALF_LOG2_E * ((centres / lengths) ** 2).sum(1),
+            "nearness": HALF_LOG2_E / lengths**2,
+        }
+        return {name: np.ascontiguousarray(value) for name, value in arrays.items()}
+
+
+def _filled(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return numbers [..., N], zeros behind them up to a multiple of :data:`LANES`."""
+    missing = -values.shape[-1] % LANES
+    return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, missing)])
 
 
 def can_drive(names: Sequence[str], actuators: int | None = None) -> bool:

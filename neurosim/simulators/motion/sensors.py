@@ -8,23 +8,12 @@ variances add up: of the reading itself, and of the place, by the map's slope th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from torch import Tensor
 
-
-class SensorArrays(NamedTuple):
-    """Sensors as compiled code takes them; without any, all are of length 0."""
-
-    mount: np.ndarray  #: [S, 2] m, robot frame
-    place: np.ndarray  #: [S] int64, which map each reads
-    noise: np.ndarray  #: [S, 2] standard deviations: of readings, and of places (m)
-    maps: np.ndarray  #: [K, NY, NX]
-    origin: np.ndarray  #: [2] m, of the grid's first point
-    cell: float  #: m, between its points
+from neurosim.base.kernels import kernel
 
 
 @dataclass(frozen=True)
@@ -99,90 +88,56 @@ class Sensors:
             value = value + variance.sqrt() * z.to(pose)
         return value.clamp(0.0, 1.0)
 
-    def arrays(self) -> SensorArrays:
-        """Return the sensors as compiled code takes them."""
-        mount, place, noise, maps, origin = (
-            np.ascontiguousarray(getattr(self, name).numpy()) for name in TENSORS
-        )
-        return SensorArrays(mount, place, noise, maps, origin, float(self.cell))
+    def arrays(self) -> dict[str, Any]:
+        """Return the sensors as :class:`MotionModel` has them."""
+        tensors = {f"sensor_{name}": getattr(self, name).numpy() for name in TENSORS}
+        arrays = {name: np.ascontiguousarray(value) for name, value in tensors.items()}
+        return {**arrays, "sensor_cell": float(self.cell)}
 
 
 #: The tensors of sensors, by name.
 TENSORS = ("mount", "place", "noise", "maps", "origin")
 
 
-def no_sensors() -> SensorArrays:
+def no_sensors() -> dict[str, Any]:
     """Return the arrays of a simulator that has none."""
-    return SensorArrays(
-        np.empty((0, 2)),
-        np.empty(0, np.int64),
-        np.empty((0, 2)),
-        np.empty((0, 0, 0)),
-        np.zeros(2),
-        1.0,
-    )
+    return {
+        "sensor_mount": np.empty((0, 2)),
+        "sensor_place": np.empty(0, np.int64),
+        "sensor_noise": np.empty((0, 2)),
+        "sensor_maps": np.empty((0, 0, 0)),
+        "sensor_origin": np.zeros(2),
+        "sensor_cell": 1.0,
+    }
 
 
-@njit(cache=True, error_model="numpy")
-def sense(
-    s: SensorArrays,
-    x: float,
-    y: float,
-    cos: float,
-    sin: float,
-    z: NDArray[np.float64],
-    first: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Write what sensors read; see :meth:`Sensors.read`.
+@kernel(forceinline=True)
+def read(a, x, y, theta, z, first, out):
+    """Write the readings; see :meth:`Sensors.read`.
 
     Args:
-        s: :class:`SensorArrays`.
-        x, y: of the robot, m.
-        cos, sin: of its heading.
-        z: standard normal draws, that of the first sensor at ``first``; empty: there is no noise.
+        a: :class:`MotionModel`.
+        x, y, theta: pose of the robot (m, m, rad).
+        z: standard normal numbers, that of the first sensor at ``first``; empty: no noise.
         first: see ``z``.
         out: [S], written.
     """
-    ny, nx = s.maps.shape[1], s.maps.shape[2]
-    for n in range(len(s.mount)):
-        ahead, aside = s.mount[n, 0], s.mount[n, 1]
-        across = (x + cos * ahead - sin * aside - s.origin[0]) / s.cell
-        up = (y + sin * ahead + cos * aside - s.origin[1]) / s.cell
+    cos, sin = np.cos(theta), np.sin(theta)
+    ny, nx = a.sensor_maps.shape[1], a.sensor_maps.shape[2]
+    for n in range(len(a.sensor_mount)):
+        ahead, aside = a.sensor_mount[n, 0], a.sensor_mount[n, 1]
+        across = (x + cos * ahead - sin * aside - a.sensor_origin[0]) / a.sensor_cell
+        up = (y + sin * ahead + cos * aside - a.sensor_origin[1]) / a.sensor_cell
         across, up = min(max(across, 0.0), nx - 1.0), min(max(up, 0.0), ny - 1.0)
         i, j = min(int(across), nx - 2), min(int(up), ny - 2)
-        a, b = across - i, up - j
-        board = s.maps[s.place[n]]
+        u, v = across - i, up - j
+        board = a.sensor_maps[a.sensor_place[n]]
         near, right, far, both = board[j, i], board[j, i + 1], board[j + 1, i], board[j + 1, i + 1]
-        value = (1.0 - b) * ((1.0 - a) * near + a * right) + b * ((1.0 - a) * far + a * both)
+        value = (1.0 - v) * ((1.0 - u) * near + u * right) + v * ((1.0 - u) * far + u * both)
         if len(z) > 0:
-            along_x = ((1.0 - b) * (right - near) + b * (both - far)) / s.cell
-            along_y = ((1.0 - a) * (far - near) + a * (both - right)) / s.cell
-            own, blur = s.noise[n, 0], s.noise[n, 1]
+            along_x = ((1.0 - v) * (right - near) + v * (both - far)) / a.sensor_cell
+            along_y = ((1.0 - u) * (far - near) + u * (both - right)) / a.sensor_cell
+            own, blur = a.sensor_noise[n, 0], a.sensor_noise[n, 1]
             slope = along_x * along_x + along_y * along_y
             value += np.sqrt(own * own + blur * blur * slope) * z[first + n]
         out[n] = min(max(value, 0.0), 1.0)
-
-
-@njit(cache=True, error_model="numpy")
-def sense_all(
-    s: SensorArrays,
-    poses: NDArray[np.float64],
-    z: NDArray[np.float64],
-    first: int,
-    out: NDArray[np.float64],
-) -> None:
-    """Write what sensors [B, S] read at poses [B, 3]; ``z`` [B, Z], Z = 0: there is no noise."""
-    for b in range(len(poses)):
-        cos, sin = np.cos(poses[b, 2]), np.sin(poses[b, 2])
-        sense(s, poses[b, 0], poses[b, 1], cos, sin, z[b], first, out[b])
-
-
-def sensed(
-    s: SensorArrays, poses: NDArray[np.float64], z: NDArray | None, first: int
-) -> NDArray[np.float64]:
-    """Return the readings [B, S] at poses [B, 3]; see :func:`sense`."""
-    out = np.empty((len(poses), len(s.mount)))
-    draws = np.empty((len(poses), 0)) if z is None else np.ascontiguousarray(z, np.float64)
-    sense_all(s, np.ascontiguousarray(poses, np.float64), draws, first, out)
-    return out

@@ -12,7 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit, vectorize
 
+from neurosim.base.kernels import kernel
 from neurosim.base.se2 import compiled as se2
+from neurosim.simulators import engine
 from neurosim.simulators.numbers import NORMAL, UNIFORM
 
 #: Places in :data:`neurosim.simulators.tables.simulator.NOISES`: what their numbers are.
@@ -24,6 +26,8 @@ _FAST = {"contract", "reassoc", "nsz", "arcp"}
 #: Tables hold at least so many sensors: a number that is known when the kernels are compiled is
 #: faster. Those that a robot does not have read nothing.
 LANES = 8
+#: Motions of a command whose timing is kept for the next one.
+_PARTS = 64
 #: A robot in a corner is moved out of one wall and then the other, at most so often.
 PASSES = 8
 #: What is left of an overlap then, m; with more it is jammed and stays where it was.
@@ -68,7 +72,7 @@ class TableArrays(NamedTuple):
     twist_noise: np.ndarray  #: [3] half widths of uniform noise, per square root of a second
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always")
 def _nearest(wall, x, y):
     """Return the vector from (x, y) to the nearest point of a wall."""
     along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
@@ -76,7 +80,7 @@ def _nearest(wall, x, y):
     return wall[0] + along * wall[2] - x, wall[1] + along * wall[3] - y
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _light(begin, end, height, ahead, aside):
     """Return what light a straight surface throws back to a sensor, 1/m2.
 
@@ -103,7 +107,7 @@ def _light(begin, end, height, ahead, aside):
     return max(light, 0.0) / square if s < z else 0.0
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _endless(height, ahead):
     """Return the same of an endless line, to which a sensor looks so far ahead."""
     side = max(1.0 - ahead * ahead, 0.0)
@@ -115,7 +119,7 @@ def _endless(height, ahead):
     return max(light, 0.0) / (height * height)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True)
+@kernel(forceinline=True)
 def _hidden(screens, x, y, dx, dy):
     """Return whether something stands between (x, y) and the point (dx, dy) from it."""
     for h in range(len(screens)):
@@ -132,7 +136,7 @@ def _hidden(screens, x, y, dx, dy):
     return False
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _column(angles, angle):
     """Return the place of the table's column at an angle (rad) to the robot's left, and a share."""
     # Samples are in the order in which the robot turned to the left: objects pass to the right.
@@ -142,7 +146,7 @@ def _column(angles, angle):
     return c, column - c
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+@kernel(fastmath=_FAST, inline="always")
 def _mix(near, far, c, a, b, p, q, out):
     """Add four rows of a table, weighted; near and far are [A + 1, L]."""
     for s in range(LANES):
@@ -151,7 +155,7 @@ def _mix(near, far, c, a, b, p, q, out):
         out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy", inline="always")
+@kernel(fastmath=_FAST, inline="always")
 def _add(t, kind, distance, bearing, out, variance):
     """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
     distances, weight = t.excess.shape[1], 1.0
@@ -172,7 +176,7 @@ def _add(t, kind, distance, bearing, out, variance):
         _mix(t.variance[kind, r], t.variance[kind, r + 1], c, a, b, p, q, variance)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _visible(wall, screens, x, y, reach):
     """Return whether a wall's front is in reach (m) of (x, y), and the vector to its nearest."""
     dx, dy = _nearest(wall, x, y)
@@ -181,7 +185,7 @@ def _visible(wall, screens, x, y, reach):
     return seen, dx, dy
 
 
-@njit(cache=True, fastmath=_FAST, error_model="numpy")
+@kernel(fastmath=_FAST)
 def _add_light(wall, looks, radius, x, y, cos, sin, number, total, most, brightest):
     """Add the light [S] of a wall to the total, and note where it is the most so far."""
     off_x, off_y = wall[0] - x, wall[1] - y
@@ -198,15 +202,15 @@ def _add_light(wall, looks, radius, x, y, cos, sin, number, total, most, brighte
         most[s] = max(light, most[s])
 
 
-@njit(cache=True, error_model="numpy")
-def _add_walls(t, x, y, theta, reach, out, variance):
+@kernel()
+def _add_walls(t, x, y, theta, reach, sums, out, variance):
     """Add what walls reflect together, of which some end.
 
     Their light adds up. Every sensor reads what it would before an endless wall alone, straight
     before that point from which most light comes, as far away as gives so much light.
     """
     distances = t.excess.shape[1]
-    sums = np.zeros((3, t.looks.shape[1]))
+    sums[:] = 0.0
     total, most, brightest = sums[0], sums[1], sums[2]
     cos, sin = math.cos(theta), math.sin(theta)
     for w in range(len(t.walls)):
@@ -248,8 +252,8 @@ def _add_walls(t, x, y, theta, reach, out, variance):
             variance[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def _sense(t, x, y, theta, out, variance):
+@kernel(inline="always")
+def _sense(t, x, y, theta, sums, out, variance):
     """Write the mean readings [L], not yet clipped, and their variance."""
     reach = t.reach[0] + t.radius
     for s in range(len(out)):
@@ -271,7 +275,7 @@ def _sense(t, x, y, theta, out, variance):
         distance = math.sqrt(to_x * to_x + to_y * to_y) - t.radius
         _add(t, 0, distance, math.atan2(to_y, to_x) - theta, out, variance)
     elif found:
-        _add_walls(t, x, y, theta, reach, out, variance)
+        _add_walls(t, x, y, theta, reach, sums, out, variance)
     for o in range(len(t.obstacles)):
         dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y
         square, limit = dx * dx + dy * dy, t.reach[1] + t.radius + t.obstacles[o, 2]
@@ -281,19 +285,20 @@ def _sense(t, x, y, theta, out, variance):
         _add(t, 1, distance, math.atan2(dy, dx) - theta, out, variance)
 
 
-@njit(cache=True, error_model="numpy", inline="always")
-def read(t, x, y, theta, draws, sensors, mean, variance):
-    """Write the readings of ``sensors`` sensors to ``mean`` [L], with noise of ``draws`` [Z]."""
-    _sense(t, x, y, theta, mean, variance)
-    for s in range(sensors):
-        if t.noise == UNIFORM_NOISE:
-            mean[s] += np.float32(t.sensor_noise) * draws[s]
-        elif t.noise == SAMPLES_NOISE:
-            mean[s] += math.sqrt(variance[s]) * draws[s]
-        mean[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
+@kernel(forceinline=True)
+def sense(t, state, z, work, out):
+    """Write the readings [S] of a robot in ``state`` [7] with the noise ``z`` [S + 3], or none."""
+    mean, variance = work[0], work[1]
+    _sense(t, state[0], state[1], state[2], work[5], mean, variance)
+    for s in range(len(out)):
+        if len(z) > 0 and t.noise == UNIFORM_NOISE:
+            mean[s] += np.float32(t.sensor_noise) * z[s]
+        elif len(z) > 0 and t.noise == SAMPLES_NOISE:
+            mean[s] += math.sqrt(variance[s]) * z[s]
+        out[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _push_out(t, x, y):
     """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
     for _ in range(PASSES):
@@ -321,13 +326,13 @@ def _push_out(t, x, y):
     return x, y, False
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _rounded(t, speed):
     """Return the speed in percent that the robot takes for one."""
     return t.resolution * np.rint(speed / t.resolution) if t.resolution > 0.0 else speed
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _level(t, speed, levels):
     """Return place and share of the level below a speed in percent."""
     place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
@@ -335,7 +340,7 @@ def _level(t, speed, levels):
     return below, place - below
 
 
-@njit(cache=True, error_model="numpy", inline="always")
+@kernel(inline="always")
 def _twist(t, table, left, right, out):
     """Write a motor table's value [3] at the wheels' speeds (%, %)."""
     i, u = _level(t, left, table.shape[0])
@@ -357,34 +362,35 @@ def substeps(duration, fastest, radius, longest):
     return max(parts, 1)
 
 
-@njit(cache=True)
-def phases(t, duration):
-    """Return how speeds approach their goals in the parts of a command of ``duration`` (s).
+@kernel()
+def phases(t, duration, parts, first, out):
+    """Write how speeds approach their goals in some parts of a command of ``duration`` (s).
 
-    Returns:
-        [parts, 2, 5]; in every part first what is left of the goals before, then the new ones.
-        Each for so long (s); then, for either wheel, the share that the speed at its beginning
-        has in the mean over that time, and in the speed at its end.
+    Args:
+        t: :class:`TableArrays`.
+        duration: of the command, s.
+        parts: into which it is cut.
+        first: of those that are written.
+        out: [N, 2, 5], written; in every part first for what is left of the goals before, then
+            for the new ones. Each for so long (s); then, for either wheel, the fraction that the
+            speed at its beginning has in the mean over that time, and in the speed at its end.
     """
-    parts = substeps(duration, t.fastest, t.radius, t.longest)
-    out = np.zeros((parts, 2, 5))
-    for part in range(parts):
+    for n in range(min(len(out), parts - first)):
         length = duration / parts
-        waiting = min(max(t.delay - part * length, 0.0), length)
+        waiting = min(max(t.delay - (first + n) * length, 0.0), length)
         for phase in range(2):
             time = waiting if phase == 0 else length - waiting
-            out[part, phase, 0] = time
+            out[n, phase, 0] = time
             for wheel in range(2):
                 mean, end = 1.0, 1.0
                 if time > 0.0:
                     lag = t.lag[wheel]
                     end = math.exp(-time / lag) if lag > 0.0 else 0.0
                     mean = lag * (1.0 - end) / time
-                out[part, phase, 1 + wheel], out[part, phase, 3 + wheel] = mean, end
-    return out
+                out[n, phase, 1 + wheel], out[n, phase, 3 + wheel] = mean, end
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always")
 def _advance(t, phase, speeds, left, right, out):
     """Let speeds [2] approach goals (%, %) for a phase [5], and write the displacement's log."""
     left_off, right_off = speeds[0] - left, speeds[1] - right
@@ -394,7 +400,7 @@ def _advance(t, phase, speeds, left, right, out):
     speeds[0], speeds[1] = left + phase[3] * left_off, right + phase[4] * right_off
 
 
-@njit(cache=True, inline="always", error_model="numpy")
+@kernel(inline="always")
 def _moved(t, x, y, theta, first, second, noise):
     """Return where two motions in a row, their logs and the noise's [3], lead from a pose."""
     # As one motion (Baker, Campbell and Hausdorff, second order).
@@ -408,3 +414,57 @@ def _moved(t, x, y, theta, first, second, noise):
     if fits:
         x, y = to_x, to_y
     return x, y, theta
+
+
+@njit(error_model="numpy")
+def scratch(t):
+    """Return the arrays that :func:`step` and :func:`sense` write to."""
+    lanes = len(t.ambient)
+    timing, lasts = np.empty((_PARTS, 2, 5)), np.full(1, -1.0)
+    mean, variance = np.empty(lanes, np.float32), np.empty(lanes, np.float32)
+    return mean, variance, np.empty((3, 3)), timing, lasts, np.empty((3, t.looks.shape[1]))
+
+
+@kernel(fastmath=_FAST, forceinline=True)
+def step(t, states, command, z, work):
+    """Change the states [N, 7] of robots that carry out a command (%, %, s).
+
+    ``z`` [N, S + 3] are the numbers of the noise, the motion's last; N = 0: there is none.
+    """
+    twist, before, noise = work[2][0], work[2][1], work[2][2]
+    timing, lasts = work[3], work[4]
+    left, right, duration = _rounded(t, command[0]), _rounded(t, command[1]), command[2]
+    parts = substeps(duration, t.fastest, t.radius, t.longest)
+    if duration != lasts[0] and parts <= _PARTS:
+        phases(t, duration, parts, 0, timing)
+        lasts[0] = duration
+    for r in range(len(states)):
+        own = states[r]
+        noise[:] = 0.0
+        if len(z) > 0:
+            if t.noise == UNIFORM_NOISE:
+                for i in range(3):
+                    noise[i] = t.twist_noise[i]
+            elif t.noise == SAMPLES_NOISE:
+                _twist(t, t.twist_spread, left, right, noise)
+            first = z.shape[1] - 3
+            for i in range(3):
+                noise[i] *= math.sqrt(duration) * z[r, first + i] / parts
+        x, y, theta = own[0], own[1], own[2]
+        speeds = own[3:5]
+        for part in range(parts):
+            n = part % _PARTS
+            if parts > _PARTS and n == 0:
+                phases(t, duration, parts, part, timing)
+                lasts[0] = -1.0
+            if timing[n, 0, 0] > 0.0:
+                _advance(t, timing[n, 0], speeds, own[5], own[6], before)
+            else:
+                before[:] = 0.0
+            _advance(t, timing[n, 1], speeds, left, right, twist)
+            x, y, theta = _moved(t, x, y, theta, before, twist, noise)
+        own[0], own[1], own[2] = x, y, theta
+        own[5], own[6] = left, right
+
+
+engine.compiled(TableArrays, step, sense, scratch)

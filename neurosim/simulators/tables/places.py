@@ -114,7 +114,8 @@ class ManyArenas(Simulator):
         rng = np.random.default_rng([seed, count])
         self.own = own
         self.state_names, self.command_names = own.state_names, own.command_names
-        self.has_noise, self.noise_width = own.has_noise, own.noise_width
+        self.has_noise = own.has_noise
+        self.noise_width, self.noise_kind = own.noise_width, own.noise_kind
         self.reading_names, self.radius = own.reading_names, own.radius
         self.places = [own.changed(arena=random_arena(rng, own.radius)) for _ in range(count)]
 
@@ -174,14 +175,6 @@ class ManyArenas(Simulator):
             found[here] = self.places[place].sense(local, generator, given).to(found)
         return found
 
-    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
-        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
-        return self.own.draw_noise(rows, steps, generator)
-
-    def noise_of(self, draws: Draws, steps: int) -> NDArray[np.float64] | None:
-        """Return the numbers [R, steps, noise_width] of drawn outcomes' noise, or None."""
-        return self.own.noise_of(draws, steps)
-
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts, where the tables have them."""
         if self.own.rollouts(controller, episode) is None:
@@ -226,12 +219,8 @@ class _Rollouts:
                 local = self._simulator.places[place]
                 self._of[place] = local.rollouts(self._controller, self._episode)
             here = np.flatnonzero(where == place)
-            some = Draws(
-                _moved(draws.starts[here], -place),
-                None if draws.member is None else draws.member[here],
-                None if draws.noise is None else draws.noise[here],
-                None if draws.seeds is None else draws.seeds[here],
-            )
+            noise = None if draws.noise is None else draws.noise[here]
+            some = Draws(_moved(draws.starts[here], -place), noise=noise)
             driven = self._of[place].run(genes, some)
             parts.append((here, driven, _moved(driven.poses, place)))
         order = np.argsort(np.concatenate([here for here, _, _ in parts]), kind="stable")

@@ -33,10 +33,8 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.schema import Number, OneOf, Shape
 from neurosim.base.se2 import tensors as se2
-from neurosim.base.trajectory import Draws, Episode
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator, Stepper
+from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Simulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
-from neurosim.simulators.tables.closed_loop import TableClosedLoop, expand
 from neurosim.simulators.tables.kernels import (
     FAINT,
     LANES,
@@ -48,10 +46,8 @@ from neurosim.simulators.tables.kernels import (
 )
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.places import ManyArenas
-from neurosim.simulators.tables.plans import TablePlans
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
-from neurosim.simulators.tables.stepper import TableStepper
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
@@ -176,30 +172,10 @@ class TableSimulator(Simulator):
         """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
         return self.arena.clearance(poses[..., :2]) < self.radius + SLACK
 
-    def draw_noise(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
-        """Return the numbers [rows, steps, noise_width] that noise of trajectories is made of."""
-        shape = (rows, steps, self.noise_width)
-        if self.noise == "uniform":
-            return 2.0 * torch.rand(shape, generator=generator, dtype=torch.float64) - 1.0
-        return torch.randn(shape, generator=generator, dtype=torch.float64)
-
-    def expand_noise(self, seeds: np.ndarray, steps: int) -> np.ndarray:
-        """Return the numbers [R, steps, noise_width] that compiled rollouts draw from seeds [R].
-
-        A seed is the state of SplitMix64. For uniform noise every word of it gives four numbers of
-        16 bits, for normal noise two (Box and Muller); of the numbers that are drawn for a step
-        the first ``noise_width`` count, in the order in which :meth:`sense` and :meth:`step` take
-        them.
-        """
-        found = np.zeros((len(seeds), steps, self.noise_width))
-        expand(self.arrays.noise, np.ascontiguousarray(seeds, np.uint64), found)
-        return found
-
-    def noise_of(self, draws: Draws, steps: int) -> np.ndarray | None:
-        """Return the numbers [R, steps, noise_width] of drawn outcomes' noise, or None."""
-        if draws.noise is None and draws.seeds is not None and self.has_noise:
-            return self.expand_noise(draws.seeds, steps)
-        return draws.noise
+    @property
+    def noise_kind(self) -> str:  # type: ignore[override]
+        """Of its numbers; see the class."""
+        return "uniform" if self.noise == "uniform" else "normal"
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, 7] of robots that stand at ``pose`` [B, 3] (m, m, rad)."""
@@ -277,18 +253,13 @@ class TableSimulator(Simulator):
                 reading = reading + (t["ambient_variance"] + looked_up["variance"]).sqrt() * z
         return reading.clamp(0.0, 1.0)
 
-    def stepper(self) -> Stepper:
-        """Return compiled steps."""
-        return TableStepper(self)
+    def standing(self, poses: np.ndarray, member: np.ndarray | None = None) -> np.ndarray:
+        """Return the states [B, 7] of robots that stand still at poses [B, 3]."""
+        return np.concatenate([poses, np.zeros((len(poses), 4))], axis=1)
 
-    def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
-        """Return compiled rollouts; none of plans where the sensors are to be read."""
-        names = tuple(controller.outputs)
-        if controller.blind and names == self.command_names and not episode.readings:
-            return TablePlans(self, controller, episode)
-        if controller.arrays() is not None and names == self.command_names[:2]:
-            return TableClosedLoop(self, controller, episode)
-        return None
+    def compiled(self) -> TableArrays:
+        """Return what the compiled functions take."""
+        return self.arrays
 
     @cached_property
     def _fastest(self) -> float:

@@ -1,0 +1,20 @@
+"""Functions that are parts of compiled loops."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from numba import njit
+
+
+def kernel(**options: Any) -> Callable[[Any], Any]:
+    """Compile a function that is a part of a loop and makes no arrays.
+
+    Numba counts references to each array and each part of one. In a step of a robot that takes as
+    long as the step itself; whoever calls a kernel keeps the arrays, so kernels count none.
+
+    Args:
+        options: of ``numba.njit``.
+    """
+    return njit(_nrt=False, error_model="numpy", **options)  # type: ignore[call-overload]

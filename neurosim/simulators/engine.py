@@ -1,0 +1,434 @@
+"""The compiled trial loop: one for all simulators, controllers, environments and replanning.
+
+A simulator that brings compiled functions takes part in it. It has a ``NamedTuple`` of its numbers,
+its *model*, and for models of that class two functions compiled by Numba (:func:`compiled`):
+
+    step(model, states, command, z, work)   changes the states of robots that obey one command
+    sense(model, state, z, work, out)       writes the readings of one robot
+
+:func:`drive` finds them by the class of the model (``numba.extending.overload``), so that there is
+one loop, compiled once for each class and kept on disk. Functions that are handed over as closures
+would be compiled anew in every session (Numba's issue 6264).
+
+Robots that have had the same commands since the start are stepped together: what depends on the
+commands alone, such as a motion network's prediction, is computed once for all of them.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+from uuid import uuid4
+
+import numpy as np
+from numba import get_num_threads, njit, prange
+from numba.extending import overload
+from numpy.typing import NDArray
+
+from neurosim.base.kernels import kernel
+from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped
+from neurosim.networks.control import NOT_READINGS, input_sources
+from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, room
+from neurosim.simulators.sampling import Stepper, began, draw_samples, trial_steps
+
+#: Robots that a core steps before it takes others, where each takes one step only.
+_BLOCK = 32
+
+
+class Functions(NamedTuple):
+    """The compiled functions of a class of models; see the module."""
+
+    step: Callable[..., None]
+    sense: Callable[..., None]
+    scratch: Callable[..., Any]
+    source: np.ndarray  #: empty; its type differs where the functions' source differs
+
+
+_FUNCTIONS: dict[type, Functions] = {}
+
+
+def compiled(
+    model: type,
+    step: Callable[..., None],
+    sense: Callable[..., None] | None = None,
+    scratch: Callable[..., Any] | None = None,
+) -> None:
+    """Name the compiled functions of a class of models.
+
+    Args:
+        model: a ``NamedTuple``: arrays, numbers and booleans.
+        step: see the module. ``states`` [N, S] float64 in the columns of the simulator's
+            ``state_names`` are changed; of ``command`` [C] float64 the columns are the simulator's
+            ``command_names``; ``z`` [N, Z] float32 are the numbers of the noise, [0, 0] where
+            there is none.
+        sense: ``state`` [S]; ``z`` [Z], or [0]; ``out`` [R] float64. None: there are no sensors.
+        scratch: (model) -> ``work``, which is handed to ``step`` and ``sense``: arrays that they
+            may write to, made once for many steps. None: an empty array.
+    """
+    files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
+    if all(file.exists() for file in files):
+        digest = hashlib.sha256(b"".join(sorted(file.read_bytes() for file in files))).hexdigest()
+    else:  # typed in by hand, as in a notebook: compiled anew in every session
+        digest = uuid4().hex
+    # Numba keeps machine code by the types of arguments: an edited function needs another type.
+    source = np.empty(0, [(f"source_{digest[:16]}", np.int8)])
+    _FUNCTIONS[model] = Functions(step, sense or _no_readings, scratch or _no_scratch, source)
+
+
+def functions_of(model: Any) -> Functions:
+    """Return the compiled functions of a model.
+
+    Raises:
+        TypeError: if :func:`compiled` has named none.
+    """
+    if type(model) not in _FUNCTIONS:
+        raise TypeError(f"{type(model).__name__} has no compiled functions: name them first")
+    return _FUNCTIONS[type(model)]
+
+
+def _chosen(model: Any) -> Functions | None:
+    return _FUNCTIONS.get(getattr(model, "instance_class", object))
+
+
+@njit
+def _no_readings(model, state, z, work, out):
+    pass
+
+
+@njit
+def _no_scratch(model):
+    return np.empty(0)
+
+
+def _step(model, states, command, z, work):
+    raise NotImplementedError
+
+
+def _sense(model, state, z, work, out):
+    raise NotImplementedError
+
+
+def _scratch(model):
+    raise NotImplementedError
+
+
+@overload(_step, jit_options={"forceinline": True})
+def _(model, states, command, z, work):
+    if (own := _chosen(model)) is None:
+        return None
+    function = own.step
+    return lambda model, states, command, z, work: function(model, states, command, z, work)
+
+
+@overload(_sense, jit_options={"forceinline": True})
+def _(model, state, z, work, out):
+    if (own := _chosen(model)) is None:
+        return None
+    function = own.sense
+    return lambda model, state, z, work, out: function(model, state, z, work, out)
+
+
+@overload(_scratch, jit_options={"forceinline": True})
+def _(model):
+    if (own := _chosen(model)) is None:
+        return None
+    function = own.scratch
+    return lambda model: function(model)
+
+
+@njit(cache=True, parallel=True, error_model="numpy")
+def drive(source, model, pilot, genes, begun, z, together, block, poses, commands, readings, ends):
+    """Drive every individual through every sample.
+
+    Args:
+        source: of :class:`Functions`.
+        model: of a class that :func:`compiled` knows.
+        pilot: :class:`~neurosim.networks.control_kernels.Pilot`: what all individuals share.
+        genes: [P, G] of networks.
+        begun: [1 or P, R, S] the states in which robots begin, of all individuals or of each.
+        z: [1 or P, T, R, Z] float32, the noise of every step, likewise; T = 0: there is none. The
+            readings before step k are made with the k-th, the n-th command that is given with the
+            n-th.
+        together: so many robots are stepped together: with networks 1.
+        block: so many trials share their scratch memory.
+        poses: [P, R, T + 1, 3], written: before each step and after the last; none: not kept.
+        commands: [P, R, T, C], written: of networks, without the duration; T = 0: not kept.
+        readings: [P, R, T, Q] float32, written: before each step from ``pilot.reads`` on; T = 0:
+            not kept.
+        ends: [P, R, S], written: the states after the last step.
+    """
+    individuals, samples, width = ends.shape
+    parts = (samples + together - 1) // together
+    jobs = individuals * parts
+    null = np.empty(0, np.float32), np.empty((0, 0), np.float32)
+    for job in prange((jobs + block - 1) // block):
+        work, values, states = _scratch(model), np.empty(room(pilot)), np.empty((together, width))
+        command, seen = np.zeros(len(pilot.scale) + 1), np.zeros(readings.shape[3])
+        for trial in range(job * block, min((job + 1) * block, jobs)):
+            p, first = trial // parts, trial % parts * together
+            here = states[: min(together, samples - first)]
+            own, numbers = p if len(begun) > 1 else 0, p if len(z) > 1 else 0
+            for r in range(len(here)):
+                for i in range(width):
+                    here[r, i] = begun[own, first + r, i]
+            _try(
+                model,
+                pilot,
+                p,
+                genes,
+                here,
+                z[numbers],
+                null,
+                first,
+                work,
+                values,
+                command,
+                seen,
+                poses[p],
+                commands[p],
+                readings[p],
+            )
+            for r in range(len(here)):
+                for i in range(width):
+                    ends[p, first + r, i] = here[r, i]
+
+
+# Counting references to arrays would take as long as the steps themselves: nothing is made here.
+@kernel(forceinline=True)
+def _try(
+    model,
+    pilot,
+    p,
+    genes,
+    here,
+    z,
+    null,
+    first,
+    work,
+    values,
+    command,
+    seen,
+    poses,
+    commands,
+    readings,
+):
+    """Drive individual ``p`` in the states ``here`` [N, S], samples from ``first`` on; as drive."""
+    columns, last = len(pilot.scale), first + len(here)
+    posed, noted, kept = poses.shape[1] > 0, commands.shape[1] > 0, readings.shape[1] > 0
+    values[:] = 0.0
+    goal, sent = 0, 0
+    for k in range(pilot.length):
+        if posed:
+            for r in range(len(here)):
+                for i in range(3):
+                    poses[first + r, k, i] = here[r, i]
+        if k >= pilot.reads:
+            for r in range(len(here)):
+                drawn = z[k, first + r] if len(z) > 0 else null[0]
+                _sense(model, here[r], drawn, work, seen)
+                if kept:
+                    for i in range(len(seen)):
+                        readings[first + r, k - pilot.reads, i] = seen[i]
+        given = True
+        if pilot.blind:
+            given = pilot.given[p, k]
+            for c in range(pilot.commands.shape[2]):
+                command[c] = pilot.commands[p, k, c]
+        elif k < pilot.steps:
+            x, y, theta = here[0, 0], here[0, 1], here[0, 2]
+            goal = observe(pilot, x, y, theta, goal, k * pilot.step, seen, values)
+            act(pilot, genes[p], values, command)
+            command[columns] = pilot.step
+        else:
+            command[:columns] = 0.0
+            command[columns] = pilot.rest
+        if noted:
+            for c in range(columns):
+                commands[first, k, c] = command[c]
+        if given:
+            _step(model, here, command, z[sent, first:last] if len(z) > 0 else null[1], work)
+            sent += 1
+    if posed:
+        for r in range(len(here)):
+            for i in range(3):
+                poses[first + r, pilot.length, i] = here[r, i]
+
+
+class CompiledRollouts:
+    """Rollouts of one kind of controller in a simulator that brings compiled functions."""
+
+    def __init__(self, simulator: Any, controller: Any, episode: Episode):
+        """Lay out the controllers, which are open-loop or networks."""
+        self._simulator, self._controller, self._episode = simulator, controller, episode
+        self._model = simulator.compiled()
+        names = simulator.reading_names
+        reads = bool(names) and (
+            episode.readings or any(name not in NOT_READINGS for name in controller.inputs)
+        )
+        self._reads = reads
+        self._net: Pilot | None = None
+        if not controller.blind:
+            sources = input_sources(controller.inputs, names)
+            self._net = closed_loop(controller.arrays(), sources, episode, reads)
+        self._kept: dict[str, NDArray] = {}
+
+    def draw(
+        self,
+        starts: NDArray[np.float64],
+        rng: np.random.Generator | int,
+        placing: tuple[float, float] | None = None,
+    ) -> Draws:
+        """Sample where each robot stands, its ensemble member and its noise."""
+        steps = trial_steps(self._controller, self._episode)
+        return draw_samples(self._simulator, starts, rng, placing, steps)
+
+    def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
+        """Return the trajectories [P, R, ...] of individuals [P, G] through samples [R].
+
+        Raises:
+            ValueError: if genes or noise are not as many as this trial takes.
+        """
+        if genes.ndim != 2 or genes.shape[1] != self._controller.genes:
+            wanted = self._controller.genes
+            raise ValueError(f"expected genes [P, {wanted}], got {list(genes.shape)}")
+        pilot, rest, samples = self._net, self._episode.rest, len(draws)
+        if pilot is None:
+            commands, active = self._controller.commands(genes, rest)
+            given = np.array(active)
+            if rest > 0:
+                given[:, -1] = True
+            pilot = open_loop(commands, given, 0 if self._reads else given.shape[1])
+        begun = began(self._simulator, draws)[None]
+        noise = _as_steps(draws.noise, self._simulator, samples, pilot.length)
+        together = 1
+        if pilot.blind:  # one plan is shared out among the cores
+            together = -(-samples // get_num_threads()) if len(genes) == 1 else samples
+        columns = 0 if pilot.blind else len(pilot.scale)
+        poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
+        ends = np.empty((len(genes), *begun.shape[1:]))
+        functions = functions_of(self._model)
+        drive(
+            functions.source,
+            self._model,
+            pilot,
+            np.ascontiguousarray(genes, np.float64),
+            begun,
+            noise,
+            together,
+            1,
+            poses,
+            driven,
+            readings,
+            ends,
+        )
+        read = readings if self._reads else None
+        if pilot.blind:
+            found = planned(poses, commands, active, rest)
+            return replace(found, readings=read)
+        return stepped(poses, driven, read, self._episode)
+
+    def _buffers(
+        self, count: int, samples: int, steps: int, columns: int, reuse: bool
+    ) -> list[NDArray]:
+        """Return arrays [P, R, ...] for poses, commands and readings to be written to.
+
+        New memory of tens of megabytes takes as long as the driving: with ``reuse`` it is that of
+        the run before where it is large enough.
+        """
+        sensors = len(self._simulator.reading_names)
+        shapes = {
+            "poses": ((steps + 1, 3), np.float64),
+            "commands": ((steps * (columns > 0), columns), np.float64),
+            "readings": ((steps * self._reads, sensors), np.float32),
+        }
+        buffers = []
+        for name, (each, dtype) in shapes.items():
+            kept = self._kept.get(name)
+            if not reuse or kept is None or len(kept) < count or kept.shape[1:] != (samples, *each):
+                kept = np.empty((count, samples, *each), dtype)
+                if reuse:
+                    self._kept[name] = kept
+            buffers.append(kept[:count])
+        return buffers
+
+
+class CompiledStepper(Stepper):
+    """Steps batches in compiled code, on all cores."""
+
+    def __init__(self, simulator: Any):
+        super().__init__(simulator)
+        self._model = simulator.compiled()
+        self._source = functions_of(self._model).source
+
+    def step(
+        self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] after commands [B, C]."""
+        return self.step_and_sense(state, command, noise, None)[0]
+
+    def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
+        """Return the readings [B, R] in 0..1, float32."""
+        commands = np.empty((len(state), 1, len(self.simulator.command_names)))
+        pilot = open_loop(commands, np.zeros((len(state), 1), np.bool_), 0)
+        return self._drive(pilot, state, None if noise is None else noise[:, None])[1]
+
+    def step_and_sense(
+        self,
+        state: NDArray[np.float64],
+        command: NDArray[np.float64],
+        noise: NDArray | None,
+        after: NDArray | None,
+        *,
+        reads: bool = True,
+    ) -> tuple[NDArray[np.float64], NDArray]:
+        """Return the states [B, S] after commands [B, C], and the readings there [B, R], float32.
+
+        Args:
+            state, command, noise: as :meth:`step` takes them.
+            after: the noise of the step that follows, with which sensors are read.
+            reads: whether they are read; if not, the readings hold anything.
+        """
+        # A plan of one command and a null one, before which the sensors are read.
+        steps = 1 + reads
+        commands = np.empty((len(state), steps, command.shape[1]))
+        commands[:, 0], given = command, np.zeros((len(state), steps), np.bool_)
+        given[:, 0] = True
+        z = None
+        if noise is not None:
+            z = noise[:, None] if after is None else np.stack([noise, after], axis=1)
+        return self._drive(open_loop(commands, given, 1), state, z)
+
+    def _drive(
+        self, pilot: Pilot, state: NDArray[np.float64], z: NDArray | None
+    ) -> tuple[NDArray[np.float64], NDArray]:
+        rows, sensors = len(state), len(self.simulator.reading_names)
+        begun = np.ascontiguousarray(state, np.float64)[:, None]
+        noise = np.empty((1, 0, 0, 0), np.float32)
+        if z is not None:
+            noise = np.ascontiguousarray(z, np.float32)[:, :, None]
+        unused, ends = np.empty((rows, 1, 0, 3)), np.empty_like(begun)
+        readings = np.empty((rows, 1, pilot.length - pilot.reads, sensors), np.float32)
+        genes = np.empty((0, 0))
+        given = self._source, self._model, pilot, genes, begun, noise, 1, _BLOCK
+        drive(*given, unused, unused, readings, ends)
+        return ends[:, 0], readings[:, 0, -1] if readings.shape[2] else readings[:, 0]
+
+
+def _as_steps(
+    noise: NDArray | None, simulator: Any, samples: int, steps: int
+) -> NDArray[np.float32]:
+    """Return noise [1, T, R, Z] as the loop takes it, of noise [R, T, Z]; T = 0: there is none.
+
+    Raises:
+        ValueError: if there is too little of it; compiled code does not look.
+    """
+    width = simulator.noise_width
+    if noise is None:
+        return np.empty((1, 0, 0, width), np.float32)
+    if len(noise) != samples or noise.shape[1] < steps or noise.shape[2] < width:
+        raise ValueError(f"expected noise [{samples}, {steps}, {width}], got {list(noise.shape)}")
+    return np.ascontiguousarray(noise.transpose(1, 0, 2), np.float32)[None]

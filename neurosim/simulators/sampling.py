@@ -1,0 +1,151 @@
+"""Samples of trials, and steps of whole batches: the same for all simulators."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from neurosim.base.trajectory import Draws, Episode
+from neurosim.simulators.numbers import words
+
+#: How well a person puts a robot down at a mark: standard deviations in x and y (m), heading (rad).
+PLACING = (0.003, float(np.radians(0.5)))
+
+
+class Stepper:
+    """Steps whole batches in NumPy, each row with random numbers of its own.
+
+    It asks the simulator's own ``step`` and ``sense``; the compiled one
+    is a subclass, held to this one by a test. What a row meets follows from its own seed and step
+    alone, however many other rows there are.
+
+    Attributes:
+        simulator: whose steps they are.
+    """
+
+    def __init__(self, simulator: Any):
+        self.simulator = simulator
+
+    def start(
+        self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] of robots that stand still; see ``Simulator.standing``."""
+        return self.simulator.standing(poses, member)
+
+    def noise(self, seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray:
+        """Return the noise of a step, as :meth:`step` and :meth:`sense` take it.
+
+        Args:
+            seeds: [B] of the rows' samples.
+            steps: [B] the number of the step in each row.
+
+        Returns:
+            Numbers [B, noise_width]; or a seed for each row [B, 1], where the simulator draws its
+            noise itself.
+        """
+        numbers = self.simulator.noise_of(seeds, 1, steps)
+        return words(seeds, steps)[:, None] if numbers is None else numbers[:, 0]
+
+    def step(
+        self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
+    ) -> NDArray[np.float64]:
+        """Return the states [B, S] after commands [B, C]; ``noise`` of :meth:`noise`, or None."""
+        return self._ask(self.simulator.step, noise, state, command)
+
+    def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
+        """Return the readings [B, R] in 0..1 in states [B, S]; ``noise`` as in :meth:`step`."""
+        return self._ask(self.simulator.sense, noise, state)
+
+    def step_and_sense(
+        self,
+        state: NDArray[np.float64],
+        command: NDArray[np.float64],
+        noise: NDArray | None,
+        after: NDArray | None,
+    ) -> tuple[NDArray[np.float64], NDArray]:
+        """Return the states [B, S] after commands [B, C], and the readings there [B, R].
+
+        Args:
+            state, command, noise: as :meth:`step` takes them.
+            after: the noise of the step that follows, with which sensors are read.
+        """
+        state = self.step(state, command, noise)
+        return state, self.sense(state, after)
+
+    def _ask(self, what: Any, noise: NDArray | None, *given: NDArray) -> NDArray:
+        tensors = [torch.from_numpy(one) for one in given]
+        with torch.no_grad():
+            if noise is None:
+                return what(*tensors).numpy()
+            if self.simulator.noise_width:
+                return what(*tensors, z=torch.from_numpy(noise)).numpy()
+            rows = zip(*(one.split(1) for one in tensors), strict=True)
+            answers = [
+                what(*row, generator=_generator(seed))
+                for row, seed in zip(rows, noise[:, 0], strict=True)
+            ]
+            return torch.cat(answers).numpy()
+
+
+def _generator(seed: np.uint64) -> torch.Generator:
+    return torch.Generator().manual_seed(int(seed) >> 1)
+
+
+def as_seed(rng: np.random.Generator | int) -> int:
+    """Return a seed for PyTorch: the number itself, or one drawn."""
+    return rng if isinstance(rng, int) else int(rng.integers(2**62))
+
+
+def trial_steps(controller: Any, episode: Episode) -> int:
+    """Return how many steps a trial of a controller has, the stop at its end included."""
+    if controller.blind:
+        genes = np.zeros((1, controller.genes))
+        return controller.commands(genes, episode.rest)[0].shape[1]
+    return episode.steps + (episode.rest > 0)
+
+
+def draw_samples(
+    simulator: Any,
+    starts: NDArray[np.float64],
+    rng: np.random.Generator | int,
+    placing: tuple[float, float] | None,
+    steps: int,
+) -> Draws:
+    """Sample where each robot stands, which ensemble member it moves as, and its noise.
+
+    Args:
+        simulator: in which they are.
+        starts, rng, placing: as :meth:`Rollouts.draw` takes them.
+        steps: of a trial.
+    """
+    rng = np.random.default_rng(rng)
+    starts = placed(starts, placing, rng)
+    member = noise = seeds = None
+    if simulator.members > 1:  # as many of each as can be: less noise in the fitness
+        member = rng.permutation(np.arange(len(starts)) % simulator.members)
+    if simulator.has_noise:
+        seeds = rng.integers(2**64, size=len(starts), dtype=np.uint64)
+        noise = simulator.noise_of(seeds, steps)
+    return Draws(starts, member, noise, seeds if noise is None else None)
+
+
+def placed(
+    starts: NDArray[np.float64], placing: tuple[float, float] | None, rng: np.random.Generator
+) -> NDArray[np.float64]:
+    """Return the poses [R, 3] of robots that a person places at ``starts`` [R, 3]."""
+    if placing is None:
+        return np.asarray(starts, np.float64)
+    return starts + rng.standard_normal((len(starts), 3)) * (placing[0], placing[0], placing[1])
+
+
+def began(simulator: Any, draws: Draws) -> NDArray[np.float64]:
+    """Return the states [R, S] in which the robots of samples begin."""
+    states = simulator.standing(draws.starts, draws.member)
+    if draws.state is not None:
+        own = [name not in ("x", "y", "theta", "member") for name in simulator.state_names]
+        last = simulator.over(torch.from_numpy(draws.state[None]))[0].numpy()
+        states[:, own] = last[own]
+    return states

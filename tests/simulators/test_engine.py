@@ -1,0 +1,125 @@
+"""A simulator of a user's own in the compiled loop: the same as stepped, kept, never stale."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+import neurosim as ns
+from neurosim import testing
+
+OWN = """
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import njit
+
+import neurosim as ns
+
+
+class Slider(NamedTuple):
+    gain: float
+
+
+@njit
+def step(model, states, command, z, work):
+    for r in range(len(states)):
+        states[r, 0] += model.gain * command[0] * command[2] * FACTOR
+        if len(z) > 0:
+            states[r, 1] += 0.01 * z[r, 0]
+
+
+@njit
+def sense(model, state, z, work, out):
+    out[0] = min(max(state[0], 0.0), 1.0)
+
+
+ns.compiled(Slider, step, sense)
+
+
+class Own(ns.Simulator):
+    kind = "own"
+    state_names = ("x", "y", "theta")
+    command_names = ("left", "right", "duration")
+    reading_names = ("front",)
+    has_noise, noise_width = True, 1
+    domain = {"left": (-50.0, 50.0), "right": (-50.0, 50.0), "duration": (0.0, 2.0)}
+
+    def start(self, pose, generator=None):
+        return pose
+
+    def step(self, state, command, generator=None, z=None):
+        if generator is not None:
+            z = torch.randn(len(state), 1, generator=generator, dtype=torch.float64)
+        moved = 0.01 * command[:, 0] * command[:, 2] * FACTOR
+        aside = torch.zeros_like(moved) if z is None else 0.01 * z[:, 0]
+        return torch.stack([state[:, 0] + moved, state[:, 1] + aside, state[:, 2]], 1)
+
+    def sense(self, state, generator=None, z=None):
+        return state[:, :1].clamp(0.0, 1.0)
+
+    def compiled(self):
+        return Slider(0.01)
+"""
+
+
+@pytest.fixture
+def own(tmp_path, monkeypatch):
+    """Return a function that writes the module with a factor and returns its simulator."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def written(factor):
+        (tmp_path / "own_slider.py").write_text(OWN.replace("FACTOR", factor))
+        sys.modules.pop("own_slider", None)
+        import own_slider
+
+        return own_slider.Own()
+
+    return written
+
+
+def test_a_simulator_of_ones_own_is_what_its_steps_say(own):
+    testing.check_simulator(own("2.0"))
+
+
+def test_what_is_compiled_is_kept_and_never_stale(own, tmp_path):
+    own("3.0")
+    program = """
+import numpy as np, own_slider, neurosim as ns
+from neurosim.simulators import engine
+plan = ns.make_controller("plan", slots=2)
+print(ns.rollout(own_slider.Own(), np.array([[50.0, 0.0, 1.0]])).poses[-1, 0])
+print(sum(engine.drive.stats.cache_hits.values()))
+"""
+
+    def ran():
+        done = subprocess.run(
+            [sys.executable, "-c", program],
+            env={**__import__("os").environ, "PYTHONPATH": f"{tmp_path}:{':'.join(sys.path)}"},
+            capture_output=True,
+            text=True,
+            check=True,
+        )
+        x, hits = done.stdout.split()
+        return float(x), int(hits)
+
+    assert ran()[0] == pytest.approx(1.5)
+    assert ran() == (pytest.approx(1.5), 1)
+    (tmp_path / "own_slider.py").write_text(OWN.replace("FACTOR", "4.0"))
+    assert ran()[0] == pytest.approx(2.0)
+
+
+def test_a_model_without_functions_is_refused():
+    class Empty(ns.Simulator):
+        state_names, command_names = ("x", "y", "theta"), ("left", "right", "duration")
+
+        def start(self, pose, generator=None):
+            return pose
+
+        def compiled(self):
+            return np.zeros(3)
+
+    with pytest.raises(TypeError, match="ndarray has no compiled functions"):
+        Empty().stepper()
