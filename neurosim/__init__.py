@@ -55,7 +55,7 @@ _PUBLIC = {
 }
 
 # Before anything imports Numba.
-keep_compiled(Path(__file__).parent)
+keep_compiled(Path(__file__).parent, Path(__file__).parents[1] / "tracking")
 
 #: What can be registered by name, and where.
 _REGISTRIES = {

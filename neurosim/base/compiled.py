@@ -3,32 +3,57 @@
 from __future__ import annotations
 
 import atexit
+import hashlib
 import os
 import shutil
 import tempfile
 from pathlib import Path
 
+#: Folders of machine code are named after it and what they were compiled from.
+_PREFIX = "neurosim-compiled-"
 
-def keep_compiled(package: Path) -> None:
-    """Name a folder for what Numba compiles where it would find none that it may write to.
 
-    It keeps that beside the source or in the user's cache, and refuses to work where neither can
-    be written: an installation that is read-only, for a user without a home. A folder of this
-    process's own is made then, and removed at its end; what is compiled lasts no longer.
+def keep_compiled(*packages: Path) -> None:
+    """Name a folder for what Numba compiles from the sources as they are.
+
+    Numba looks at the file of the outermost function alone: after an edit of one that it calls, it
+    would go on with the machine code of before. So the folder is another one wherever a source
+    beside compiled functions differs. It is in ``NUMBA_CACHE_DIR``, beside the source, or in the
+    user's cache. Where none can be written to, as in an installation that is read-only for a user
+    without a home, it is one of this process's own, removed at its end.
 
     Args:
-        package: folder of the source.
+        packages: folders of the sources; it may be kept beside the first.
     """
-    if os.environ.get("NUMBA_CACHE_DIR") or os.access(package, os.W_OK):
+    name = _PREFIX + _digest(packages)
+    asked = os.environ.get("NUMBA_CACHE_DIR")
+    if asked and Path(asked).name == name:  # of the process that started this one
         return
     cache = os.environ.get("XDG_CACHE_HOME") or os.path.join(os.path.expanduser("~"), ".cache")
-    try:
-        os.makedirs(cache, exist_ok=True)
-        with tempfile.TemporaryFile(dir=cache):
-            return
-    except OSError:
-        pass
+    for place in [Path(asked)] if asked else [packages[0] / "__pycache__", Path(cache)]:
+        try:
+            (place / name).mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=place / name):
+                os.environ["NUMBA_CACHE_DIR"] = str(place / name)
+                return
+        except OSError:
+            pass
     # Nobody else may write there: what is kept in it runs when it is loaded.
-    folder = tempfile.mkdtemp(prefix="neurosim-compiled-")
+    folder = tempfile.mkdtemp(prefix=_PREFIX)
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
     os.environ["NUMBA_CACHE_DIR"] = folder
+
+
+def _digest(packages: tuple[Path, ...]) -> str:
+    """Return a digest of all sources in folders that have compiled functions.
+
+    Their neighbours count, too: compiled functions take in constants of theirs.
+    """
+    sources = {p: p.read_bytes() for package in packages for p in package.rglob("*.py")}
+    folders = {path.parent for path, source in sources.items() if b"import numba" in source}
+    folders |= {path.parent for path, source in sources.items() if b"from numba" in source}
+    digest = hashlib.sha256()
+    for path in sorted(sources):
+        if path.parent in folders:
+            digest.update(sources[path])
+    return digest.hexdigest()[:16]

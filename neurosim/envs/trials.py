@@ -134,7 +134,10 @@ class Trials:
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)
         with one_core(len(self) < WORTH_SHARING):
-            self._look(rows)
+            noise = self._drawn(rows)
+            if self.face.reads:
+                seen = self._stepper.sense(self.state[rows], noise)
+                self._readings = self._kept(self._readings, rows, seen)
 
     def step(
         self, commands: NDArray[np.float64]
@@ -174,24 +177,24 @@ class Trials:
     ) -> None:
         noise = None if self._noise is None else self._noise[rows]
         readings = None if self._readings is None else self._readings[rows]
-        after = self._stepper.step(self.state[rows], commands, noise)
-        if isinstance(rows, slice):
-            self.state = after
-        else:
-            self.state[rows] = after
         self._steps[rows] += 1
-        self.face.add(rows, Interval(after[:, :3], commands, readings, duration, active))
-        self._look(rows)
-
-    def _look(self, rows: Rows) -> None:
-        """Draw the next step's noise, and read the sensors."""
-        noise = None
-        if self._noisy:
-            noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
-            self._noise = self._kept(self._noise, rows, noise)
+        following = self._drawn(rows)
         if self.face.reads:
-            seen = self._stepper.sense(self.state[rows], noise)
+            given = self.state[rows], commands, noise, following
+            after, seen = self._stepper.step_and_sense(*given)
             self._readings = self._kept(self._readings, rows, seen)
+        else:
+            after = self._stepper.step(self.state[rows], commands, noise)
+        self.state = self._kept(self.state, rows, after)
+        self.face.add(rows, Interval(after[:, :3], commands, readings, duration, active))
+
+    def _drawn(self, rows: Rows) -> NDArray | None:
+        """Return the noise of the next step, if there is any, and keep it."""
+        if not self._noisy:
+            return None
+        noise = self._stepper.noise(self._seeds[rows], self._steps[rows])
+        self._noise = self._kept(self._noise, rows, noise)
+        return noise
 
     def _kept(self, kept: NDArray | None, rows: Rows, new: NDArray) -> NDArray:
         if isinstance(rows, slice):

@@ -21,8 +21,8 @@ import inspect
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from types import FunctionType
 from typing import Any, NamedTuple
-from uuid import uuid4
 
 import numpy as np
 from numba import get_num_threads, njit, prange
@@ -45,7 +45,7 @@ class Functions(NamedTuple):
     step: Callable[..., None]
     sense: Callable[..., None]
     scratch: Callable[..., Any]
-    source: np.ndarray  #: empty; its type differs where the functions' source differs
+    drive: Callable[..., None]  #: :func:`drive`, compiled for these
 
 
 _FUNCTIONS: dict[type, Functions] = {}
@@ -70,13 +70,16 @@ def compiled(
             may write to, made once for many steps. None: an empty array.
     """
     files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
-    if all(file.exists() for file in files):
-        digest = hashlib.sha256(b"".join(sorted(file.read_bytes() for file in files))).hexdigest()
-    else:  # typed in by hand, as in a notebook: compiled anew in every session
-        digest = uuid4().hex
-    # Numba keeps machine code by the types of arguments: an edited function needs another type.
-    source = np.empty(0, [(f"source_{digest[:16]}", np.int8)])
-    _FUNCTIONS[model] = Functions(step, sense or _no_readings, scratch or _no_scratch, source)
+    kept = all(file.exists() for file in files)  # not what is typed in by hand, as in a notebook
+    sources = [model.__module__.encode(), model.__qualname__.encode()]
+    sources += [file.read_bytes() for file in sorted(files)] if kept else []
+    # Numba keeps machine code under the name of a function, with the types that it was compiled
+    # for: a loop for each class, so that none needs the modules of others, or an old source.
+    name = f"drive_{hashlib.sha256(b' '.join(sources)).hexdigest()[:16]}"
+    own = FunctionType(drive.__code__, drive.__globals__, name)
+    own.__qualname__ = name
+    loop = njit(cache=kept, parallel=True, error_model="numpy")(own)
+    _FUNCTIONS[model] = Functions(step, sense or _no_readings, scratch or _no_scratch, loop)
 
 
 def functions_of(model: Any) -> Functions:
@@ -140,12 +143,10 @@ def _(model):
     return lambda model: function(model)
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
-def drive(source, model, pilot, genes, begun, z, together, block, poses, commands, readings, ends):
-    """Drive every individual through every sample.
+def drive(model, pilot, genes, begun, z, together, block, poses, commands, readings, ends):
+    """Drive every individual through every sample; :func:`compiled` compiles it for each class.
 
     Args:
-        source: of :class:`Functions`.
         model: of a class that :func:`compiled` knows.
         pilot: :class:`~neurosim.networks.control_kernels.Pilot`: what all individuals share.
         genes: [P, G] of networks.
@@ -310,9 +311,7 @@ class CompiledRollouts:
         columns = 0 if pilot.blind else len(pilot.scale)
         poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
         ends = np.empty((len(genes), *begun.shape[1:]))
-        functions = functions_of(self._model)
-        drive(
-            functions.source,
+        functions_of(self._model).drive(
             self._model,
             pilot,
             np.ascontiguousarray(genes, np.float64),
@@ -362,13 +361,14 @@ class CompiledStepper(Stepper):
     def __init__(self, simulator: Any):
         super().__init__(simulator)
         self._model = simulator.compiled()
-        self._source = functions_of(self._model).source
+        self._drive_all = functions_of(self._model).drive
 
     def step(
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
     ) -> NDArray[np.float64]:
         """Return the states [B, S] after commands [B, C]."""
-        return self.step_and_sense(state, command, noise, None)[0]
+        z = None if noise is None else noise[:, None]
+        return self._after(state, command, z, 1)[0]
 
     def sense(self, state: NDArray[np.float64], noise: NDArray | None) -> NDArray:
         """Return the readings [B, R] in 0..1, float32."""
@@ -382,24 +382,28 @@ class CompiledStepper(Stepper):
         command: NDArray[np.float64],
         noise: NDArray | None,
         after: NDArray | None,
-        *,
-        reads: bool = True,
     ) -> tuple[NDArray[np.float64], NDArray]:
         """Return the states [B, S] after commands [B, C], and the readings there [B, R], float32.
 
         Args:
             state, command, noise: as :meth:`step` takes them.
-            after: the noise of the step that follows, with which sensors are read.
-            reads: whether they are read; if not, the readings hold anything.
+            after: the noise of the step that follows, with which sensors are read; None where
+                ``noise`` is None.
         """
-        # A plan of one command and a null one, before which the sensors are read.
-        steps = 1 + reads
+        z = None if noise is None or after is None else np.stack([noise, after], axis=1)
+        return self._after(state, command, z, 2)
+
+    def _after(
+        self,
+        state: NDArray[np.float64],
+        command: NDArray[np.float64],
+        z: NDArray | None,
+        steps: int,
+    ) -> tuple[NDArray[np.float64], NDArray]:
+        """Drive a plan of one command; before the null one that may follow, sensors are read."""
         commands = np.empty((len(state), steps, command.shape[1]))
         commands[:, 0], given = command, np.zeros((len(state), steps), np.bool_)
         given[:, 0] = True
-        z = None
-        if noise is not None:
-            z = noise[:, None] if after is None else np.stack([noise, after], axis=1)
         return self._drive(open_loop(commands, given, 1), state, z)
 
     def _drive(
@@ -413,8 +417,8 @@ class CompiledStepper(Stepper):
         unused, ends = np.empty((rows, 1, 0, 3)), np.empty_like(begun)
         readings = np.empty((rows, 1, pilot.length - pilot.reads, sensors), np.float32)
         genes = np.empty((0, 0))
-        given = self._source, self._model, pilot, genes, begun, noise, 1, _BLOCK
-        drive(*given, unused, unused, readings, ends)
+        given = self._model, pilot, genes, begun, noise, 1, _BLOCK
+        self._drive_all(*given, unused, unused, readings, ends)
         return ends[:, 0], readings[:, 0, -1] if readings.shape[2] else readings[:, 0]
 
 

@@ -425,25 +425,6 @@ def test_a_name_that_is_not_utf_8_is_refused():
         files.check_name(os.fsdecode(b"a\xff.avi"))
 
 
-def test_compiled_functions_have_a_place_without_a_home(tmp_path, monkeypatch):
-    from neurosim.base import compiled
-
-    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
-    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    compiled.keep_compiled(tmp_path)  # beside the source
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
-    monkeypatch.setattr(os, "access", lambda *_: False)
-    compiled.keep_compiled(tmp_path)  # in the user's cache
-    assert os.environ["NUMBA_CACHE_DIR"] == ""
-    (tmp_path / "file").touch()
-    monkeypatch.setenv("HOME", str(tmp_path / "file"))
-    compiled.keep_compiled(tmp_path)
-    folder = os.environ["NUMBA_CACHE_DIR"]
-    assert os.stat(folder).st_mode & 0o777 == 0o700
-    os.rmdir(folder)
-
-
 def test_lines_of_json_drop_a_torn_line_and_go_on(tmp_path):
     path = tmp_path / "lines.jsonl"
     log = files.JsonLines(path, "lines", 1, {"about": {"size": (1, 2)}})

@@ -91,7 +91,8 @@ import numpy as np, own_slider, neurosim as ns
 from neurosim.simulators import engine
 plan = ns.make_controller("plan", slots=2)
 print(ns.rollout(own_slider.Own(), np.array([[50.0, 0.0, 1.0]])).poses[-1, 0])
-print(sum(engine.drive.stats.cache_hits.values()))
+loop = engine.functions_of(own_slider.Own().compiled()).drive
+print(sum(loop.stats.cache_hits.values()))
 """
 
     def ran():

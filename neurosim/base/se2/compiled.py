@@ -1,8 +1,7 @@
 """Planar poses and displacements in compiled code, one at a time; see :mod:`neurosim.base.se2`.
 
 Every function takes numbers and returns a tuple of them, and becomes a part of the Numba function
-that calls it, which it costs nothing. After a change here delete the ``__pycache__`` folders of
-those that call it: Numba's cache looks at the caller's own file only.
+that calls it, which it costs nothing.
 """
 
 from __future__ import annotations

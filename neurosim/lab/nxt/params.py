@@ -20,8 +20,7 @@ from neurosim.base.closed_line import ClosedLine, distance_to
 class Board(NamedTuple):
     """The board on the floor, frame at its centre (m), and how much light it throws back.
 
-    Compiled code takes these numbers in as constants, and Numba's cache knows only the file that
-    the code stands in: after a change here, delete the ``__pycache__`` folder beside it.
+    Compiled code takes these numbers in as constants.
     """
 
     length: float = 2.76

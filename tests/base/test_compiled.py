@@ -1,0 +1,67 @@
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from neurosim.base import compiled
+
+
+@pytest.fixture
+def kept(tmp_path, monkeypatch):
+    """Return a function that says where compiled functions of a source are kept."""
+    source, home = tmp_path / "source", tmp_path / "home"
+    source.mkdir()
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(home))
+
+    def where():
+        compiled.keep_compiled(source)
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+
+    return where
+
+
+def test_compiled_functions_are_kept_beside_the_source(kept, tmp_path):
+    folder = kept()
+    assert folder.parent == tmp_path / "source" / "__pycache__"
+    assert kept() == folder  # as a process that this one starts
+
+
+def test_or_in_the_users_cache_or_in_a_folder_of_the_process(kept, tmp_path, monkeypatch):
+    (tmp_path / "source" / "__pycache__").touch()
+    assert kept().parent == tmp_path / "home" / ".cache"
+    monkeypatch.setenv("NUMBA_CACHE_DIR", "")
+    monkeypatch.setenv("HOME", str(tmp_path / "source" / "__pycache__"))
+    folder = kept()
+    assert folder.stat().st_mode & 0o777 == 0o700
+    folder.rmdir()
+
+
+def test_an_edited_function_that_a_compiled_one_calls_is_compiled_anew(tmp_path):
+    (tmp_path / "callee.py").write_text(
+        "import numba\n\n@numba.njit\ndef f(x):\n    return x + 1\n"
+    )
+    (tmp_path / "caller.py").write_text(
+        "import numba\nfrom callee import f\n\n"
+        "@numba.njit(cache=True)\ndef g(x):\n    return 10 * f(x)\n"
+    )
+    program = (
+        "from pathlib import Path\nfrom neurosim.base.compiled import keep_compiled\n"
+        f"keep_compiled(Path({str(tmp_path)!r}))\n"
+        "from caller import g\nprint(g(1), sum(g.stats.cache_hits.values()))"
+    )
+    env = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+    env["PYTHONPATH"] = os.pathsep.join([str(tmp_path), *sys.path])
+
+    def ran():
+        command = [sys.executable, "-c", program]
+        return subprocess.run(command, env=env, capture_output=True, text=True, check=True).stdout
+
+    assert ran().split() == ["20", "0"]
+    assert ran().split() == ["20", "1"]
+    callee = tmp_path / "callee.py"
+    callee.write_text(callee.read_text().replace("x + 1", "x + 2"))
+    assert ran().split() == ["30", "0"]
