@@ -15,6 +15,7 @@ import contextlib
 import inspect
 import io
 import json
+import sys
 import tempfile
 import tokenize
 import traceback
@@ -69,7 +70,7 @@ def files_to_kernel() -> list[str]:
     """Return the files of ours on the stack where `neurosim evolve` enters the compiled loop."""
     from closed_loop import motion_network
 
-    from neurosim.cli.main import cli
+    from neurosim.cli.main import main as command
     from neurosim.simulators import engine
     from neurosim.simulators.motion.files import write_motion
     from neurosim.simulators.motion.kernels import MotionModel
@@ -89,7 +90,9 @@ def files_to_kernel() -> list[str]:
         folder.mkdir()
         write_motion(motion_network(), folder)
         words = ["evolve", folder, "-o", Path(name) / "plan", "--generations", "1", "--runs", "1"]
-        cli(list(map(str, words)), standalone_mode=False)
+        sys.argv = ["neurosim", *map(str, words)]
+        with contextlib.suppress(SystemExit):
+            command()
     files[-1] = str(Path(files[-1]).relative_to(ROOT))
     return files
 

@@ -163,7 +163,7 @@ class Draws:
             simulator has no members.
         noise: [R, T, Z] numbers for the noise of every step, as the simulator's ``step`` and
             ``sense`` take them; None where there is no noise, or it comes from ``seeds``.
-        seeds: [R] uint64 from which compiled rollouts make the noise as they go, or None.
+        seeds: [R] uint64 of a simulator that draws its noise itself, or None.
         state: [S] of the simulator: the robot is under way, and goes on from this state in every
             outcome, but for the pose and the member, which are those above; the command that led
             to it is over, and what follows begins anew. None: it stands still.

@@ -271,9 +271,13 @@ class Simulator:
 
     def stepper(self) -> Stepper:
         """Return a :class:`Stepper`: advances a batch, one random stream per robot."""
-        if self.compiled() is None:
-            return Stepper(self)
-        return CompiledStepper(self)
+        return CompiledStepper(self) if self._runs_compiled else Stepper(self)
+
+    @property
+    def _runs_compiled(self) -> bool:
+        """Whether there are compiled functions; they are given noise, and draw none themselves."""
+        given = self.noise_width > 0 or not self.has_noise
+        return given and self.compiled() is not None
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.
@@ -284,7 +288,7 @@ class Simulator:
         timed = outputs if controller.blind else (*outputs, "duration")
         fits = self.command_names == timed or self.command_names == outputs
         drives = controller.blind or controller.arrays() is not None
-        if not fits or not drives or self.compiled() is None:
+        if not fits or not drives or not self._runs_compiled:
             return None
         return CompiledRollouts(self, controller, episode)
 

@@ -69,7 +69,9 @@ def compiled(
         scratch: (model) -> ``work``, which is handed to ``step`` and ``sense``: arrays that they
             may write to, made once for many steps. None: an empty array.
     """
-    files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
+    files = {
+        Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense, scratch) if one
+    }
     kept = all(file.exists() for file in files)  # not what is typed in by hand, as in a notebook
     sources = [model.__module__.encode(), model.__qualname__.encode()]
     sources += [file.read_bytes() for file in sorted(files)] if kept else []

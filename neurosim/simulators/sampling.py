@@ -18,9 +18,9 @@ PLACING = (0.003, float(np.radians(0.5)))
 class Stepper:
     """Steps whole batches in NumPy, each row with random numbers of its own.
 
-    It asks the simulator's own ``step`` and ``sense``; the compiled one
-    is a subclass, held to this one by a test. What a row meets follows from its own seed and step
-    alone, however many other rows there are.
+    It asks the simulator's own ``step`` and ``sense``; the compiled one is a subclass, held to this
+    one by a test. What a row meets follows from its own seed and step alone, however many other
+    rows there are.
 
     Attributes:
         simulator: whose steps they are.
@@ -92,11 +92,6 @@ class Stepper:
 
 def _generator(seed: np.uint64) -> torch.Generator:
     return torch.Generator().manual_seed(int(seed) >> 1)
-
-
-def as_seed(rng: np.random.Generator | int) -> int:
-    """Return a seed for PyTorch: the number itself, or one drawn."""
-    return rng if isinstance(rng, int) else int(rng.integers(2**62))
 
 
 def trial_steps(controller: Any, episode: Episode) -> int:

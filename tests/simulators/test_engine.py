@@ -124,3 +124,12 @@ def test_a_model_without_functions_is_refused():
 
     with pytest.raises(TypeError, match="ndarray has no compiled functions"):
         Empty().stepper()
+
+
+def test_a_simulator_that_draws_its_noise_itself_is_stepped_with_it(own):
+    simulator = own("2.0")
+    simulator.noise_width = 0
+    plan = ns.make_controller("plan", slots=2)
+    assert simulator.rollouts(plan, ns.Episode()) is None
+    ends = ns.rollout(simulator, [[20.0, 20.0, 1.0]], outcomes=20).poses[:, -1, 1]
+    assert 0.003 < ends.std() < 0.03
