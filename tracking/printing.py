@@ -5,17 +5,18 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
+from msgspec import Meta
 
+from neurosim.base.declared import Checked, Metres
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
-from tracking.camera.targets import check_chessboard
 from tracking.markers.colours import Colour, colour_pair, parse_colour
 from tracking.markers.pointing import distinguishable
 
@@ -34,8 +35,12 @@ _RINGS = 48
 _INCH = 0.0254
 
 
+#: Inner corners along a side of a chessboard.
+Corners = Annotated[int, Meta(ge=2, le=100)]
+
+
 @dataclass(frozen=True)
-class PageSettings:
+class PageSettings(Checked):
     """What is on the page.
 
     Attributes:
@@ -48,24 +53,20 @@ class PageSettings:
     """
 
     colours: str = "pink,blue"
-    diameter: float = 0.060
-    square: float = 0.018
-    pattern: tuple[int, int] = (9, 6)
+    diameter: Annotated[float, Meta(ge=0.002, le=1)] = 0.060
+    square: Metres = 0.018
+    pattern: tuple[Corners, Corners] = (9, 6)
     paper: Literal["A4", "Letter"] = "A4"
     plain: bool = False
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         front, rear = (parse_colour(name) for name in colour_pair(self.colours))
         if not distinguishable(front, rear):
             raise UserError(
                 f"{front.name} and {rear.name} are too much alike for a camera; choose others, "
                 "such as pink and blue"
             )
-        if not 0.002 <= self.diameter <= 1:
-            raise UserError(
-                f"a disc of {1000 * self.diameter:g} mm cannot be printed; name at least 2 mm"
-            )
-        check_chessboard(self.pattern, self.square)
         self._check_room()
 
     @property

@@ -10,16 +10,17 @@ probability of crossover and the constant of the scaling; those two are Goldberg
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked, Fraction
 
 
 @dataclass(frozen=True)
-class BitSettings:
+class BitSettings(Checked):
     """Settings of the genetic algorithm of bit strings.
 
     Attributes:
@@ -32,21 +33,12 @@ class BitSettings:
             otherwise copies of where the search starts from; one is left as it is.
     """
 
-    population: int = 15
-    bits: int = 8
-    mutation: float = 0.005
-    crossover: float = 0.6
-    scaling: float = 2.0
-    first_mutation: float = 0.05
-
-    def __post_init__(self) -> None:
-        if self.population < 2 or not 1 <= self.bits <= 30:
-            raise UserError("a population has two individuals at least, a parameter 1 to 30 bits")
-        for name in ("mutation", "crossover", "first_mutation"):
-            if not 0.0 <= getattr(self, name) <= 1.0:
-                raise UserError(f"{name} is a probability, 0 to 1, not {getattr(self, name):g}")
-        if not self.scaling > 1.0:
-            raise UserError(f"scaling must be above 1, not {self.scaling:g}")
+    population: Annotated[int, Meta(ge=2, le=1000000)] = 15
+    bits: Annotated[int, Meta(ge=1, le=30)] = 8
+    mutation: Fraction = 0.005
+    crossover: Fraction = 0.6
+    scaling: Annotated[float, Meta(gt=1, le=1000)] = 2.0
+    first_mutation: Fraction = 0.05
 
 
 def encode(shares: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:

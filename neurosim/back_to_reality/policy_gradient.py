@@ -10,16 +10,17 @@ those with plus e less that of those with minus e. p moves along the gradient by
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked
 
 
 @dataclass(frozen=True)
-class PolicySettings:
+class PolicySettings(Checked):
     """Settings of the policy gradient.
 
     Attributes:
@@ -28,15 +29,9 @@ class PolicySettings:
         step: Length of a step, as a share of the parameters' ranges.
     """
 
-    policies: int = 13
-    epsilon: float = 0.04
-    step: float = 0.12
-
-    def __post_init__(self) -> None:
-        if self.policies < 2:
-            raise UserError(f"a step needs two policies at least, not {self.policies}")
-        if not (self.epsilon > 0.0 and self.step > 0.0):
-            raise UserError("epsilon and step must be above 0")
+    policies: Annotated[int, Meta(ge=2, le=1000000)] = 13
+    epsilon: Annotated[float, Meta(ge=1e-06, le=1)] = 0.04
+    step: Annotated[float, Meta(ge=1e-06, le=1)] = 0.12
 
 
 def gradient(signs: NDArray[np.int64], scores: NDArray[np.float64]) -> NDArray[np.float64]:

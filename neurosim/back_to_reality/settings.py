@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal
+
+from msgspec import Meta
 
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.policy_gradient import PolicySettings
+from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
 
 Search = Literal["ga", "cma"]
@@ -17,7 +20,7 @@ _PAPER_ADAPT = BitSettings(population=20, first_mutation=0.2)
 
 
 @dataclass(frozen=True)
-class BackToRealitySettings:
+class BackToRealitySettings(Checked):
     """Settings of the alternation; the defaults are those of Zagal et al. 2004, section 5, where
     the paper gives one.
 
@@ -51,49 +54,35 @@ class BackToRealitySettings:
         budget: Most evaluations in reality; 0: no limit.
     """
 
-    cycles: int = 1
+    cycles: Count = 1
     search: Search = "ga"
-    generations: int = 600
-    later_generations: int = 0
+    generations: Count = 600
+    later_generations: CountOrNone = 0
     genetic: BitSettings = field(default=_PAPER_GENETIC)
-    spread: float = 0.1
-    sets: int = 1
-    prior: float = 0.15
-    caution: float = 0.0
-    candidates: int = 15
+    spread: Annotated[float, Meta(ge=0.0001, le=1)] = 0.1
+    sets: Count = 1
+    prior: Fraction = 0.15
+    caution: Annotated[float, Meta(ge=0, le=1000)] = 0.0
+    candidates: Count = 15
     adapt: Adapt = "ga"
-    adapt_generations: int = 45
+    adapt_generations: Count = 45
     adapt_genetic: BitSettings = field(default=_PAPER_ADAPT)
-    compared: int = 10
+    compared: Count = 10
     compare: Compare = "similar"
-    policy_steps: int = 3
+    policy_steps: CountOrNone = 3
     policy: PolicySettings = field(default=_PAPER_POLICY)
-    confirm: int = 1
-    finalists: int = 3
-    trials: int = 3
-    budget: int = 0
+    confirm: Count = 1
+    finalists: Count = 3
+    trials: Count = 3
+    budget: CountOrNone = 0
 
     def __post_init__(self) -> None:
-        for name in (
-            "cycles", "generations", "sets", "candidates", "adapt_generations", "compared",
-            "trials", "confirm", "finalists",
-        ):  # fmt: skip
-            if getattr(self, name) < 1:
-                raise UserError(f"{name} must be at least 1, not {getattr(self, name)}")
-        for name in ("later_generations", "policy_steps", "budget", "caution", "prior"):
-            if getattr(self, name) < 0:
-                raise UserError(f"{name} must not be negative, not {getattr(self, name)}")
-        for name, choices in (("search", Search), ("adapt", Adapt), ("compare", Compare)):
-            known, found = get_args(choices), getattr(self, name)
-            if found not in known:
-                raise UserError(f"{name} is one of {', '.join(known)}, not {found!r}")
+        super().__post_init__()
         if self.spared and 0 < self.budget <= 1 + self.spared:
             raise UserError(
                 f"a budget of {self.budget} leaves nothing to try: the start is an evaluation, and "
                 f"{self.spared} are kept to confirm the best ones (finalists)"
             )
-        if not 0.0 < self.spread <= 1.0:
-            raise UserError(f"spread is a share of the ranges, 0 to 1, not {self.spread:g}")
 
     @property
     def spared(self) -> int:

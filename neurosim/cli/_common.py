@@ -10,7 +10,8 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from neurosim.cli._types import PATH, NumberIn
+from neurosim.base.declared import MetresOrNone, Seed, Turn
+from neurosim.cli._types import PATH, Option, Real, ranged
 
 #: A share of the time that is not worth a warning.
 MOST_UNSUPPORTED = 0.05
@@ -19,7 +20,7 @@ json_option = click.option(
     "--json", "as_json", is_flag=True, help="Print the result as JSON, for machines."
 )
 seed_option = click.option(
-    "--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Random seed."
+    "--seed", type=ranged(Seed), default=0, show_default=True, help="Random seed."
 )
 resume_option = click.option(
     "--resume", is_flag=True, help="Continue what was interrupted, with its options."
@@ -44,8 +45,9 @@ def calibration_option(
 
 placing_option = click.option(
     "--placing",
-    type=(NumberIn(min=0), NumberIn(min=0)),
-    default=(3.0, 0.5),
+    cls=Option,
+    type=(Real(MetresOrNone, "mm"), Real(Turn, "degrees")),
+    default=("3", "0.5"),
     show_default=True,
     help="How exactly the robot is put down: standard deviations, mm and degrees.",
 )

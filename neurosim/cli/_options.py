@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import sys
 import types
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, is_dataclass
@@ -20,8 +19,19 @@ from typing import Any, Literal, Protocol, Union, get_args, get_origin
 import click
 from click.core import ParameterSource
 
+from neurosim.base.declared import bounded, hints_of
 from neurosim.base.errors import UserError
-from neurosim.cli._types import NUMBER, PATH, RANGE, Json, Listed, Quantity, shown
+from neurosim.cli._types import (
+    PATH,
+    Json,
+    Listed,
+    Option,
+    Real,
+    Whole,
+    low_high,
+    ranged,
+    shown,
+)
 
 _EMPTY = inspect.Parameter.empty
 
@@ -45,12 +55,14 @@ class Parameter:
     Attributes:
         name: keyword.
         kind: type of the option.
+        hint: declared type.
         default: of the signature, or ``inspect.Parameter.empty``.
         help: first sentence about it, or nothing.
     """
 
     name: str
     kind: click.ParamType
+    hint: Any
     default: Any
     help: str
 
@@ -67,39 +79,22 @@ def parameters(source: Any) -> list[Parameter]:
         signature = inspect.signature(source)
     except (TypeError, ValueError):
         return []
-    annotations, helps = _annotations(source), _documented(source)
+    annotations, helps = hints_of(source), _documented(source)
     found = []
     for name, each in signature.parameters.items():
         if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL, each.VAR_KEYWORD):
             continue
-        kind = _kind(annotations.get(name, _EMPTY), each.default)
+        hint = annotations.get(name, _EMPTY)
+        kind = _kind(hint, each.default)
         if kind is not None:
             default = _default(source, name, each.default)
             default = default if made is None else getattr(made, name)
-            found.append(Parameter(name, kind, default, helps.get(name, "")))
+            found.append(Parameter(name, kind, hint, default, helps.get(name, "")))
     return found
 
 
 def _owners(source: Callable[..., Any]) -> list[Any]:
     return list(reversed(source.__mro__[:-1])) if isinstance(source, type) else [source]
-
-
-def _annotations(source: Callable[..., Any]) -> dict[str, Any]:
-    """Return the annotations, each evaluated where it was written; the others are left out."""
-    found: dict[str, Any] = {}
-    for owner in _owners(source):
-        if isinstance(owner, type) and not is_dataclass(owner):
-            owner = vars(owner).get("__init__")
-        owner = inspect.unwrap(owner) if callable(owner) else owner
-        module = sys.modules.get(getattr(owner, "__module__", None) or "")
-        for name, annotation in getattr(owner, "__annotations__", {}).items():
-            if isinstance(annotation, str):
-                try:
-                    annotation = eval(annotation, dict(vars(module)) if module else {})
-                except Exception:
-                    annotation = object  # imported for type checkers alone
-            found[name] = annotation
-    return found
 
 
 def _default(source: Callable[..., Any], name: str, default: Any) -> Any:
@@ -125,15 +120,23 @@ def _kind(annotation: Any, default: Any) -> click.ParamType | None:
         return PATH if PATH in kinds else click.STRING
     if origin is Literal:
         return click.Choice([str(part) for part in parts])
-    if annotation == tuple[float, float]:
-        return RANGE
+    if origin is tuple and len(parts) == 2 and parts[0] == parts[1] and _is_float(parts[0]):
+        return low_high(parts[0])
     if origin in (tuple, list, Sequence):
         kinds = [_kind(part, _EMPTY) for part in parts if part is not ...]
-        if not set(kinds) <= {click.INT, NUMBER, click.STRING}:
+        if not all(isinstance(kind, _NUMBERS) or kind is click.STRING for kind in kinds):
             return Json()
         return click.Tuple(kinds) if origin is tuple and ... not in parts else Listed(kinds[0])
-    simple = {bool: click.BOOL, int: click.INT, float: NUMBER, str: click.STRING, Path: PATH}
-    return simple.get(annotation)
+    if bounded(annotation)[0] in (int, float):
+        return ranged(annotation)
+    return {bool: click.BOOL, str: click.STRING, Path: PATH}.get(annotation)
+
+
+_NUMBERS = (Whole, Real)
+
+
+def _is_float(hint: Any) -> bool:
+    return bounded(hint)[0] is float
 
 
 _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
@@ -267,7 +270,8 @@ class Group:
         default = each.default
         if (units := self.units.get(each.name)) is not None:
             pair = (units,) if isinstance(units, str) else units
-            quantities = [Quantity(unit) for unit in pair]
+            hints = (each.hint,) if isinstance(units, str) else get_args(each.hint)
+            quantities = [Real(hint, unit) for hint, unit in zip(hints, pair, strict=True)]
             kind = quantities[0] if isinstance(units, str) else click.Tuple(quantities)
             help_ = re.sub(r", (m|m/s|rad|m and rad)(?=[.;])", f", {' and '.join(pair)}", help_)
         declared, is_flag = f"--{flag}", each.kind is click.BOOL
@@ -275,7 +279,7 @@ class Group:
             declared += f"/--no-{flag}"
         if not (default is None or default is _EMPTY or default is False or default == ()):
             help_ += f"  [default: {flag if is_flag else shown(kind, default)}]"
-        return click.Option(
+        return Option(
             [flag.replace("-", "_"), declared],
             type=None if is_flag else kind,
             is_flag=is_flag,

@@ -6,10 +6,12 @@ import json
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import click
+from msgspec import Meta
 
+from neurosim.base.declared import Angle, Coordinate, bounded
 from neurosim.base.files import check_name
 
 
@@ -26,33 +28,6 @@ class _Path(click.Path):
 PATH = _Path(path_type=Path)
 
 
-class Number(click.types.FloatParamType):
-    """A finite number: click's own takes nan and inf for numbers, too."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number."""
-        return _finite(self, super().convert(value, param, ctx), param, ctx)
-
-
-class NumberIn(click.FloatRange):
-    """A finite number in a range."""
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> float:
-        """Return the number."""
-        return _finite(self, super().convert(value, param, ctx), param, ctx)
-
-
-def _finite(kind: click.ParamType, value: float, param: Any, ctx: Any) -> float:
-    if not math.isfinite(value):
-        kind.fail(f"{value} is not a finite number.", param, ctx)
-    return value
-
-
-NUMBER = Number()
-POSITIVE = NumberIn(min=0, min_open=True)
-COUNT = click.IntRange(min=1)
-
-
 class _Named(click.ParamType):
     """A type that is shown by its own name, in its own letters."""
 
@@ -61,54 +36,9 @@ class _Named(click.ParamType):
         return self.name
 
 
-class Numbers(_Named):
-    """Finite numbers with something between them, as many as its name has parts.
-
-    Args:
-        name: such as ``U,V`` or ``WIDTHxHEIGHT``.
-        between: what stands between them.
-        kind: int or float.
-        example: for messages.
-        limits: lowest and highest of each.
-    """
-
-    def __init__(
-        self,
-        name: str,
-        between: str,
-        kind: Callable[[str], Any],
-        example: str,
-        limits: tuple[float, float] = (-math.inf, math.inf),
-    ):
-        self.name, self._between, self._kind = name, between, kind
-        self._example, self._limits = example, limits
-
-    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, ...]:
-        """Return the numbers; those of a resumed run's file are numbers already."""
-        parts = value.lower().split(self._between) if isinstance(value, str) else value
-        try:
-            found = tuple(self._kind(part) for part in parts)
-        except (TypeError, ValueError):
-            found = ()
-        if len(found) != self.name.count(self._between) + 1 or not all(map(math.isfinite, found)):
-            self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
-        low, high = self._limits
-        if not all(low <= part <= high for part in found):
-            self.fail(f"{value!r}: expected numbers from {low:g} to {high:g}", param, ctx)
-        return found
-
-    def shown(self, value: tuple[Any, ...]) -> str:
-        """Return numbers as they are typed."""
-        return self._between.join(f"{part:g}" for part in value)
-
-
-RANGE = Numbers("LOW..HIGH", "..", float, "0.5..3")
-SIZE = Numbers("WIDTHxHEIGHT", "x", int, "640x480", (120, 8192))
-PIXEL = Numbers("U,V", ",", float, "422,178")
-PATTERN = Numbers("COLUMNSxROWS", "x", int, "9x6")
-
 #: Units of options whose parameters are in SI: what makes SI of a number, and the way back.
 UNITS: dict[str, tuple[Callable[[float], float], Callable[[float], float]]] = {
+    "": (lambda value: value, lambda value: value),
     "mm": (lambda value: value / 1000, lambda value: value * 1000),
     "mm/s": (lambda value: value / 1000, lambda value: value * 1000),
     "cm": (lambda value: value / 100, lambda value: value * 100),
@@ -116,21 +46,140 @@ UNITS: dict[str, tuple[Callable[[float], float], Callable[[float], float]]] = {
 }
 
 
-class Quantity(_Named):
-    """A number in a unit for people, handed on in SI."""
+#: The range of a number of which nobody says one, such as of another package's task.
+UNDECLARED = Meta(ge=-(10**12), le=10**12)
 
-    def __init__(self, unit: str):
-        self.name = unit
-        self._to_si, self._from_si = UNITS[unit]
+
+class Real(click.FloatRange):
+    """A finite number in a range, in SI or in a unit for people; it is handed on in SI.
+
+    Args:
+        hint: its declared type, such as :data:`neurosim.base.declared.Metres`.
+        unit: in which people give it, of :data:`UNITS`.
+    """
+
+    def __init__(self, hint: Any, unit: str = ""):
+        self.unit, (self._to_si, self._from_si) = unit, UNITS[unit]
+        self.name = unit or "float"
+        super().__init__(**_ends(hint, self._from_si))
+
+    def get_metavar(self, param: Any, ctx: Any = None) -> str | None:
+        """Return the unit, or leave it to click."""
+        return self.unit or None
 
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """Return the number in SI; what is a number already is in SI."""
-        found = NUMBER.convert(value, param, ctx)
-        return self._to_si(found) if isinstance(value, str) else found
+        typed = isinstance(value, str)
+        found = super().convert(value if typed else self._from_si(value), param, ctx)
+        if not math.isfinite(found):
+            self.fail(f"{value} is not a finite number.", param, ctx)
+        return self._to_si(found) if typed else float(value)
 
     def shown(self, value: float) -> str:
         """Return a number in SI as it is typed."""
         return f"{self._from_si(value):.6g}"
+
+
+def _ends(hint: Any, scale: Callable[[float], float] = UNITS[""][1]) -> dict[str, Any]:
+    """Return the range of a declared number as click takes it."""
+    _, meta = bounded(hint)
+    if meta == Meta():
+        meta, scale = UNDECLARED, UNITS[""][1]
+    low, high = (one if one is not None else other for one, other in
+                 ((meta.ge, meta.gt), (meta.le, meta.lt)))  # fmt: skip
+    ends = {"min": low, "max": high}
+    shown = {name: end if end is None else _short(scale(end)) for name, end in ends.items()}
+    return {**shown, "min_open": meta.gt is not None, "max_open": meta.lt is not None}
+
+
+def _short(value: float) -> float:
+    value = float(f"{value:.12g}")
+    return int(value) if value.is_integer() else value
+
+
+class Whole(click.IntRange):
+    """A whole number in a range.
+
+    Args:
+        hint: its declared type, such as :data:`neurosim.base.declared.Count`.
+    """
+
+    name = "integer"
+
+    def __init__(self, hint: Any):
+        super().__init__(**_ends(hint))
+
+
+def ranged(hint: Any) -> Whole | Real:
+    """Return the type of an option for a declared number."""
+    return Whole(hint) if bounded(hint)[0] is int else Real(hint)
+
+
+def range_of(kind: click.ParamType) -> str:
+    """Return the ranges of several numbers, as click shows that of one; or nothing."""
+    if isinstance(kind, Listed):
+        kind = click.Tuple([kind.kind])
+    parts = kind.types if isinstance(kind, click.Tuple) else ()
+    parts = [kind.part] if isinstance(kind, Numbers) else parts
+    found = [one._describe_range() for one in parts if isinstance(one, Real | Whole)]
+    return "; ".join(dict.fromkeys(found))
+
+
+class Option(click.Option):
+    """An option whose help shows the ranges of several numbers, too; click does so for one."""
+
+    def __init__(self, *args: Any, **others: Any):
+        super().__init__(*args, **others)
+        if ends := range_of(self.type):
+            self.help = f"{self.help or ''}  [{ends}]".strip()
+
+
+#: A pose: x and y in cm, heading in degrees.
+POSE = click.Tuple([Real(Coordinate, "cm"), Real(Coordinate, "cm"), Real(Angle, "degrees")])
+
+
+class Numbers(_Named):
+    """Finite numbers with something between them, as many as its name has parts.
+
+    Args:
+        name: such as ``U,V`` or ``WIDTHxHEIGHT``.
+        between: what stands between them.
+        hint: declared type of each.
+        example: for messages.
+    """
+
+    def __init__(self, name: str, between: str, hint: Any, example: str):
+        self.name, self._between, self._example = name, between, example
+        self.part = ranged(hint)
+
+    def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, ...]:
+        """Return the numbers; those of a resumed run's file are numbers already."""
+        parts = value.lower().split(self._between) if isinstance(value, str) else value
+        if not isinstance(parts, list | tuple) or (
+            len(parts) != self.name.count(self._between) + 1
+        ):
+            self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
+        try:
+            return tuple(self.part.convert(part, param, ctx) for part in parts)
+        except (click.BadParameter, TypeError) as error:
+            expected = f"expected {self.name}, such as {self._example}"
+            self.fail(f"{value!r}: {expected} ({error})", param, ctx)
+
+    def shown(self, value: tuple[Any, ...]) -> str:
+        """Return numbers as they are typed."""
+        return self._between.join(f"{part:g}" for part in value)
+
+
+def low_high(hint: Any) -> Numbers:
+    """Return the type of an option for the two ends of a range."""
+    return Numbers("LOW..HIGH", "..", hint, "0.5..3")
+
+
+#: Sides of a frame; a pixel in one, also out of it; corners of a chessboard along each side.
+SIZE = Numbers("WIDTHxHEIGHT", "x", Annotated[int, Meta(ge=120, le=8192)], "640x480")
+PIXELS = Annotated[float, Meta(ge=-100_000, le=100_000)]
+PIXEL = Numbers("U,V", ",", PIXELS, "422,178")
+PATTERN = Numbers("COLUMNSxROWS", "x", Annotated[int, Meta(ge=2, le=100)], "9x6")
 
 
 class Listed(_Named):

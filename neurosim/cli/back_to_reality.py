@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.declared import Seconds
 from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
 from neurosim.cli._options import (
     Chosen,
@@ -17,7 +18,7 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
-from neurosim.cli._types import PATH, POSITIVE
+from neurosim.cli._types import PATH, ranged
 
 
 class _Named:
@@ -108,7 +109,7 @@ def _may_be_real(name: str) -> bool:
 @settings_options("policy", lambda chosen: _settings(chosen).policy, by_choice=True)
 @click.option(
     "--patience",
-    type=POSITIVE,
+    type=ranged(Seconds),
     default=600.0,
     show_default=True,
     help="A trial in reality that takes longer is given up, s.",

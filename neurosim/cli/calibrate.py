@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
+from msgspec import Meta
 
+from neurosim.base.declared import Metres
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, json_option
-from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
+from neurosim.cli._types import PATH, PATTERN, PIXEL, PIXELS, Numbers, Option, Real
 
 
 @click.command()
 @click.argument("photographs", nargs=-1, required=True, type=PATH)
-@click.option("--marker", type=POSITIVE, help="Side of a ChArUco board's markers, in mm.")
+@click.option("--marker", type=Real(Metres, "mm"), help="Side of a ChArUco board's markers, mm.")
 @click.option(
     "--dictionary",
     default="4X4_50",
@@ -25,13 +28,18 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
 )
 @click.option(
     "--pattern",
+    cls=Option,
     type=PATTERN,
     default="9x6",
     show_default=True,
     help="Inner corners of the chessboard or ChArUco board.",
 )
 @click.option(
-    "--square", type=POSITIVE, default=25.0, show_default=True, help="Side of a square, in mm."
+    "--square",
+    type=Real(Metres, "mm"),
+    default="25",
+    show_default=True,
+    help="Side of a square, mm.",
 )
 @click.option(
     "--points",
@@ -42,12 +50,14 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
 @click.option(
     "--point",
     "given",
-    type=Numbers("U,V,X,Y", ",", float, "12,471,-1.38,-0.92"),
+    cls=Option,
+    type=Numbers("U,V,X,Y", ",", PIXELS, "12,471,-1.38,-0.92"),
     multiple=True,
     help="One marked point, as in --points; give it four times or more.",
 )
 @click.option(
     "--corners",
+    cls=Option,
     type=PIXEL,
     nargs=4,
     help="Without a chessboard: the pixels of the board's four corners in a photograph, clockwise "
@@ -55,7 +65,8 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, POSITIVE, Numbers
 )
 @click.option(
     "--board",
-    type=Numbers("LENGTHxWIDTH", "x", float, "2.76x1.84", (0.01, 100)),
+    cls=Option,
+    type=Numbers("LENGTHxWIDTH", "x", Annotated[float, Meta(ge=0.01, le=100)], "2.76x1.84"),
     help="With --corners, which needs it: length and width of the board, m.",
 )
 @json_option
@@ -87,13 +98,12 @@ def calibrate(
         raise UserError("--board goes with --corners: name the pixels of the board's corners, too")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
     if corners is None:
-        side = None if marker is None else marker / 1000
         model = calibrate_(
             source,
             pattern,
-            square / 1000,
+            square,
             points or list(given) or None,
-            marker=side,
+            marker=marker,
             dictionary=dictionary,
         )
     elif points is not None or given or len(photographs) > 1:

@@ -8,9 +8,10 @@ from typing import Any
 
 import click
 
+from neurosim.base.declared import Seconds
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, is_given, json_option, next_step
-from neurosim.cli._types import PATH, POSITIVE, Pairs
+from neurosim.cli._types import PATH, Pairs, ranged
 
 #: Options of some sources only: parameter -> the sources.
 _ONLY: dict[str, tuple[str, ...]] = {
@@ -33,7 +34,11 @@ def _unit(name: str, values: list[str], help: str) -> Callable[[Callable], Calla
 
 def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Callable]:
     return click.option(
-        f"--{name}", type=POSITIVE, default=default, show_default=True, help=f"csv, mrclam: {help}"
+        f"--{name}",
+        type=ranged(Seconds),
+        default=default,
+        show_default=True,
+        help=f"csv, mrclam: {help}",
     )
 
 

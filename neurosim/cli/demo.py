@@ -23,7 +23,7 @@ FORMAT, VERSION = "neurosim-demo", 2
 @click.argument("out", type=PATH, default=Path("demo"))
 @click.option(
     "--commands",
-    type=click.IntRange(min=50),
+    type=click.IntRange(50, 100_000),
     default=400,
     show_default=True,
     help="How many commands to record.",

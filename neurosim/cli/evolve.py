@@ -12,6 +12,7 @@ from typing import Any, Literal
 import click
 
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.declared import CountOrNone
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import exit_code
 from neurosim.cli._common import (
@@ -31,7 +32,7 @@ from neurosim.cli._options import (
     settings_options,
 )
 from neurosim.cli._robots import robot_option_of
-from neurosim.cli._types import PATH
+from neurosim.cli._types import PATH, ranged
 
 
 def _task(chosen: Chosen) -> Any:
@@ -178,7 +179,7 @@ def changed(
     "--robot-generations",
     "--then-on-robot",
     "real_generations",
-    type=click.IntRange(min=0),
+    type=ranged(CountOrNone),
     default=0,
     help="Generations on a robot after those in the simulator; nobody puts it in place.",
 )

@@ -8,9 +8,10 @@ from typing import Any
 
 import click
 
+from neurosim.base.declared import Baud, Seconds
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, is_given, json_option, next_step, seed_option
-from neurosim.cli._types import NUMBER, PATH, POSITIVE, SIZE
+from neurosim.cli._types import PATH, POSE, SIZE, Option, ranged
 
 _socket_option = click.option(
     "--socket", "by_socket", is_flag=True, help="Serve a socket instead of a device."
@@ -22,7 +23,7 @@ _port_option = click.option(
     help="Port of the socket; 0: any that is free.",
 )
 _seconds_option = click.option(
-    "--seconds", type=POSITIVE, help="Stop after so many seconds.  [default: with Ctrl-C]"
+    "--seconds", type=ranged(Seconds), help="Stop after so many seconds.  [default: with Ctrl-C]"
 )
 
 
@@ -62,7 +63,8 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 )
 @click.option(
     "--start",
-    type=(NUMBER, NUMBER, NUMBER),
+    cls=Option,
+    type=POSE,
     help="Where the robot stands at first: x and y in cm, heading in degrees.  "
     "[the arena's own; in the default arena -22 0 0]",
 )
@@ -70,7 +72,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 @_port_option
 @click.option(
     "--baud",
-    type=click.IntRange(min=300),
+    type=ranged(Baud),
     default=9600,
     show_default=True,
     help="Speed of the serial line.",
@@ -89,7 +91,6 @@ def khepera(
     as_json: bool,
 ) -> None:
     """Keep a virtual Khepera running in real time, for any program that speaks its protocol."""
-    import math
 
     from neurosim.lab import LabArena, VirtualKheperaRig
     from neurosim.lab.khepera.params import RADIUS
@@ -100,7 +101,7 @@ def khepera(
     _check_port(by_socket)
     arena = paper_arena() if arena_path is None else Arena.read(arena_path)
     if start is not None:
-        pose = (start[0] / 100, start[1] / 100, math.radians(start[2]))
+        pose = start
     else:
         pose = arena.start or (START if arena_path is None else (0.0, 0.0, 0.0))
     arena.check_start(pose, RADIUS)
@@ -157,8 +158,8 @@ def _ways(address: dict[str, str | int]) -> tuple[dict, str]:
 
 @lab.command()
 @click.argument("out", type=PATH)
-@click.option("--count", type=click.IntRange(min=3), default=20, show_default=True)
-@click.option("--camera-size", type=SIZE, default="640x480", show_default=True)
+@click.option("--count", type=click.IntRange(3, 1000), default=20, show_default=True)
+@click.option("--camera-size", cls=Option, type=SIZE, default="640x480", show_default=True)
 @click.option(
     "--over",
     type=click.Choice(["nxt", "khepera"]),

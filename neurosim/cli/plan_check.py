@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from neurosim.base.declared import Count
 from neurosim.cli._common import (
     emit,
     json_option,
@@ -15,7 +16,7 @@ from neurosim.cli._common import (
     seed_option,
     warn_unsupported,
 )
-from neurosim.cli._types import PATH
+from neurosim.cli._types import PATH, ranged
 
 if TYPE_CHECKING:
     from neurosim.loop.check import Check
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 @click.command("plan-check")
 @click.argument("controller", type=PATH)
 @click.argument("simulator", type=PATH)
-@click.option("--draws", type=click.IntRange(min=1), default=4096, show_default=True)
+@click.option("--draws", type=ranged(Count), default=4096, show_default=True)
 @placing_option
 @click.option(
     "--extrapolate",
@@ -48,8 +49,7 @@ def plan_check(
     """
     from neurosim.loop.check import check
 
-    scatter = (placing[0] / 1000.0, math.radians(placing[1]))
-    how: dict[str, Any] = {"placing": scatter, "extrapolate": extrapolate}
+    how: dict[str, Any] = {"placing": placing, "extrapolate": extrapolate}
     found = check(controller, simulator, draws=draws, seed=seed, **how)
     emit(found.as_dict(), as_json, lambda: _in_words(found))
     warn_unsupported(found.unsupported)

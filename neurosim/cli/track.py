@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from neurosim.base.declared import Coordinate
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     COLOUR_NAMES,
@@ -15,7 +16,7 @@ from neurosim.cli._common import (
     json_option,
     next_step,
 )
-from neurosim.cli._types import NUMBER, PATH, PIXEL
+from neurosim.cli._types import PATH, PIXEL, Option, ranged
 
 
 @click.command()
@@ -48,6 +49,7 @@ from neurosim.cli._types import NUMBER, PATH, PIXEL
 @click.option(
     "--click",
     "clicks",
+    cls=Option,
     type=PIXEL,
     multiple=True,
     help="Of a video file: a pixel of the front marker in its first frame; again for the rear.",
@@ -60,7 +62,7 @@ from neurosim.cli._types import NUMBER, PATH, PIXEL
 @click.option("-o", "--out", type=PATH, help="New folder for the poses of a video file.")
 @click.option(
     "--height",
-    type=NUMBER,
+    type=ranged(Coordinate),
     help="Of a video file, with a calibration over the board: height of the markers over it, m.  "
     "[default: as markers.json says, or 0]",
 )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import click
+from msgspec import Meta
 
 from neurosim.cli._common import emit, json_option, seed_option
-from neurosim.cli._types import NUMBER, PATH, NumberIn
+from neurosim.cli._types import PATH, POSE, Option, ranged
 
 
 @click.command()
@@ -17,13 +19,14 @@ from neurosim.cli._types import NUMBER, PATH, NumberIn
 @click.option("--controller", type=PATH, help="What drives, of any kind: shows its path.")
 @click.option(
     "--pose",
-    type=(NUMBER, NUMBER, NUMBER),
+    cls=Option,
+    type=POSE,
     help="Where the robot starts: x and y in cm, heading in degrees.  [where its task starts, "
     "the arena's, or drawn]",
 )
 @click.option(
     "--seconds",
-    type=NumberIn(0.1, 3600),
+    type=ranged(Annotated[float, Meta(ge=0.1, le=3600)]),
     help="How long a controller that sees drives.  [as long as its trial]",
 )
 @click.option("--noise/--no-noise", default=False, show_default=True)

@@ -11,6 +11,7 @@ from typing import Any
 
 import click
 
+from neurosim.base.declared import Fps, Seconds
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
     calibration_option,
@@ -19,7 +20,7 @@ from neurosim.cli._common import (
     markers_option,
     next_step,
 )
-from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
+from neurosim.cli._types import PATH, SIZE, Option, ranged
 
 
 @click.command()
@@ -29,8 +30,8 @@ from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
     show_default=True,
     help="A camera's number, a video file, a URL that OpenCV opens, or lab for the virtual lab's.",
 )
-@click.option("--camera-size", type=SIZE, help="Frame size.  [lab: 640x480]")
-@click.option("--fps", type=NumberIn(1, 240), help="Frame rate.  [lab: 30]")
+@click.option("--camera-size", cls=Option, type=SIZE, help="Frame size.  [lab: 640x480]")
+@click.option("--fps", type=ranged(Fps), help="Frame rate.  [lab: 30]")
 @markers_option
 @calibration_option("A calibration.json of the camera, or of its lens alone.")
 @click.option(
@@ -54,7 +55,7 @@ from neurosim.cli._types import PATH, POSITIVE, SIZE, NumberIn
 )
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
 @click.option(
-    "--seconds", type=POSITIVE, help="Stop after so many seconds.  [default: with Ctrl-C]"
+    "--seconds", type=ranged(Seconds), help="Stop after so many seconds.  [default: with Ctrl-C]"
 )
 @json_option
 def watch(

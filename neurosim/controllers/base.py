@@ -14,6 +14,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.declared import Checked
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.networks.control import (
@@ -29,7 +30,7 @@ from neurosim.networks.control import (
 WHEELS = ("left", "right")
 
 
-class Controller:
+class Controller(Checked):
     """A family of controllers; subclass it, give ``genes`` and :meth:`act`.
 
     Attributes:

@@ -8,15 +8,20 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Number
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import WHEELS, Controller
 from neurosim.networks.control import CTRNN, ELMAN, FEED_FORWARD, NetworkArrays
+
+#: Units of a hidden layer.
+Units = Annotated[int, Meta(ge=1, le=4096)]
 
 
 @dataclass(frozen=True)
@@ -33,15 +38,16 @@ class Network(Controller):
     kind: ClassVar[str] = "network"
 
     inputs: tuple[str, ...]
-    hidden: tuple[int, ...] = ()
+    hidden: tuple[Units, ...] = ()
     outputs: tuple[str, ...] = WHEELS
-    scale: float | tuple[float, ...] = 100.0
+    scale: Number | tuple[Number, ...] = 100.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _freeze(self, "inputs", "hidden", "outputs", "scale")
         _check_scale(self)
-        if not self.inputs or not self.outputs or any(units < 1 for units in self.hidden):
-            raise UserError("a network has inputs, outputs and at least 1 unit in a hidden layer")
+        if not self.inputs or not self.outputs:
+            raise UserError("a network has inputs and outputs")
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -92,18 +98,17 @@ class Recurrent(Controller):
     kind: ClassVar[str] = "recurrent"
 
     inputs: tuple[str, ...]
-    units: int = 5
-    dynamics: str = "elman"
+    units: Units = 5
+    dynamics: Literal["elman", "ctrnn"] = "elman"
     outputs: tuple[str, ...] = WHEELS
-    scale: float | tuple[float, ...] = 100.0
+    scale: Number | tuple[Number, ...] = 100.0
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         _freeze(self, "inputs", "outputs", "scale")
         _check_scale(self)
-        if not self.inputs or not self.outputs or self.units < 1:
-            raise UserError("a recurrent network has inputs, outputs and at least 1 hidden unit")
-        if self.dynamics not in ("elman", "ctrnn"):
-            raise UserError(f"dynamics are elman or ctrnn, not {self.dynamics!r}")
+        if not self.inputs or not self.outputs:
+            raise UserError("a recurrent network has inputs and outputs")
 
     @property
     def genes(self) -> int:  # type: ignore[override]

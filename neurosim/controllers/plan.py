@@ -11,6 +11,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.declared import Count, Percent, Seconds
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
 from neurosim.evolution.command_sets import GENES, decode, encode
@@ -35,18 +36,15 @@ class Plan(Controller):
     gene_range = (0.0, 1.0)
     outputs = COMMAND_NAMES
 
-    slots: int = 10
-    max_speed: float = 50.0
-    durations: tuple[float, float] = (0.5, 3.0)
+    slots: Count = 10
+    max_speed: Percent = 50.0
+    durations: tuple[Seconds, Seconds] = (0.5, 3.0)
 
     def __post_init__(self) -> None:
-        if self.slots < 1:
-            raise UserError(f"a plan has at least 1 command, not {self.slots}")
-        if not 0 < self.max_speed <= 100:
-            raise UserError(f"the highest speed must be in 0 to 100 %, not {self.max_speed:g}")
+        super().__post_init__()
         low, high = self.durations
-        if not 0 < low <= high:
-            raise UserError(f"durations must be above 0 and in order, not {low:g} to {high:g}")
+        if low > high:
+            raise UserError(f"the shortest duration, {low:g} s, is above the longest, {high:g} s")
 
     @property
     def genes(self) -> int:  # type: ignore[override]

@@ -8,10 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
 from neurosim.evolution.operators import gaussian_mutation, sbx, tournament, truncation
 
@@ -20,7 +23,7 @@ LARGEST = 100_000_000
 
 
 @dataclass(frozen=True)
-class GeneticSettings:
+class GeneticSettings(Checked):
     """Settings of a genetic algorithm; the defaults are Table 1 of Pretorius et al. 2009.
 
     The paper does not say what ``eta``, ``mutation_scale`` and ``elites`` are; ``parents`` is for
@@ -38,31 +41,21 @@ class GeneticSettings:
             tournaments; 0: tournaments.
     """
 
-    population: int = 250
-    crossover: float = 0.8
-    mutation: float = 0.05
-    tournament: int = 50
-    eta: float = 15.0
-    mutation_scale: float = 0.1
-    elites: int = 1
-    parents: int = 0
+    population: Annotated[int, Meta(ge=2, le=LARGEST)] = 250
+    crossover: Fraction = 0.8
+    mutation: Fraction = 0.05
+    tournament: Count = 50
+    eta: Annotated[float, Meta(ge=0, le=1000)] = 15.0
+    mutation_scale: Annotated[float, Meta(ge=0, le=1000)] = 0.1
+    elites: CountOrNone = 1
+    parents: CountOrNone = 0
 
     def __post_init__(self) -> None:
-        if self.population < 2 or self.tournament < 1:
-            raise UserError(
-                "a population has at least 2 individuals, a tournament at least 1, not "
-                f"{self.population} and {self.tournament}"
-            )
-        if self.population > LARGEST:
-            raise UserError(
-                f"a population has at most {LARGEST} individuals, not {self.population}"
-            )
-        if not 0 <= self.parents <= self.population:
+        super().__post_init__()
+        if self.parents > self.population:
             raise UserError(f"a population of {self.population} cannot have {self.parents} parents")
-        if not 0 <= self.elites < self.population:
+        if self.elites >= self.population:
             raise UserError("elites must be fewer than the population")
-        if not (0 <= self.crossover <= 1 and 0 <= self.mutation <= 1):
-            raise UserError("crossover and mutation are probabilities")
 
 
 class GeneticAlgorithm:

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked, Count, Placing, Seconds, SecondsOrNone
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.plan import Command, Plan, commands_of
@@ -54,7 +54,7 @@ GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, m
 
 
 @dataclass(frozen=True)
-class ReplanSettings:
+class ReplanSettings(Checked):
     """How a plan is planned again.
 
     Attributes:
@@ -67,20 +67,13 @@ class ReplanSettings:
         genetic: the genetic algorithm of a search.
     """
 
-    generations: int = 30
-    think: float = 0.3
-    draws: int = 24
-    placing: tuple[float, float] = (0.002, math.radians(0.5))
-    settle: float = 0.5
-    most: int = 3
+    generations: Count = 30
+    think: SecondsOrNone = 0.3
+    draws: Count = 24
+    placing: Placing = (0.002, math.radians(0.5))
+    settle: Seconds = 0.5
+    most: Count = 3
     genetic: GeneticSettings = GENETIC
-
-    def __post_init__(self) -> None:
-        if min(self.generations, self.draws, self.most) < 1 or self.think < 0:
-            raise UserError(
-                "a plan is planned again in at least 1 generation, over at least 1 outcome, and "
-                "in no negative time"
-            )
 
 
 class Foreseen(NamedTuple):

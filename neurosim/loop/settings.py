@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, Literal
 
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked, Count, CountOrNone, Fraction, Placing
 from neurosim.controllers.base import Controller
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.objectives import objective_named
@@ -25,7 +25,7 @@ NETWORK_GENETIC = GeneticSettings(
 
 
 @dataclass(frozen=True)
-class RobustSettings:
+class RobustSettings(Checked):
     """How controllers are made robust, after generations without noise.
 
     Attributes:
@@ -39,23 +39,16 @@ class RobustSettings:
         genetic: the genetic algorithm; its mutation is finer than before.
     """
 
-    objective: str = "probability"
-    generations: int = 300
-    draws: int = 32
-    refresh: int = 10
-    selection_draws: int = 1024
+    objective: Literal["probability", "fitness"] = "probability"
+    generations: Count = 300
+    draws: Count = 32
+    refresh: Count = 10
+    selection_draws: Count = 1024
     genetic: GeneticSettings = ROBUST_GENETIC
-
-    def __post_init__(self) -> None:
-        if self.objective not in ("fitness", "probability"):
-            raise UserError(
-                f"robust evolution is for fitness or probability, not {self.objective!r}"
-            )
-        _at_least_one(self, "generations", "draws", "refresh", "selection_draws")
 
 
 @dataclass(frozen=True)
-class EvolveSettings:
+class EvolveSettings(Checked):
     """How controllers are evolved; see :func:`default_settings`.
 
     Attributes:
@@ -84,18 +77,18 @@ class EvolveSettings:
     """
 
     optimiser: str = "ga"
-    generations: int = 1000
-    runs: int = 1
+    generations: Count = 1000
+    runs: Count = 1
     genetic: GeneticSettings = PLAN_GENETIC
     insertion: bool = True
-    outcomes: int = 0
+    outcomes: CountOrNone = 0
     objective: str = "fitness"
     robust: RobustSettings | None = None
-    placing: tuple[float, float] = field(default=PLACING)
-    arenas: int = 0
-    selection: int = 50
-    final_draws: int = 4096
-    unsupported: float = 0.1
+    placing: Placing = field(default=PLACING)
+    arenas: CountOrNone = 0
+    selection: Count = 50
+    final_draws: Count = 4096
+    unsupported: Fraction = 0.1
     extrapolate: bool = False
 
     @property
@@ -104,15 +97,8 @@ class EvolveSettings:
         return None if self.extrapolate else self.unsupported
 
     def __post_init__(self) -> None:
-        _at_least_one(self, "generations", "runs", "selection", "final_draws")
+        super().__post_init__()
         objective_named(self.objective)
-        for name in ("outcomes", "arenas"):
-            if getattr(self, name) < 0:
-                raise UserError(f"{name} must not be negative, not {getattr(self, name)}")
-        if not 0 <= self.unsupported <= 1:
-            raise UserError(f"unsupported is a share of the time, 0 to 1, not {self.unsupported}")
-        if min(self.placing) < 0:
-            raise UserError("the scatter of the start pose must not be negative")
 
 
 def default_settings(controller: Controller, task: Task, **changes: Any) -> EvolveSettings:
@@ -133,9 +119,3 @@ def default_settings(controller: Controller, task: Task, **changes: Any) -> Evol
         final_draws=256,
     )
     return replace(settings, **changes)
-
-
-def _at_least_one(settings: object, *names: str) -> None:
-    for name in names:
-        if getattr(settings, name) < 1:
-            raise UserError(f"{name} must be at least 1, not {getattr(settings, name)}")

@@ -8,12 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import Any, Protocol, runtime_checkable
+from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Checked, Fraction, Percent, Seed
 from neurosim.base.errors import UserError
+
+#: How long a random command may take, s.
+CommandTime = Annotated[float, Meta(ge=0.001, le=60)]
 
 
 @dataclass(frozen=True)
@@ -93,7 +98,7 @@ class SeeingSource(Protocol):
 
 
 @dataclass(frozen=True)
-class RandomCommands:
+class RandomCommands(Checked):
     """The paper's random commands (section 5.1).
 
     Attributes:
@@ -104,24 +109,21 @@ class RandomCommands:
         seed: Random seed.
     """
 
-    max_speed: float = 50.0
-    durations: tuple[float, float] = (0.5, 3.0)
-    straight: float = 0.3
-    stopped: float = 0.2
-    seed: int = 0
+    max_speed: Percent = 50.0
+    durations: tuple[CommandTime, CommandTime] = (0.5, 3.0)
+    straight: Fraction = 0.3
+    stopped: Fraction = 0.2
+    seed: Seed = 0
 
     def __post_init__(self) -> None:
-        if not 0 < self.max_speed <= 100:
-            raise UserError(f"the largest speed must lie in 0..100 %, not {self.max_speed:g}")
-        if not 0 < self.durations[0] <= self.durations[1] <= 60:
+        super().__post_init__()
+        low, high = self.durations
+        if low > high:
+            raise UserError(f"the shortest duration, {low:g} s, is above the longest, {high:g} s")
+        if self.straight + self.stopped > 1:
             raise UserError(
-                "durations must lie in 0..60 s, the longest not below the shortest, "
-                f"not {self.durations[0]:g} and {self.durations[1]:g}"
-            )
-        if min(self.straight, self.stopped) < 0 or self.straight + self.stopped > 1:
-            raise UserError(
-                "the shares of straight and stopped commands must lie in 0..1 and sum to at "
-                f"most 1, not {self.straight:g} and {self.stopped:g}"
+                "the fractions of straight and of stopped commands sum to at most 1, "
+                f"not {self.straight:g} + {self.stopped:g}"
             )
 
     def command(self, index: int) -> Command:

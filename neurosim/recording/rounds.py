@@ -8,8 +8,11 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Annotated, Any, Protocol
 
+from msgspec import Meta
+
+from neurosim.base.declared import Checked, Count
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import check_new_folder, check_no_links, locked
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, RandomCommands
@@ -23,7 +26,7 @@ Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
-class Rounds:
+class Rounds(Checked):
     """How many commands each round has.
 
     Attributes:
@@ -31,12 +34,11 @@ class Rounds:
         size: Commands of a round of --guided; the first, of random commands, has twice as many.
     """
 
-    commands: int
-    size: int = 50
+    commands: Count
+    size: Annotated[int, Meta(ge=15, le=1000000)] = 50
 
     def __post_init__(self) -> None:
-        if self.size < 15:
-            raise UserError(f"a round needs at least 15 commands, not {self.size}")
+        super().__post_init__()
         if self.commands <= 2 * self.size:
             raise UserError(
                 f"the first {2 * self.size} commands are random; --guided needs more than that, "

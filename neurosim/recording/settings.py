@@ -3,14 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from neurosim.base.errors import UserError
+from msgspec import Meta
+
+from neurosim.base.declared import (
+    Checked,
+    Count,
+    FullSpeed,
+    Metres,
+    MetresOrNone,
+    Percent,
+    Seconds,
+    SecondsOrNone,
+)
 from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
 
 
 @dataclass(frozen=True)
-class Guard:
+class Guard(Checked):
     """How the robot is kept on the board, by light sensors and by its tracked position.
 
     Attributes:
@@ -32,18 +43,18 @@ class Guard:
     """
 
     at_line: Literal["return", "end", "ignore"] = "return"
-    contrast: float = 0.12
-    retreat: float = 0.9
-    speed: float = 50.0
-    attempts: int = 4
-    lead_in: float = 0.6
-    margin: float = 0.12
-    unseen: float = 1.0
+    contrast: Annotated[float, Meta(ge=0.001, le=1)] = 0.12
+    retreat: Metres = 0.9
+    speed: Percent = 50.0
+    attempts: Count = 4
+    lead_in: SecondsOrNone = 0.6
+    margin: MetresOrNone = 0.12
+    unseen: Seconds = 1.0
     by: Literal["both", "position"] = "both"
 
 
 @dataclass(frozen=True)
-class RecordSettings:
+class RecordSettings(Checked):
     """What a recording is made with, beside robot, camera and commands.
 
     Attributes:
@@ -57,15 +68,11 @@ class RecordSettings:
             learn them.
     """
 
-    commands: int = 500
+    commands: Count = 500
     guard: Guard = field(default_factory=Guard)
-    battery_limit: float = 6.5
-    full_speed: float = 0.5
-    track: float = 0.13
+    battery_limit: Annotated[float, Meta(ge=0, le=100)] = 6.5
+    full_speed: FullSpeed = 0.5
+    track: Annotated[float, Meta(ge=0.005, le=5)] = 0.13
     markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
     board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
     readings: bool = False
-
-    def __post_init__(self) -> None:
-        if self.commands < 1:
-            raise UserError(f"a recording needs at least 1 command, not {self.commands}")

@@ -61,7 +61,7 @@ def draw_view(
         out: the picture, .png, .svg or .pdf.
         simulator: folder of another simulator to drive in, in the arena that ``place`` has.
         controller: folder of what drives, of any kind.
-        pose: x and y in cm, heading in degrees where it starts; by default where its task starts.
+        pose: x, y (m) and heading (rad) where it starts; by default where its task starts.
         seconds: how long a controller that sees drives; by default as long as its task's trial.
         noise: whether the simulator's noise (and the member of an ensemble) is drawn.
         seed: of the noise and of a start that is drawn at random.
@@ -271,7 +271,7 @@ def _start(
     else:
         drawn = None if simulator is None else simulator.free_poses(1, rng)
     if pose is not None:
-        start = np.array([pose[0] / 100, pose[1] / 100, math.radians(pose[2])])
+        start = np.array(pose)
     elif drawn is None:
         start = np.asarray((0.0, 0.0, 0.0) if task is None else task.start, np.float64)
     else:

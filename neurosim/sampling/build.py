@@ -4,9 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
+
+from msgspec import Meta
 
 from neurosim.base import files
+from neurosim.base.declared import Count, FullSpeed, Metres, checks
 from neurosim.base.errors import FileError, UserError
 from neurosim.robots.khepera.dialects import DIALECTS
 from neurosim.sampling.sampler import FIELDS, FORMAT, VERSION
@@ -23,15 +26,20 @@ UNITS = 10
 KHEPERA_SENSORS = 8
 
 
+#: Of the circle around a robot's body, m.
+Radius = Annotated[float, Meta(ge=0.001, le=10)]
+
+
+@checks
 def build_tables(
     samples: Sequence[str | Path],
     motors: str | Path | None = None,
     *,
     out: str | Path | None = None,
-    wheel_base: float | None = None,
-    full_speed: float | None = None,
-    units: int | None = None,
-    radius: float | None = None,
+    wheel_base: Metres | None = None,
+    full_speed: FullSpeed | None = None,
+    units: Count | None = None,
+    radius: Radius | None = None,
     arena: Arena | str | Path | None = None,
     noise: Literal["none", "uniform", "samples"] = "uniform",
     convention: Literal["neurosim", "evorobotpy2"] = "neurosim",
@@ -80,8 +88,6 @@ def build_tables(
     sampling = (used[0] if motors is None else Path(motors)).parent
     baud, (whole, sampled_radius) = sampled_baud(sampling), sampled_body(sampling)
     radius = sampled_radius if radius is None else radius
-    if radius is not None and not 0.001 <= radius <= 10:
-        raise UserError(f"a robot's radius lies from 1 mm to 10 m, not {radius:g} m")
     # An ideal robot's table has a row and a column for each speed: only as many as asked for.
     units = units or (None if motors is None else whole) or UNITS
     if motors is None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol, runtime_checkable
+from typing import Annotated, Protocol, runtime_checkable
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Checked, CountOrNone
 from neurosim.base.errors import UserError
 from neurosim.robots.base import Counters, Proximity, Robot, WholeSpeeds
 
@@ -21,7 +23,7 @@ class Sampler(Robot, Proximity, Counters, WholeSpeeds, Protocol):
 
 
 @dataclass(frozen=True)
-class SampleSettings:
+class SampleSettings(Checked):
     """What to sample.
 
     Attributes:
@@ -37,22 +39,14 @@ class SampleSettings:
         duration: Duration of a motor sample, s.
     """
 
-    angles: int = 180
-    distances: int = 20
-    first: float = 0.005
-    step: float = 0.002
-    repeats: int = 1
-    grid: int = 0
-    held_out: int = 12
-    duration: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.angles < 4 or self.distances < 2 or self.repeats < 1 or self.held_out < 0:
-            raise UserError("sample at 4 angles or more, 2 distances or more, once or more")
-        if not (0 <= self.first <= 1 and 0 < self.step <= 1):
-            raise UserError("distances must be above 0 and below 1 m")
-        if not 0.1 <= self.duration <= 10:
-            raise UserError(f"a motor sample lasts 0.1 to 10 s, not {self.duration:g}")
+    angles: Annotated[int, Meta(ge=4, le=3600)] = 180
+    distances: Annotated[int, Meta(ge=2, le=1000)] = 20
+    first: Annotated[float, Meta(ge=0, le=1)] = 0.005
+    step: Annotated[float, Meta(ge=0.0001, le=1)] = 0.002
+    repeats: Annotated[int, Meta(ge=1, le=1000)] = 1
+    grid: CountOrNone = 0
+    held_out: CountOrNone = 12
+    duration: Annotated[float, Meta(ge=0.1, le=10)] = 1.0
 
     def levels(self, full_speed: int) -> NDArray[np.int64]:
         """Return the speeds to drive, in the robot's units.

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Checked
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.tasks.score import Replayed, Score
 
@@ -49,11 +50,12 @@ class Judgement:
         return cls(np.asarray(fitness, np.float64), success, why, where, detail)
 
 
-class Task:
+class Task(Checked):
     """Something to be achieved, judged by one function of the trajectory; subclass it.
 
     A task of your own is a frozen dataclass with a ``name``, what makes it different as fields,
-    and :meth:`judge`. A trajectory may be simulated or driven; that makes no difference here.
+    with their ranges (:mod:`neurosim.base.declared`), and :meth:`judge`. A trajectory may be
+    simulated or driven; that makes no difference here.
 
     Attributes:
         name: what ``--task`` takes.

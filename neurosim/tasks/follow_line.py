@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base.closed_line import ClosedLine
+from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
@@ -46,29 +47,19 @@ class FollowLine(Task):
     reasons: ClassVar[tuple[str, ...]] = ("lost the line", "did not make all laps in its time")
 
     shape: Literal["rectangle", "ellipse", "points"] = "rectangle"
-    length: float = 1.4
-    width: float = 0.8
-    corner: float = 0.3
-    points: tuple[tuple[float, float], ...] = ()
-    laps: float = 10.0
-    within: float = 0.08
+    length: Metres = 1.4
+    width: Metres = 0.8
+    corner: MetresOrNone = 0.3
+    points: tuple[tuple[Coordinate, Coordinate], ...] = ()
+    laps: Annotated[float, Meta(ge=0.001, le=1000000)] = 10.0
+    within: Metres = 0.08
     direction: Literal["both", "along", "against"] = "both"
-    step: float = 0.2
-    seconds: float = 400.0
+    step: Step = 0.2
+    seconds: Seconds = 400.0
 
     def __post_init__(self) -> None:
-        try:
-            rows = tuple(tuple(float(value) for value in row) for row in self.points)
-        except (TypeError, ValueError):
-            raise UserError("points of a line are x and y (m) of each") from None
-        object.__setattr__(self, "points", rows)
-        if self.direction not in ("both", "along", "against"):
-            raise UserError(f"direction is both, along or against, not {self.direction!r}")
-        sizes = (self.laps, self.within, self.step, self.seconds)
-        if not all(0 < value < math.inf for value in sizes):
-            raise UserError("laps, within, step and seconds must be above 0")
-        if any(len(row) != 2 for row in rows):
-            raise UserError("points of a line are x and y (m) of each")
+        super().__post_init__()
+        object.__setattr__(self, "points", tuple(tuple(map(float, row)) for row in self.points))
         if not self.within < self.line.length / 4:
             raise UserError(f"a line of {self.line.length:g} m is too short to be lost")
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
+from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Pose, Seconds, Step, Turn
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
 from neurosim.tasks.base import Judgement, Task
@@ -17,8 +18,6 @@ from neurosim.tasks.score import Interval, Rows, Score
 
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
-
-Pose = tuple[float, float, float]
 
 #: Whoever is nowhere is so far away, m.
 _FAR = 1e3
@@ -61,31 +60,24 @@ class GoTo(Task):
 
     goals: tuple[Pose, ...] = ((0.6, 0.3, 0.0),)
     begin: Pose = (0.0, 0.0, 0.0)
-    walls: tuple[tuple[float, float, float, float], ...] = ()
-    radius: float = 0.09
-    within: float = 0.08
-    tolerance: float = 0.05
-    heading_tolerance: float | None = None
-    step: float = 0.1
-    seconds: float = 15.0
-    area: tuple[float, float] | None = None
+    walls: tuple[tuple[Coordinate, Coordinate, Coordinate, Coordinate], ...] = ()
+    radius: MetresOrNone = 0.09
+    within: Metres = 0.08
+    tolerance: Metres = 0.05
+    heading_tolerance: Turn | None = None
+    step: Step = 0.1
+    seconds: Seconds = 15.0
+    area: tuple[Metres, Metres] | None = None
 
     def __post_init__(self) -> None:
-        for name, width in (("goals", 3), ("walls", 4)):
-            rows = tuple(tuple(float(v) for v in row) for row in getattr(self, name))
-            if any(len(row) != width or not all(map(math.isfinite, row)) for row in rows):
-                raise UserError(f"each of {name} must be {width} finite numbers, not {rows}")
-            object.__setattr__(self, name, rows)
-        object.__setattr__(self, "begin", tuple(float(value) for value in self.begin))
-        if not self.goals or len(self.begin) != 3:
-            raise UserError("go-to needs at least one goal (x, y, heading) and a start pose")
-        sizes = (self.within, self.tolerance, self.step, self.seconds)
-        if not all(value > 0 for value in sizes) or self.radius < 0:
-            raise UserError("within, tolerance, step and seconds must be above 0, radius not below")
+        super().__post_init__()
+        for name in ("goals", "walls"):
+            object.__setattr__(self, name, tuple(tuple(map(float, v)) for v in getattr(self, name)))
+        object.__setattr__(self, "begin", tuple(map(float, self.begin)))
+        if not self.goals:
+            raise UserError("go-to needs at least one goal: x (m), y (m), heading (rad)")
         if self.area is not None:
             object.__setattr__(self, "area", tuple(map(float, self.area)))
-            if len(self.area) != 2 or not all(0 < side < math.inf for side in self.area):
-                raise UserError(f"area is length and width above 0, m, not {self.area}")
             if len(self.goals) > 1 or self.walls:
                 raise UserError("starts are drawn for a single goal, without walls: leave out area")
 

@@ -34,12 +34,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import numpy as np
+from msgspec import Meta
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
@@ -53,6 +55,10 @@ SPACING = 0.02
 FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}
 _FORBIDDEN, _OUTSIDE, _SKIPPED = FAULTS
 _NOT_THERE = "did not end in the last rectangle"
+
+
+#: The number of a rectangle in the course.
+_Number = Annotated[int, Meta(ge=-1, le=1000)]
 
 
 @dataclass(frozen=True)
@@ -70,23 +76,22 @@ class NineRectangles(Task):
         seconds: Time that a controller that sees has, s.
     """
 
-    penalty: float = 32.0
-    longest_arc: float = 1.5
-    length: float = 0.80
-    width: float = 0.50
-    course: tuple[tuple[int, ...], ...] = ((1, 2, 3), (0, -1, 4), (7, 6, 5))
-    step: float = 0.1
-    seconds: float = 60.0
+    penalty: Annotated[float, Meta(ge=0, le=1000000)] = 32.0
+    longest_arc: Metres = 1.5
+    length: Metres = 0.80
+    width: Metres = 0.50
+    course: tuple[tuple[_Number, ...], ...] = ((1, 2, 3), (0, -1, 4), (7, 6, 5))
+    step: Step = 0.1
+    seconds: Seconds = 60.0
 
     name: ClassVar[str] = "nine-rectangles"
     reasons: ClassVar[tuple[str, ...]] = (*FAULTS.values(), _NOT_THERE)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         object.__setattr__(self, "course", tuple(map(tuple, self.course)))
-        if not (self.penalty >= 0 and self.longest_arc > 0):
-            raise UserError("penalty must not be negative, and longest_arc must be above 0")
-        if not (self.length > 0 and self.width > 0 and self.step > 0 and self.seconds >= self.step):
-            raise UserError("length, width and step must be above 0, and seconds at least a step")
+        if self.seconds < self.step:
+            raise UserError(f"a trial of {self.seconds:g} s is shorter than one step")
         numbers = sorted(n for row in self.course for n in row if n != -1)
         if len({len(row) for row in self.course}) != 1 or numbers != list(range(len(numbers))):
             raise UserError(

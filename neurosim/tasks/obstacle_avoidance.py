@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Count, Number, Step
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
@@ -90,25 +91,22 @@ class ObstacleAvoidance(Task):
     reasons: ClassVar[tuple[str, ...]] = ("drove too slowly, or too near to things",)
 
     fitness: str = "avoidance"
-    steps: int = 500
-    starts: int = 5
-    duration: float = 0.1
+    steps: Count = 500
+    starts: Count = 5
+    duration: Step = 0.1
     contacts: Literal["free", "end"] = "free"
-    enough: float | None = None
+    enough: Number | None = None
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         if self.fitness not in FITNESS:
             raise UserError(f"fitness is one of {', '.join(FITNESS)}, not {self.fitness!r}")
-        if self.starts < 1 or self.steps < self.starts or self.steps % self.starts:
+        if self.steps % self.starts:
             raise UserError(
                 f"{self.steps} steps cannot be shared out evenly among {self.starts} starts"
             )
-        if self.contacts not in ("free", "end"):
-            raise UserError(f"contacts are free or end, not {self.contacts!r}")
         if self.contacts == "end" and FITNESS[self.fitness] is not avoidance:
             raise UserError("contacts that end a drive are those of the fitness avoidance")
-        if not 0.001 <= self.duration <= 10:
-            raise UserError(f"a step lasts 0.001 to 10 s, not {self.duration:g}")
 
     @property
     def trial_starts(self) -> int:  # type: ignore[override]

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
@@ -34,11 +35,7 @@ class Walking(Task):
     reasons: ClassVar[tuple[str, ...]] = ("fell", "did not walk")
     fitness_unit: ClassVar[str] = "m/s"
 
-    seconds: float = 20.0
-
-    def __post_init__(self) -> None:
-        if not self.seconds >= 1.0:
-            raise UserError(f"a trial of walking takes a second at least, not {self.seconds:g}")
+    seconds: Annotated[float, Meta(ge=1, le=3600)] = 20.0
 
     @property
     def episode(self) -> Episode:

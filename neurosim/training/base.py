@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
@@ -101,8 +103,12 @@ def _not_zero(scale: Tensor) -> Tensor:
     return torch.where(scale > 0, scale, 1.0)
 
 
+#: An exponent of an input in a product unit.
+Exponent = Annotated[float, Meta(ge=-20, le=20)]
+
+
 @dataclass(frozen=True)
-class PursuitSettings:
+class PursuitSettings(Checked):
     """How product units are searched for, one at a time.
 
     Attributes:
@@ -120,22 +126,21 @@ class PursuitSettings:
         patience: units without a gain after which the search ends.
     """
 
-    candidates: int = 600
-    parents: int = 12
-    children: int = 150
-    mutation_scales: tuple[float, ...] = (0.4, 0.15)
-    limits: tuple[float, float] = (-3.0, 4.0)
-    ridge: float = 1e-7
-    refine_every: int = 2
-    refine_steps: int = 2
-    reweigh_at: tuple[int, ...] = (4, 8)
-    unit_cost: float = 12.0
-    least_gain: float = 1e-3
-    patience: int = 8
+    candidates: Count = 600
+    parents: Count = 12
+    children: Count = 150
+    mutation_scales: tuple[Annotated[float, Meta(ge=0, le=100)], ...] = (0.4, 0.15)
+    limits: tuple[Exponent, Exponent] = (-3.0, 4.0)
+    ridge: Annotated[float, Meta(ge=1e-12, le=1)] = 1e-7
+    refine_every: Count = 2
+    refine_steps: CountOrNone = 2
+    reweigh_at: tuple[Count, ...] = (4, 8)
+    unit_cost: Annotated[float, Meta(ge=0, le=1000000)] = 12.0
+    least_gain: Fraction = 1e-3
+    patience: Count = 8
 
     def __post_init__(self) -> None:
-        if min(self.candidates, self.parents, self.children, self.refine_every) < 1:
-            raise UserError("candidates, parents, children and refine_every are at least 1")
+        super().__post_init__()
         if not self.limits[0] < self.limits[1]:
             raise UserError("the lowest exponent must be below the highest")
 

@@ -7,14 +7,16 @@ import time
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import torch
+from msgspec import Meta
 from torch import Tensor
 
 from neurosim.base import files
 from neurosim.base.checkpoint import Checkpoint
+from neurosim.base.declared import Count, Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.generations import run_generations
 from neurosim.simulators import MotionNetwork
@@ -47,16 +49,21 @@ _HISTORY = 200
 MOST_MEMBERS = 1000
 
 
+#: Numbers of units of a kind.
+Units = Annotated[int, Meta(ge=0, le=4096)]
+
+
+@checks
 def train(
     dataset: str | Path,
     out: str | Path,
     *,
     trainer: str = DEFAULT,
-    members: int | None = None,
+    members: Annotated[int, Meta(ge=1, le=1000)] | None = None,
     noise: bool | None = None,
-    generations: int | None = None,
-    seed: int = 0,
-    hidden: tuple[int, int] | None = None,
+    generations: Count | None = None,
+    seed: Seed = 0,
+    hidden: tuple[Units, Units] | None = None,
     activations: tuple[str, str] = ("linear", "linear"),
     settings: Mapping[str, Any] | None = None,
     device: str = "cpu",

@@ -5,12 +5,14 @@ from __future__ import annotations
 import tempfile
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base import se2
+from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Tracked, planned
 from neurosim.controllers import FixedPlan, SavedController
@@ -36,15 +38,16 @@ class VirtualNxt:
         changes: of the lab's parameters, by name.
     """
 
+    @checks
     def __init__(
         self,
         controller: Any,
         task: Any,
-        lab_seed: int = 0,
-        seed: int = 0,
-        slip: float | None = None,
-        battery: float | None = None,
-        worn: float = 0.0,
+        lab_seed: Seed = 0,
+        seed: Seed = 0,
+        slip: Annotated[float, Meta(ge=0, le=0.9)] | None = None,
+        battery: Annotated[float, Meta(ge=6, le=10)] | None = None,
+        worn: Annotated[float, Meta(ge=0, le=0.5)] = 0.0,
     ):
         """Choose robot and floor.
 
@@ -64,13 +67,6 @@ class VirtualNxt:
             raise UserError(
                 f"the virtual NXT drives plans; a controller of the kind {controller.kind} is none"
             )
-        for name, value, most in (("slip", slip, 0.9), ("worn", worn, 0.5)):
-            if value is not None and not 0.0 <= value <= most:
-                raise UserError(f"{name} is a share from 0 to {most:g}, not {value:g}")
-        if min(lab_seed, seed) < 0:
-            raise UserError(f"seeds must not be negative, not {min(lab_seed, seed)}")
-        if battery is not None and not 6.0 <= battery <= 10.0:
-            raise UserError(f"the battery has 6 to 10 V, not {battery:g}")
         self.controller, self.task = controller, task
         self._lab_seed, self._seed = lab_seed, seed
         changes = {"slip_mean": slip, "battery": battery}

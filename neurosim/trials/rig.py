@@ -7,11 +7,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
 from neurosim.base.closed_line import SHAPES
+from neurosim.base.declared import Baud, Checked, Fps, Pose, SecondsOrNone, Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended
 from neurosim.lab import (
@@ -32,11 +34,12 @@ from neurosim.tasks.follow_line import FollowLine
 from neurosim.tasks.registry import make_task
 from tracking.camera.cameras import Camera, open_camera
 
-Pose = tuple[float, float, float]
+#: Width or height of a frame, pixels.
+Side = Annotated[int, Meta(ge=120, le=8192)]
 
 
 @dataclass(frozen=True)
-class Setup:
+class Setup(Checked):
     """What a rig is to be, beside the robot's own options.
 
     Attributes:
@@ -51,9 +54,9 @@ class Setup:
     """
 
     camera: str | None = None
-    size: tuple[int, int] | None = None
-    fps: float | None = None
-    seed: int = 0
+    size: tuple[Side, Side] | None = None
+    fps: Fps | None = None
+    seed: Seed = 0
     start: Pose | None = None
     arena: LabArena | None = None
 
@@ -119,14 +122,15 @@ def open_rig(
 
 
 @contextmanager
+@checks
 def virtual(
     setup: Setup,
     *,
-    lab_seed: int = 0,
+    lab_seed: Seed = 0,
     lamp: str | None = "A",
     line: str | None = None,
-    push: float = 0.0,
-    push_after: float = 5.0,
+    push: Annotated[float, Meta(ge=0, le=1)] = 0.0,
+    push_after: SecondsOrNone = 5.0,
     real_time: bool = False,
 ) -> Iterator[Rig]:
     """Open the virtual lab's NXT under its roof camera.
@@ -147,8 +151,6 @@ def virtual(
     """
     hand = None
     if push:
-        if not (0.0 < push <= 1.0 and push_after >= 0.0):
-            raise UserError(f"a push is of 0 to 1 m, at 0 s or later, not {push:g} m")
         direction = np.random.default_rng([setup.seed, 0x9054]).uniform(-math.pi, math.pi)
         hand = Push(push, push_after, float(direction))
     with (
@@ -191,12 +193,13 @@ def printed_line(text: str) -> PrintedLine:
 
 
 @contextmanager
-def virtual_khepera(setup: Setup, *, lab_seed: int = 0, baud: int | None = None) -> Iterator[Rig]:
+@checks
+def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = None) -> Iterator[Rig]:
     """Open the virtual lab's Khepera, with a camera above the place where it starts.
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's robots.
+        lab_seed: Seed
         baud: Speed of its serial line; by default the robot's own, 9600.
     """
     camera = None

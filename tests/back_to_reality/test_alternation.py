@@ -564,10 +564,10 @@ def test_what_does_not_fit_is_refused():
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"search": "hill"}, "search is one of"), ({"adapt": "hill"}, "adapt is one of ga, cma, none"),
-     ({"cycles": 0}, "cycles must be at least 1"), ({"spread": 0.0}, "spread is a share"),
-     ({"compare": "all"}, "compare is one of similar, recent, tracked"),
-     ({"budget": -1}, "not be negative")],
+    [({"search": "hill"}, "search: .* 'ga', 'cma', found 'hill'"),
+     ({"adapt": "hill"}, "adapt: .* 'ga', 'cma', 'none', found 'hill'"),
+     ({"spread": 0.0}, "spread: .* found 0"),
+     ({"compare": "all"}, "compare: .* 'similar', 'recent', 'tracked', found 'all'")],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(change, said):
     with pytest.raises(UserError, match=said):

@@ -10,7 +10,6 @@ from neurosim.back_to_reality.genetic import (
     encode,
     linear_scaling,
 )
-from neurosim.base.errors import UserError
 
 
 def test_bit_strings_by_hand():
@@ -82,13 +81,3 @@ def test_it_climbs_a_hill_and_takes_negative_fitness():
         away.append(np.linalg.norm(search.ask() - top, axis=1))
         search.tell(-away[-1])
     assert np.min(away) < 0.05
-
-
-@pytest.mark.parametrize(
-    ("change", "said"),
-    [({"population": 1}, "two individuals"), ({"mutation": 1.5}, "mutation is a probability"),
-     ({"scaling": 1.0}, "above 1"), ({"bits": 0}, "1 to 30 bits")],
-)  # fmt: skip
-def test_settings_that_cannot_be_are_refused(change, said):
-    with pytest.raises(UserError, match=said):
-        BitSettings(**change)

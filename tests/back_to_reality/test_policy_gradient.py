@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings, gradient
-from neurosim.base.errors import UserError
 
 
 def test_gradient_by_hand():
@@ -40,10 +39,3 @@ def test_it_climbs_a_hill():
     for _ in range(40):
         learner.tell(-np.linalg.norm(learner.ask() - top, axis=1))
     assert np.linalg.norm(learner.point - top) < 0.1
-
-
-def test_settings_that_cannot_be_are_refused():
-    with pytest.raises(UserError, match="two policies"):
-        PolicySettings(policies=1)
-    with pytest.raises(UserError, match="above 0"):
-        PolicySettings(step=0.0)

@@ -124,18 +124,14 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
     ("words", "said"),
     [
         (["--place", "moon"], "there is no place 'moon' in the lab"),
-        (["--reality-seed", "-1"], "the seed of reality must not be negative"),
         (["--task", "go-to"], "judged by how fast it walks, not by go-to"),
         (["--budget", "5"], "a budget of 5 leaves nothing to try"),
-        (["--cycles", "0"], "cycles must be at least 1"),
-        (["--seconds", "0"], "a trial of walking takes a second at least"),
         (["--settings", "best"], "paper and better"),
         (["--controller", "network", "--inputs", "time"], "gives it no angles of its joints"),
         (["--task", "go-to", "--controller", "plan"], "angles of its joints"),
         (["--simulator", "nowhere"], "no such simulator"),
         (["--start", "gait.json"], "the gait's length is 7, outside of 0.01 to 0.1 m"),
         (["--start", "far.json"], "foot cannot reach"),
-        (["--policies", "1"], "two policies"),
         (["--resume"], "there is no interrupted run"),
     ],
 )

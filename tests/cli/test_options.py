@@ -12,6 +12,7 @@ import click
 import pytest
 from click.testing import CliRunner
 
+from neurosim.base.declared import Count, Metres, Seconds, Turn
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
 from neurosim.cli._common import resume_option
@@ -22,6 +23,7 @@ from neurosim.cli._options import (
     parameters,
     settings_options,
 )
+from neurosim.cli._types import Real
 
 if TYPE_CHECKING:
     from somewhere import Thing
@@ -37,15 +39,17 @@ class Walk:
             ``metres`` per second; see :class:`some.where.Thing`.
         side: which one.
         goals: x and y of each.
+        span: both ends.
         reach, width: sizes, m.
         thing: no option can stand for it.
     """
 
-    steps: int = 10
+    steps: Count = 10
     pace: float = 1.5
     side: Literal["left", "right"] = "left"
     goals: tuple[tuple[float, float], ...] = ((0.5, 0.0),)
-    reach: float = 0.25
+    span: tuple[Seconds, Seconds] = (0.5, 3.0)
+    reach: Metres = 0.25
     width: float | None = None
     thing: Thing | None = None
     names: list[str] = field(default_factory=lambda: ["a", "b"])
@@ -102,7 +106,7 @@ def help_of(*words):
 
 def test_name_type_default_and_help_are_those_of_the_settings():
     found = {each.name: each for each in parameters(Walk)}
-    assert list(found) == ["steps", "pace", "side", "goals", "reach", "width", "names"]
+    assert list(found) == ["steps", "pace", "side", "goals", "span", "reach", "width", "names"]
     assert found["steps"].help == "How many steps."
     assert found["pace"].help == "Of a step, metres per second; see Thing."
     assert found["reach"].help == found["width"].help == "Sizes, m."
@@ -127,9 +131,13 @@ def test_only_the_options_of_what_is_chosen_are_there():
     told = run("here", "--depth", "2", "--task", "swim", "--slow")
     assert told["options"] == {"depth": 2, "slow": True}
     shown, other = help_of(), help_of("--task", "swim")
-    assert "Options of --task walk: --steps INTEGER How many steps. [default: 10]" in shown
+    assert (
+        "Options of --task walk: --steps INTEGER How many steps. [default: 10] [1<=x<=1000000]"
+        in shown
+    )
     assert "--side [left|right] Which one. [default: left]" in shown
-    assert "--reach cm Sizes, cm. [default: 25]" in shown
+    assert "--reach cm Sizes, cm. [default: 25] [0.01<=x<=100000]" in shown
+    assert "--span LOW..HIGH Both ends. [default: 0.5..3] [0.001<=x<=100000]" in shown
     assert "--goals JSON X and y of each. [default: [[0.5, 0.0]]]" in shown
     assert "--depth" not in shown
     assert "--depth" in other
@@ -151,7 +159,10 @@ def test_what_does_not_go_together_is_said_in_a_sentence(words, message):
         CliRunner().invoke(verb(), ["here", *words], catch_exceptions=False)
 
 
-@pytest.mark.parametrize("words", [["--nonsense"], ["--steps", "x"], ["--reach", "nan"], []])
+@pytest.mark.parametrize(
+    "words",
+    [["--nonsense"], ["--steps", "x"], ["--reach", "nan"], ["--reach", "0"], ["--steps", "0"], []],
+)
 def test_what_makes_no_sense_is_a_usage_error(words):
     place = ["here"] if words else []
     assert CliRunner().invoke(verb(), [*place, *words]).exit_code == 2
@@ -166,7 +177,7 @@ def test_an_option_of_the_same_name_as_another_is_named_after_its_choice():
     # Two groups that both have steps: the first has the name.
     told = run(*swim, "--steps", "5", "--more-steps", "6")
     assert (told["options"]["steps"], told["more"]["steps"]) == (5, 6)
-    assert "--more-steps INTEGER How many steps. [default: 99]" in help_of(*swim)
+    assert "--more-steps INTEGER How many steps. [default: 99] [1<=x<=1000000]" in help_of(*swim)
 
 
 def test_resume_takes_what_is_not_given_from_what_was_begun():
@@ -190,11 +201,10 @@ def test_resume_takes_what_is_not_given_from_what_was_begun():
 
 
 def test_units_lead_to_si_exactly_as_code_does():
-    from neurosim.cli._types import Quantity
-
-    assert Quantity("mm").convert("2.7", None, None) == 2.7 / 1000
-    assert Quantity("degrees").convert("0.5", None, None) == math.radians(0.5)
-    assert Quantity("mm").shown(0.003) == "3"
+    assert Real(Metres, "mm").convert("2.7", None, None) == 2.7 / 1000
+    assert Real(Turn, "degrees").convert("0.5", None, None) == math.radians(0.5)
+    assert Real(Metres, "mm").convert(0.0027, None, None) == 0.0027
+    assert Real(Metres, "mm").shown(0.003) == "3"
 
 
 def test_a_package_that_cannot_be_imported_is_in_nobodys_way():

@@ -35,7 +35,6 @@ def test_rounds_are_all_commands_the_first_of_them_twice_as_long():
         ([], "--calibration"),
         (["--calibration", "c.json", "--at-line", "end"], "--at-line end"),
         (["--calibration", "c.json", "--commands", "30"], "more than that"),
-        (["--calibration", "c.json", "--round", "5"], "at least 15"),
         (["--calibration", "c.json", "--resume"], "no round"),
     ],
 )

@@ -267,10 +267,10 @@ def test_settings_make_the_same_family_again(family):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Network(()), "has inputs, outputs and"),
-        (lambda: Network(("a",), (0,)), "at least 1 unit"),
-        (lambda: Recurrent(("a",), 0), "at least 1 hidden unit"),
-        (lambda: Recurrent(("a",), 2, "spiking"), "elman or ctrnn, not 'spiking'"),
+        (lambda: Network(()), "has inputs and outputs"),
+        (lambda: Network(("a",), (0,)), r"hidden\[0\]: .* from 1 to 4,096, found 0"),
+        (lambda: Recurrent(("a",), 0), "units: .* from 1 to 4,096, found 0"),
+        (lambda: Recurrent(("a",), 2, "spiking"), "'elman', 'ctrnn', found 'spiking'"),
     ],
 )
 def test_networks_that_cannot_be_are_refused(make, message):

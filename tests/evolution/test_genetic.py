@@ -125,7 +125,7 @@ def test_with_parents_the_best_alone_have_children_each_as_many():
     ],
 )
 def test_impossible_settings_are_refused(wrong):
-    with pytest.raises(UserError, match=r"population|elites|probabilities|parents"):
+    with pytest.raises(UserError, match=r"population|elites|mutation|tournament|parents"):
         GeneticSettings(**wrong)
 
 

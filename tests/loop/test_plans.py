@@ -165,13 +165,8 @@ def test_interruption_returns_the_best_so_far(monkeypatch, generation):
 @pytest.mark.parametrize(
     ("make", "setting", "message"),
     [
-        (Plan, {"slots": 0}, "a plan has at least 1 command, not 0"),
-        (EvolveSettings, {"runs": 0}, "runs must be at least 1"),
-        (EvolveSettings, {"generations": 0}, "generations must be at least 1"),
-        (EvolveSettings, {"outcomes": -1}, "outcomes must not be negative"),
         (EvolveSettings, {"objective": "luck"}, "no objective 'luck'; there is fitness, "),
-        (Plan, {"max_speed": 120.0}, "in 0 to 100 %, not 120"),
-        (Plan, {"durations": (2.0, 1.0)}, "in order, not 2 to 1"),
+        (Plan, {"durations": (2.0, 1.0)}, "2 s, is above the longest, 1 s"),
     ],
 )
 def test_settings_out_of_range_are_named(make, setting, message):
@@ -249,9 +244,7 @@ def test_robust_evolution_needs_outcomes_that_differ():
 
 
 def test_robust_settings_out_of_range_are_named():
-    with pytest.raises(UserError, match="for fitness or probability, not 'luck'"):
+    with pytest.raises(UserError, match="expected one of 'probability', 'fitness', found 'luck'"):
         RobustSettings("luck")
-    with pytest.raises(UserError, match="draws must be at least 1"):
-        RobustSettings(draws=0)
-    with pytest.raises(UserError, match="must not be negative"):
+    with pytest.raises(UserError, match=r"placing\[0\]: expected a number from 0"):
         EvolveSettings(placing=(-1.0, 0.0))

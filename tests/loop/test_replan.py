@@ -12,7 +12,6 @@ from motion_networks import random_motion_network
 from simulators_of_tests import tables
 
 from neurosim.base import se2
-from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws
 from neurosim.controllers import Plan
 from neurosim.loop.replan import Replanner, ReplanSettings
@@ -149,9 +148,3 @@ def test_a_search_ends_in_time_or_lasts_it_out():
     quick = replace(QUICK, generations=1, think=3.0)
     Replanner(SlippingWheels(), TASK, FAMILY, settings=quick, clock=clock).next(np.zeros(3))
     assert clock.time == pytest.approx(before + 0.1 + 3.0)
-
-
-def test_settings_that_cannot_be_are_refused():
-    for wrong in ({"generations": 0}, {"draws": 0}, {"most": 0}, {"think": -1.0}):
-        with pytest.raises(UserError, match="planned again in at least 1 generation"):
-            ReplanSettings(**wrong)

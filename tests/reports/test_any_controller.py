@@ -336,7 +336,9 @@ def test_a_view_of_a_plan_keeps_to_what_the_simulator_says(tmp_path):
     plan = FixedPlan(((100.0, 100.0, 3.0), (-60.0, -20.0, 1.0)))
     task = {"name": "go-to", "settings": {}}
     made = controller(tmp_path / "c", plan, (), task, poses=along(3))
-    result = draw_view(tmp_path / "sim", tmp_path / "x.png", controller=made, pose=(0, 0, 40))
+    result = draw_view(
+        tmp_path / "sim", tmp_path / "x.png", controller=made, pose=(0, 0, np.radians(40))
+    )
     room = 0.2 - TableSimulator.radius
     assert np.abs(result["path"][:, :2]).max() <= room + 1e-6
     assert len(result["path"]) > 40

@@ -380,9 +380,9 @@ def test_an_e_puck_that_reboots(line):
             {"dialect": "roomba"},
             "'roomba' is not known; there are khepera, khepera3, epuck",
         ),
-        ({"full_speed": 0}, "full speed 0"),
+        ({"full_speed": 0}, "full_speed: expected"),
         ({"full_speed": 128}, "use 1 to 127"),
-        ({"baud": -1}, "-1 is not a baud rate"),
+        ({"baud": -1}, "baud: expected a whole number from 300"),
     ],
 )
 def test_options_that_make_no_sense(options, why):

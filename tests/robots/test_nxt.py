@@ -428,7 +428,8 @@ def test_servers_that_are_no_brick():
     port = free.getsockname()[1]
     free.close()
     assert "no nxt-server reached" in refused(server_port=port)
-    assert "no nxt-server reached" in refused(server_port=70000)
+    with pytest.raises(UserError, match="server_port: expected a whole number from 1 to 65,535"):
+        NXT(server_port=70000)
 
 
 def test_one_way_only():

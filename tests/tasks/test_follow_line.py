@@ -78,12 +78,12 @@ def test_points_make_a_line_and_the_task_says_so():
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ({"direction": "left"}, "both, along or against"),
-        ({"laps": 0}, "above 0"),
-        ({"seconds": math.inf}, "above 0"),
+        ({"direction": "left"}, "direction: expected one of 'both'"),
+        ({"laps": 0}, "laps: expected a number from 0.001"),
+        ({"seconds": math.inf}, "seconds: .* found inf"),
         ({"shape": "points"}, "three or more"),
-        ({"shape": "points", "points": [[0, 0, 0]] * 3}, "x and y"),
-        ({"shape": "points", "points": [1, 2, 3]}, "x and y"),
+        ({"shape": "points", "points": [[0, 0, 0]] * 3}, r"points\[0\]: expected a list of 2"),
+        ({"shape": "points", "points": [1, 2, 3]}, r"points\[0\]: expected a list of 2"),
         ({"within": 2.0}, "too short to be lost"),
         ({"corner": 0.5}, "corners of 0.5 m"),
     ],

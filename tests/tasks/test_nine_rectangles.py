@@ -78,7 +78,7 @@ def test_the_start_faces_rectangle_1_and_the_name_finds_the_task():
         make_task("ten-rectangles")
     with pytest.raises(UserError, match=r"does not take these settings \('size'\)"):
         make_task("nine-rectangles", size=1)
-    with pytest.raises(UserError, match="penalty must not be negative"):
+    with pytest.raises(UserError, match=r"penalty: .* found -1"):
         make_task("nine-rectangles", penalty=-1.0)
 
 
@@ -251,9 +251,9 @@ def test_another_course_has_other_rectangles():
         ({"course": ((0, 1), (2,))}, "rows of equal length"),
         ({"course": ((0, 1), (3, 5))}, "0, 1, 2, ... once each"),
         ({"course": ((0, 1),)}, "at least 3 rectangles"),
-        ({"length": 0.0}, "must be above 0"),
-        ({"step": 0.0}, "must be above 0"),
-        ({"seconds": 0.05}, "seconds at least a step"),
+        ({"length": 0.0}, "length: expected a number from 0.0001"),
+        ({"step": 0.0}, "step: expected a number from 0.001"),
+        ({"seconds": 0.05}, "shorter than one step"),
     ],
 )
 def test_a_course_that_is_none_is_refused(settings, message):

@@ -59,7 +59,7 @@ def test_what_comes_after_a_contact_counts_nothing_where_it_is_known():
     assert avoidance(uneven, 0.1).tolist() == [2.0, 8.0]
     assert ObstacleAvoidance(steps=20, contacts="end").episode.contacts
     assert not ObstacleAvoidance(steps=20).episode.contacts
-    with pytest.raises(UserError, match="contacts are free or end, not 'soft'"):
+    with pytest.raises(UserError, match="contacts: expected one of 'free', 'end', found 'soft'"):
         ObstacleAvoidance(contacts="soft")
     with pytest.raises(UserError, match="of the fitness avoidance"):
         ObstacleAvoidance(fitness="cells", contacts="end")

@@ -544,7 +544,7 @@ def test_the_cutting_report():
 
 
 def test_settings_must_be_positive():
-    with pytest.raises(UserError, match="max_speed must be above 0"):
+    with pytest.raises(UserError, match=r"max_speed: expected a number from 0.001"):
         Settings(max_speed=0.0)
 
 

@@ -200,7 +200,7 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
         ("not empty", (dataset, taken), {}),
         ("no trainer 'oracle'", (dataset, out), {"trainer": "oracle"}),
         ("no setting 'warp'", (dataset, out), {"settings": {"warp": 9}}),
-        ("candidates, parents, children", (dataset, out), {"settings": {"parents": 0}}),
+        ("parents: expected a whole number from 1", (dataset, out), {"settings": {"parents": 0}}),
         ("at least 1", (dataset, out), {"generations": 0}),
         ("no activation", (dataset, out), {"activations": ("relu", "linear")}),
         ("linear", (dataset, out), {"activations": ("tanh", "linear")}),

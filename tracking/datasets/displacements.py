@@ -14,14 +14,15 @@ as much as those before, the bias is 0.1 to 0.4 mm.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked, Seconds
 from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.datasets.recordings import CommandLine, Poses, Recording
 from tracking.datasets.within import choose_instants, poses_within
@@ -43,7 +44,7 @@ FEWEST_ANSWERS, SIGNIFICANT = 20, 2.0
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked):
     """How displacements are taken from a track.
 
     Attributes:
@@ -58,20 +59,13 @@ class Settings:
         timing: how far a command's end may be from its planned time, s.
     """
 
-    fit_before: float = 0.17
-    settling: float = 0.3
-    nearest: float = 1.5
-    longest_gap: float = 0.3
-    max_speed: float = 1.2
-    max_turn_rate: float = 15.0
-    timing: float = 0.15
-
-    def __post_init__(self) -> None:
-        for setting in fields(self):
-            if not getattr(self, setting.name) > 0:
-                raise UserError(
-                    f"the setting {setting.name} must be above 0, not {getattr(self, setting.name)}"
-                )
+    fit_before: Seconds = 0.17
+    settling: Seconds = 0.3
+    nearest: Annotated[float, Meta(ge=0.001, le=1000)] = 1.5
+    longest_gap: Seconds = 0.3
+    max_speed: Annotated[float, Meta(ge=0.001, le=1000)] = 1.2
+    max_turn_rate: Annotated[float, Meta(ge=0.001, le=1000)] = 15.0
+    timing: Seconds = 0.15
 
 
 @dataclass

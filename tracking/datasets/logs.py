@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
+from neurosim.base.declared import Checked, Seconds
 from neurosim.base.errors import UserError
 from tracking.datasets.within import choose_instants, poses_within
 
@@ -31,7 +32,7 @@ _ROUNDING = 1e-3
 
 
 @dataclass(frozen=True)
-class Settings:
+class Settings(Checked):
     """How runs of equal commands become rows.
 
     Attributes:
@@ -40,15 +41,12 @@ class Settings:
         longest_gap: a piece is left out if samples or poses are silent for longer within it, s.
     """
 
-    shortest: float = 0.5
-    longest: float = 3.0
-    longest_gap: float = 0.5
+    shortest: Seconds = 0.5
+    longest: Seconds = 3.0
+    longest_gap: Seconds = 0.5
 
     def __post_init__(self) -> None:
-        for setting in fields(self):
-            value = getattr(self, setting.name)
-            if not value > 0:
-                raise UserError(f"the setting {setting.name} must be above 0, not {value}")
+        super().__post_init__()
         if self.shortest > self.longest:
             raise UserError(
                 f"the shortest piece ({self.shortest:g} s) is longer than the longest one "

@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.robots.quadruped import FRAME, JOINTS, standing
 from neurosim.simulators.legged.build import Build, compile_model
@@ -172,7 +173,8 @@ class VirtualWalker:
         place: the robot's name and where it walks.
     """
 
-    def __init__(self, controller: Any, place: str = "main", seed: int = 0, task: Any = None):
+    @checks
+    def __init__(self, controller: Any, place: str = "main", seed: Seed = 0, task: Any = None):
         """Put a robot of the lab in its place.
 
         Args:
@@ -196,8 +198,6 @@ class VirtualWalker:
             raise UserError(
                 f"the walking robot of the lab is judged by how fast it walks, not by {task.name}"
             )
-        if seed < 0:
-            raise UserError(f"the seed of reality must not be negative, not {seed}")
         self.controller, self.place, self._seed = controller, place, seed
         self._place = PLACES[place]
         self._build = replace(self._place.build, bumps=_bumps(self._place))

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 import time
 from contextlib import suppress
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 
+from neurosim.base.declared import Baud, Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.khepera.dialects import Dialect, dialect_named
@@ -53,15 +55,16 @@ class Khepera:
         UserError: for a dialect, a baud rate or a full speed that does not exist.
     """
 
+    @checks
     def __init__(
         self,
         port: str,
         *,
         dialect: str = "khepera",
-        baud: int | None = None,
-        full_speed: int | None = None,
-        pulses_per_metre: float | None = None,
-        timeout: float = 1.0,
+        baud: Baud | None = None,
+        full_speed: Count | None = None,
+        pulses_per_metre: Annotated[float, Meta(ge=1, le=1e9)] | None = None,
+        timeout: Seconds = 1.0,
         clock: Clock | None = None,
     ):
         self.dialect: Dialect = dialect_named(dialect)
@@ -72,8 +75,6 @@ class Khepera:
                 f"full speed {self.full_speed} is not one of the {self.dialect.robot}'s: use 1 to "
                 f"{self.dialect.max_speed}"
             )
-        if baud is not None and baud <= 0:
-            raise UserError(f"{baud} is not a baud rate")
         self.geometry: Geometry = self.dialect.geometry
         self.pulses_per_metre = float(pulses_per_metre or self.dialect.pulses_per_metre)
         # A speed is a number of pulses in a time, so that it goes with the size of a pulse.

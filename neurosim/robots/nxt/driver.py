@@ -18,6 +18,7 @@ from nxt.sensor import Port as SensorPort
 from nxt.sensor import Type as SensorType
 from nxt.telegram import Opcode, Telegram
 
+from neurosim.base.declared import Port, Seconds, checks
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.robots.base import Clock, SystemClock
 from neurosim.robots.nxt.link import GARBAGE, Guard, open_brick
@@ -90,13 +91,14 @@ class NXT:
         UserError: if a port does not exist or is given twice.
     """
 
+    @checks
     def __init__(
         self,
         *,
         host: str | None = None,
         filename: str | None = None,
         server_host: str | None = None,
-        server_port: int | None = None,
+        server_port: Port | None = None,
         left: str = "B",
         right: str = "C",
         lamp: str | None = "A",
@@ -104,7 +106,7 @@ class NXT:
         light_right: int | str | None = 2,
         invert: bool = False,
         clock: Clock | None = None,
-        deadline: float = 3.0,
+        deadline: Seconds = 3.0,
     ):
         self.clock: Clock = SystemClock() if clock is None else clock
         self._way = {

@@ -20,11 +20,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from itertools import chain
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Count, Fraction
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.threads import one_thread
@@ -81,26 +83,21 @@ class CombinedSettings(PursuitSettings):
             ``product_units``, ``process``, ``row_weights``.
     """
 
-    floor: float = 0.02
-    dead_zone: tuple[float, ...] | None = None
-    swing_rows: int = 300
-    search_rows: int = 6000
-    search_parts: int = 2000
-    centres: int = 75
-    part_weight: float = 0.3
-    most_parts: int = 40000
-    noise_rows: int = 20000
-    lean: float = 0.25
+    floor: Annotated[float, Meta(ge=1e-6, lt=1)] = 0.02
+    dead_zone: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
+    swing_rows: Count = 300
+    search_rows: Count = 6000
+    search_parts: Count = 2000
+    centres: Count = 75
+    part_weight: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.3
+    most_parts: Count = 40000
+    noise_rows: Count = 20000
+    lean: Fraction = 0.25
     whole_commands: bool = False
     without: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        counts = ("swing_rows", "search_rows", "search_parts", "centres", "most_parts")
-        if min(getattr(self, name) for name in counts) < 1:
-            raise UserError(f"{', '.join(counts)} are at least 1")
-        if self.noise_rows < 1 or not self.part_weight > 0.0 or not 0.0 <= self.lean <= 1.0:
-            raise UserError("noise_rows is at least 1, part_weight above 0, and lean 0 to 1")
         for name in self.without:
             if name not in MECHANISMS:
                 raise UserError(f"without is of {', '.join(MECHANISMS)}, not {name!r}")

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 
 from neurosim.base.threads import one_thread
@@ -24,7 +26,7 @@ class GaSettings(GeneticSettings):
         initial: first weights are drawn between minus and plus this.
     """
 
-    initial: float = 0.5
+    initial: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.5
 
 
 class GaTrainer:

@@ -4,18 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 
-from neurosim.base.errors import UserError
+from neurosim.base.declared import Checked, Count
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData, root_mean_square
 
 
 @dataclass(frozen=True)
-class GradientSettings:
+class GradientSettings(Checked):
     """Settings of Adam and of early stopping.
 
     Attributes:
@@ -25,16 +27,10 @@ class GradientSettings:
         validation: share of the training rows, drawn at random, that decides which epoch is kept.
     """
 
-    rate: float = 3e-3
-    batch: int = 64
-    epochs: int = 400
-    validation: float = 0.1
-
-    def __post_init__(self) -> None:
-        if not 0.0 < self.validation < 1.0:
-            raise UserError("the share of rows for validation must lie between 0 and 1")
-        if self.batch < 1 or self.epochs < 1:
-            raise UserError("batch and epochs are at least 1")
+    rate: Annotated[float, Meta(ge=1e-9, le=10)] = 3e-3
+    batch: Count = 64
+    epochs: Count = 400
+    validation: Annotated[float, Meta(ge=0.001, le=0.999)] = 0.1
 
 
 class GradientTrainer:
