@@ -13,12 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.schema import Shape
 
 FORMAT, VERSION = "neurosim-checkpoint", 1
-_FIELDS: dict[str, Shape] = {"settings": dict, "options?": dict}
 #: The name of the digest among a state's arrays.
 _DIGEST = "digest"
 
@@ -96,7 +94,9 @@ class Checkpoint:
         """
         if not self.begun:
             return {}
-        return files.read_json(self._settings, FORMAT, VERSION, _FIELDS).get("options", {})
+        return files.read_json(self._settings, FORMAT, VERSION, formats.Checkpoint).get(
+            "options", {}
+        )
 
     def resume(self, settings: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
         """Return the saved state, None if nothing had been saved yet.
@@ -107,7 +107,7 @@ class Checkpoint:
         """
         if not self._settings.exists():
             raise UserError(f"there is no interrupted {self._what} at {self.folder}; start it anew")
-        begun = files.read_json(self._settings, FORMAT, VERSION, _FIELDS)["settings"]
+        begun = files.read_json(self._settings, FORMAT, VERSION, formats.Checkpoint)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
         for name in [*settings, *(name for name in begun if name not in settings)]:
             if begun.get(name) != settings.get(name):

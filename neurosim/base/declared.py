@@ -90,6 +90,14 @@ class Mismatch(Exception):
         self.field, self.what = field, what
 
 
+class SettingError(UserError):
+    """A setting or an argument that is not as declared; see :class:`Mismatch`."""
+
+    def __init__(self, field: str, what: str):
+        super().__init__(f"{field}: {what}")
+        self.field, self.what = field, what
+
+
 def convert(value: Any, kind: Any) -> Any:
     """Return plain values (of JSON, or of the caller) as a declared type, dataclasses made.
 
@@ -114,11 +122,26 @@ class Checked:
         """Check every field whose type is declared.
 
         Raises:
-            UserError: naming the first field that is not as declared.
+            SettingError: naming the first field that is not as declared.
         """
         hints = _plain_hints(type(self))  # type: ignore[arg-type]
         fields = [one.name for one in dataclasses.fields(self)]  # type: ignore[arg-type]
         _check({name: getattr(self, name) for name in fields if name in hints}, hints)
+
+
+def without_nulls(document: Any, kind: Any) -> None:
+    """Leave out the keys of a checked document that are null and may be missing."""
+    bare, _ = bounded(kind)
+    parts = typing.get_args(bare)
+    if isinstance(document, dict) and hasattr(bare, "__struct_fields__"):
+        for name, hint in hints_of(bare).items():
+            if name in document and document[name] is None:
+                del document[name]
+            elif name in document:
+                without_nulls(document[name], hint)
+    elif typing.get_origin(bare) in (list, dict) and not _is_plain(parts[-1]):
+        for part in document.values() if isinstance(document, dict) else document:
+            without_nulls(part, parts[-1])
 
 
 def plain(value: Any) -> Any:
@@ -130,6 +153,7 @@ def plain(value: Any) -> Any:
     return value
 
 
+@functools.cache
 def hints_of(source: Any) -> dict[str, Any]:
     """Return the annotations of a class or function, with ranges.
 
@@ -138,7 +162,8 @@ def hints_of(source: Any) -> dict[str, Any]:
     """
     found: dict[str, Any] = {}
     for owner in reversed(source.__mro__[:-1]) if isinstance(source, type) else [source]:
-        if isinstance(owner, type) and not (dataclasses.is_dataclass(owner) or _is_typed(owner)):
+        fields = dataclasses.is_dataclass(owner) or hasattr(owner, "__struct_fields__")
+        if isinstance(owner, type) and not fields:
             owner = vars(owner).get("__init__")
         owner = inspect.unwrap(owner) if callable(owner) else owner
         module = sys.modules.get(getattr(owner, "__module__", None) or "")
@@ -152,15 +177,11 @@ def hints_of(source: Any) -> dict[str, Any]:
     return found
 
 
-def _is_typed(owner: Any) -> bool:
-    return typing.is_typeddict(owner) or hasattr(owner, "__total__")
-
-
 def checks(function: F) -> F:
     """Return a function that checks its arguments against their annotations; a decorator.
 
     Raises:
-        UserError: naming the first argument that is not as declared.
+        SettingError: naming the first argument that is not as declared.
     """
     signature = inspect.signature(function)
     hints: dict[str, Any] = {}
@@ -182,7 +203,7 @@ def _check(values: dict[str, Any], hints: dict[str, Any]) -> None:
             convert(plain(value), hints[name])
         except Mismatch as error:
             step = "" if error.field.startswith("[") or not error.field else "."
-            raise UserError(f"{name}{step}{error.field}: {error.what}") from None
+            raise SettingError(f"{name}{step}{error.field}", error.what) from None
 
 
 @functools.cache
@@ -221,15 +242,17 @@ def bounded(hint: Any) -> tuple[Any, Meta]:
 
 def in_words(hint: Any) -> str:
     """Return what a declared type is, such as ``a whole number from 1 to 100``."""
-    if typing.get_origin(hint) in _UNIONS:
-        return " or ".join(in_words(part) for part in typing.get_args(hint))
     bare, meta = bounded(hint)
     origin, parts = typing.get_origin(bare), typing.get_args(bare)
     if origin is Literal:
         return ("one of " if len(parts) > 1 else "") + ", ".join(map(repr, parts))
+    if origin in _UNIONS:
+        return " or ".join(in_words(part) for part in parts)
     if origin in (list, tuple):
-        size = len(parts) if origin is tuple and ... not in parts else meta.min_length
-        return "a list" if size is None else f"a list of {size}"
+        size = f" {len(parts)}" if origin is tuple and ... not in parts else ""
+        size = size if meta.max_length is None else f" at most {meta.max_length:,}"
+        what = " numbers" if bounded(parts[0])[0] in (int, float) else ""
+        return f"a list of{size}{what}" if size or what else "a list"
     words = [_WORDS.get(origin or bare, "an object")]
     if meta.gt is not None:
         words.append(f"above {meta.gt:,.12g},")
@@ -247,7 +270,6 @@ _WORDS = {
     int: "a whole number",
     str: "text",
     bool: "true or false",
-    types.NoneType: "null",
 }
 
 
@@ -281,7 +303,8 @@ def _within(value: Any, kind: Any, step: str) -> tuple[Any, Any]:
     if step.isdigit() and isinstance(value, list | tuple):
         single = typing.get_origin(bare) is list or ... in parts
         return parts[0 if single else int(step)], int(step)
-    return hints_of(bare)[step], step
+    hints = hints_of(bare)
+    return hints.get(step, hints.get(f"{step}_")), step
 
 
 def _is(value: Any, kind: Any) -> bool:

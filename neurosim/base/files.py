@@ -21,12 +21,12 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, TextIO, TypeVar
 
 import numpy as np
 
+from neurosim.base.declared import Mismatch, SettingError, convert, without_nulls
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.schema import Mismatch, Shape, check
 
 try:
     import fcntl
@@ -35,6 +35,8 @@ except ImportError:  # Windows
 
     fcntl = None  # type: ignore[assignment]
 
+
+Made = TypeVar("Made")
 
 #: No number in a CSV file is larger: what is computed of measured values stays finite.
 LARGEST = 1e150
@@ -450,21 +452,19 @@ def parse_json(text: str) -> Any:
         raise ValueError("is nested too deeply") from None
 
 
-def read_json(
-    path: str | Path, format: str, version: int, fields: Mapping[str, Shape] | None = None
-) -> dict[str, Any]:
+def read_json(path: str | Path, format: str, version: int, kind: Any = None) -> dict[str, Any]:
     """Read a JSON file of this ``format`` and ``version``.
 
     Args:
         path: the file.
         format: the expected value of the key ``format``.
         version: the newest version this code reads; older ones are the caller's to refuse.
-        fields: keys that must be there, with their types or shapes (:mod:`neurosim.base.schema`);
-            one that ends in a question mark may be missing.
+        kind: what it holds, declared (:mod:`neurosim.base.formats`); keys that may be missing and
+            are null are left out of what is returned.
 
     Raises:
-        FileError: if the file is missing, cut short, of another format or version, or lacks a
-            field.
+        FileError: if the file is missing, cut short, of another format or version, or a field is
+            not as declared.
     """
     path = Path(path)
     text = read_text(path, f"a {format} file, JSON in UTF-8", most=MOST_JSON)
@@ -490,31 +490,35 @@ def read_json(
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
-    check_fields(path, document, fields or {})
+    if kind is not None:
+        try:
+            convert(document, kind)
+        except Mismatch as error:
+            raise FileError(path, error.what, field=error.field or None) from None
+        without_nulls(document, kind)
     return document
 
 
-def check_fields(
-    path: str | Path, document: dict[str, Any], fields: Mapping[str, Shape], within: str = ""
-) -> None:
-    """Check what a JSON file holds against declared shapes.
+def made(path: str | Path, field: str, make: Callable[..., Made], settings: Mapping) -> Made:
+    """Return what a function makes of settings in a file.
 
     Args:
-        path: the file, for the message.
-        document: an object in it.
-        fields: as of :func:`read_json`.
-        within: where in the file it stands, for the message.
+        path: the file, for messages.
+        field: in which the settings stand.
+        make: takes the settings as keywords.
+        settings: of the file.
 
     Raises:
-        FileError: naming the first field that is missing or of another shape.
+        FileError: naming the setting that is wrong, or unknown.
     """
-    for name, shape in fields.items():
-        if isinstance(name, str) and not name.endswith("?") and name not in document:
-            raise FileError(path, "is missing", field=f"{within}.{name}" if within else name)
-        try:
-            check(document, {name: shape}, within)
-        except Mismatch as error:
-            raise FileError(path, error.what, field=error.field) from None
+    try:
+        return make(**settings)
+    except SettingError as error:
+        raise FileError(path, error.what, field=f"{field}.{error.field}") from None
+    except FileError:
+        raise
+    except (UserError, TypeError, ValueError) as error:
+        raise FileError(path, f"cannot be used ({error})", field=field) from None
 
 
 Column = Callable[[str], Any]

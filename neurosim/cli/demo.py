@@ -12,6 +12,7 @@ import click
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import is_empty, read_json, write_json
+from neurosim.base.formats import Demo
 from neurosim.cli._common import is_given, seed_option
 from neurosim.cli._types import PATH
 
@@ -98,7 +99,7 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
             )
         write_json(path, FORMAT, VERSION, now)
         return commands, seed
-    begun = read_json(path, FORMAT, VERSION, dict.fromkeys(now, int))
+    begun = read_json(path, FORMAT, VERSION, Demo)
     for name, value in now.items():
         if is_given(name) and begun[name] != value:
             raise UserError(

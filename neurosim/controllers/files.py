@@ -15,59 +15,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.schema import Maybe, Number, Rows, Shape, fields_of
 from neurosim.controllers.base import Controller
 from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan
 from neurosim.controllers.registry import CONTROLLERS
 
 FORMAT, VERSION = "neurosim-controller", 1
-#: A command of a plan lasts no longer, s.
-LONGEST = 3600.0
-
 _PARTS = ("task", "simulator", "predicted", "evolution")
-#: Poses are no farther away, m, and turn no more, rad: pictures of them are drawn.
-FARTHEST = 1e5
-POSE = Rows(3, most=FARTHEST)
-#: What is predicted of a controller, or came of a trial.
-OUTCOME: dict[str, Shape] = {
-    "poses?": [Maybe(POSE)],
-    "rest?": POSE,
-    "fitness?": float,
-    "spread?": float,
-    "expected_fitness?": float,
-    "draws?": float,
-    "probability?": Number(0.0, 1.0),
-    "completes?": bool,
-    "unsupported?": float,
-}
-#: What controller.json says of any kind.
-FIELDS: dict[str, Shape] = {
-    "kind": str,
-    "inputs": [{"name": str, "unit?": str}],
-    "start?": POSE,
-    "task": {"name": str, "settings?": dict},
-    "predicted": {**OUTCOME, "poses?": Rows(None, 3, most=FARTHEST)},
-    "simulator": {"path?": str, "name?": str, "sha256?": str, "virtual?": bool},
-    "evolution": {
-        "settings?": dict,
-        "interrupted?": bool,
-        "history?": {"best?": Rows(None), "mean?": Rows(None), "transfer?": int},
-        "robot_fitness?": {"mean": float, "spread": float, "trials?": int},
-        "trajectories?": [
-            {
-                "simulated": Rows(None, 3, most=FARTHEST),
-                "robot": Rows(None, 3, most=FARTHEST),
-            }
-        ],
-        "robot?": {"kind?": str, "virtual?": bool},
-        "arena?": dict,
-    },
-}
-#: What it says beside of a plan, and of a kind that has genes.
-_OF_A_PLAN: dict[str, Shape] = {"commands": [Maybe(Rows(3))]}
-_OF_GENES: dict[str, Shape] = {"settings?": dict}
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +130,11 @@ def read_controller(folder: str | Path) -> SavedController:
     path = Path(folder) / "controller.json"
     if not Path(folder).is_dir():
         raise FileError(folder, "no such controller; expected a folder with controller.json")
-    content = files.read_json(path, FORMAT, VERSION, FIELDS)
+    content = files.read_json(path, FORMAT, VERSION, formats.Controller)
     kind = content["kind"]
     if kind not in CONTROLLERS.names():
         known = ", ".join(CONTROLLERS.names())
         raise FileError(path, f"expected one of {known}, found {kind!r:.60}", field="kind")
-    files.check_fields(path, content, _OF_A_PLAN if kind == "plan" else _OF_GENES)
     x, y, heading = content.get("start", (0.0, 0.0, 0.0))
     start = float(x), float(y), float(heading)
     family, genes = _plan(path, content) if kind == "plan" else _network(path, content)
@@ -192,35 +146,23 @@ def read_controller(folder: str | Path) -> SavedController:
 def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
     if tuple(entry["name"] for entry in content["inputs"]) != COMMAND_NAMES:
         raise FileError(path, f"expected the names {', '.join(COMMAND_NAMES)}", field="inputs")
-    commands = tuple(
-        None if value is None else _command(path, f"commands[{index}]", value)
-        for index, value in enumerate(content["commands"])
-    )
+    if "commands" not in content:
+        raise FileError(path, "is missing", field="commands")
+    given = (None if one is None else tuple(map(float, one)) for one in content["commands"])
+    commands: tuple[Command | None, ...] = tuple(given)  # type: ignore[arg-type]
     if all(command is None for command in commands):
         raise FileError(path, "gives no command at all", field="commands")
     return FixedPlan(commands), np.empty(0)
 
 
 def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
-    names = [entry["name"] for entry in content["inputs"]]
     weights = path.with_name("weights.safetensors")
-    settings, shape, name = content.get("settings"), None, "genes"
+    settings = content.get("settings")
     if settings is None:
-        # As version 0.1.0 wrote it before there were hidden layers.
-        if content.get("activation") != "tanh":
-            raise FileError(
-                path, f"expected 'tanh', found {content.get('activation')!r}", field="activation"
-            )
-        settings, name, shape = {"inputs": names}, "weights", (2, len(names) + 1)
-    files.check_fields(path, settings, fields_of(CONTROLLERS.get(content["kind"])), "settings")
-    try:
-        family = CONTROLLERS.make(content["kind"], settings)
-    except (UserError, TypeError, ValueError) as error:
-        raise FileError(
-            path, f"is no controller of this kind ({error})", field="settings"
-        ) from None
-    found = files.read_tensors(weights, {name: shape or (family.genes,)})
-    return family, found[name].astype(float).reshape(-1)
+        raise FileError(path, "is missing", field="settings")
+    kind = content["kind"]
+    family = files.made(path, "settings", lambda **given: CONTROLLERS.make(kind, given), settings)
+    return family, files.read_tensors(weights, {"genes": (family.genes,)})["genes"].astype(float)
 
 
 def _check_prediction(path: Path, found: SavedController) -> None:
@@ -237,15 +179,3 @@ def _check_prediction(path: Path, found: SavedController) -> None:
     for name in ("rest", "fitness", "completes"):
         if name not in predicted:
             raise FileError(path, "is missing", field=f"predicted.{name}")
-
-
-def _command(path: Path, field: str, value: list[float]) -> Command:
-    left, right, duration = map(float, value)
-    if max(abs(left), abs(right)) > 100 or not 0 < duration <= LONGEST:
-        raise FileError(
-            path,
-            "expected speeds in -100 to 100 % and a duration above 0 and up to "
-            f"{LONGEST:g} s, found {value}",
-            field=field,
-        )
-    return left, right, duration

@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurosim.base.declared import Checked, Count
+
 
 @dataclass(frozen=True)
-class Perceptron:
+class Perceptron(Checked):
     """The shape of a perceptron with one output and two hidden layers of tanh units.
 
     Genes are the weights of each layer, row by row, and then its biases, layer after layer.
@@ -21,16 +23,12 @@ class Perceptron:
         second: units of the second.
     """
 
-    inputs: int
-    first: int = 64
-    second: int = 64
+    inputs: Count
+    first: Count = 64
+    second: Count = 64
 
     #: Its output is no linear function of anything that a faster form could make use of.
     linear = False
-
-    def __post_init__(self) -> None:
-        if min(self.inputs, self.first, self.second) < 1:
-            raise ValueError("a perceptron has inputs, and units in both layers")
 
     @property
     def genes(self) -> int:

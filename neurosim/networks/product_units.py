@@ -26,17 +26,22 @@ may therefore have *ceilings*: no unit is much larger than it was on the rows it
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, Literal, NamedTuple
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 from torch.nn.functional import pad
 
+from neurosim.base.declared import Checked, Count
 from neurosim.networks.expanded import Expanded
 
 #: The logarithm of a product unit's magnitude is kept between minus and plus this.
 LOG_LIMIT = 20.0
 
+#: Units of a kind.
+Units = Annotated[int, Meta(ge=0, le=1_000_000)]
+Activation = Literal["linear", "tanh", "sigmoid"]
 ACTIVATIONS = {"linear": lambda net: net, "tanh": torch.tanh, "sigmoid": torch.sigmoid}
 
 
@@ -58,7 +63,7 @@ class Weights(NamedTuple):
 
 
 @dataclass(frozen=True)
-class ProductSummationNetwork:
+class ProductSummationNetwork(Checked):
     """The shape of a network with one output; its weights are one row of genes.
 
     Genes are laid out as the fields of :class:`Weights` in order, each row by row; phases and
@@ -78,25 +83,19 @@ class ProductSummationNetwork:
         ceilings: every product unit has a magnitude of its own that it is kept below.
     """
 
-    inputs: int
-    products: int = 10
-    summations: int = 10
-    hidden_activation: str = "linear"
-    output_activation: str = "linear"
-    floor: float = 0.01
+    inputs: Count
+    products: Units = 10
+    summations: Units = 10
+    hidden_activation: Activation = "linear"
+    output_activation: Activation = "linear"
+    floor: Annotated[float, Meta(gt=0, lt=1)] = 0.01
     phases: bool = False
     ceilings: bool = False
 
     def __post_init__(self) -> None:
-        if self.inputs < 1 or min(self.products, self.summations) < 0:
-            raise ValueError("a network has inputs, and no negative number of units")
+        super().__post_init__()
         if self.products + self.summations == 0:
             raise ValueError("a network has at least one hidden unit")
-        for name in (self.hidden_activation, self.output_activation):
-            if name not in ACTIVATIONS:
-                raise ValueError(f"no activation {name!r}; there are {', '.join(ACTIVATIONS)}")
-        if not 0.0 < self.floor < 1.0:
-            raise ValueError("floor must lie between 0 and 1")
 
     @property
     def linear(self) -> bool:

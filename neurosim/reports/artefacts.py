@@ -12,86 +12,28 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, sha256
 from neurosim.base.provenance import is_virtual
-from neurosim.base.schema import Maybe, Rows, Shape
 from neurosim.controllers import read_controller
-from neurosim.controllers.files import FARTHEST, OUTCOME, POSE
-from neurosim.controllers.files import FIELDS as CONTROLLER
 from neurosim.simulators import read_simulator
-from neurosim.simulators.base import ABOUT
 from neurosim.simulators.base import VERSION as SIMULATOR
 from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
-from tracking.datasets.dataset import FIELDS as DATASET
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: What may lie in a folder, the first found counts: a trial is also a recording.
 KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-reality")
 
-_ROBOT = {"kind?": str, "virtual?": bool}
-_RUN = {"best": Rows(None), "mean": Rows(None)}
-_DIFFERENCES = {"norm": float, "median": float, "rank": Maybe(float), "poses?": float}
-_COMPARED = {"individuals": int, "before": _DIFFERENCES, "after": _DIFFERENCES}
-_FIELDS: dict[str, dict[str, Shape]] = {
-    "trial": {
-        "virtual": bool,
-        "kind?": str,
-        "controller": {"path?": str, "sha256?": str},
-        "simulator?": dict,
-        "task": {"name": str, "settings?": dict},
-        "commands": Rows(None, 3),
-        "plan_length?": int,
-        "start?": {"planned?": POSE, "actual?": POSE},
-        "predicted": OUTCOME,
-        "actual": {
-            **OUTCOME,
-            "path?": Rows(None, 4, most=FARTHEST),
-            "cut?": POSE,
-            "reason?": str,
-            "seen_by?": str,
-        },
-        "errors": [Maybe({"position": float, "heading": float})],
-        "ended_early?": bool,
-        "deadlines?": {"steps": int, "missed": int, "worst_late_s": float},
-    },
-    "recording": {
-        "robot": _ROBOT,
-        "sessions": [dict],
-        "complete?": bool,
-        "board?": {"length": float, "width": float},
-        "settings?": dict,
-    },
-    "dataset": DATASET,
-    "simulator": ABOUT,
-    "controller": CONTROLLER,
-    "back-to-reality": {
-        "controller": {"named?": {str: float}},
-        "reality": dict,
-        "settings": {"trials?": int},
-        "parameters": [{"name": str, "unit": str, "low": float, "high": float, "before": float}],
-        "start": {"fitness": float},
-        "best": {"fitness": float, "times_start?": float},
-        "trials": int,
-        "real": Rows(None),
-        "believed": Rows(None),
-        "cycles": [
-            {
-                "L1?": _RUN,
-                "L2?": _RUN,
-                "L3?": {
-                    "history": _RUN,
-                    "parameters": [{str: float}],
-                    "compared?": _COMPARED,
-                    "held_out?": _COMPARED,
-                    "left_out?": _COMPARED,
-                    "neighbours?": _COMPARED,
-                },
-            }
-        ],
-    },
+_FORMATS = {
+    "trial": formats.Trial,
+    "recording": formats.TrialRecording,
+    "dataset": formats.Dataset,
+    "simulator": formats.Simulator,
+    "controller": formats.Controller,
+    "back-to-reality": formats.BackToReality,
 }
 #: The newest version of each that this page reads.
 _VERSIONS = {
@@ -150,39 +92,14 @@ class Artefact:
     @property
     def learned(self) -> bool:
         """Whether this is a simulator that predicts single commands of a dataset."""
-        lists = isinstance(self.meta.get("inputs"), list) and isinstance(
-            self.meta.get("outputs"), list
-        )
-        return lists and (self.content is None or hasattr(self.content, "displacement"))
+        named = "inputs" in self.meta and "outputs" in self.meta
+        return named and (self.content is None or hasattr(self.content, "displacement"))
 
     @property
     def sampled(self) -> bool:
         """Whether this is a simulator made of what a robot's own sensors and motors said."""
         sensors = getattr(self.content, "sensors", None)
         return hasattr(sensors, "bearings") and hasattr(self.content, "motors")
-
-    def numbers(self, field: str, value: Any, columns: int) -> NDArray[np.float64]:
-        """Return rows [N, columns] of finite numbers that a field of the JSON holds.
-
-        Raises:
-            FileError: if it does not.
-        """
-        try:
-            rows = np.array(value, float) if value != [] else np.empty((0, columns))
-        except (TypeError, ValueError):
-            rows = np.empty(0)
-        if rows.ndim != 2 or rows.shape[1] != columns or not np.isfinite(rows).all():
-            raise FileError(self.json, f"expected rows of {columns} numbers", field=field)
-        return rows
-
-    def number(self, field: str, value: Any) -> None:
-        """Check a number that may be missing.
-
-        Raises:
-            FileError: if something else is there.
-        """
-        if value is not None and not _is_number(value):
-            raise FileError(self.json, f"expected a number, found {value!r:.60}", field=field)
 
 
 @dataclass
@@ -266,13 +183,8 @@ class Artefacts:
             own = [one for one in self.controllers if sha256(one.json) == digest]
             return self.place_of(own[0]) if own else []
         arena = artefact.meta["evolution"].get("arena")
-        if isinstance(arena, dict):
-            try:
-                return Arena.from_json(artefact.json, arena).shapes()
-            except UserError:
-                raise FileError(
-                    artefact.json, "expected an arena", field="evolution.arena"
-                ) from None
+        if arena is not None:
+            return Arena.from_json(artefact.json, arena).shapes()
         digest = artefact.meta["simulator"].get("sha256")
         for simulator in self.simulators:
             if sha256(simulator.json) == digest:
@@ -308,9 +220,7 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         seen.add(path.resolve())
         kind = _kind(path)
-        meta = read_json(
-            path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FIELDS.get(kind)
-        )
+        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FORMATS[kind])
         if kind == "trial":
             found.trials.append(_trial(path, meta))
             continue
@@ -382,7 +292,7 @@ def _trial(path: Path, meta: dict[str, Any]) -> Trial:
         poses = values.get("poses")
         if part == "predicted" and None in (poses or ()):
             raise FileError(trial.json, "expected a pose, found None", field="predicted.poses")
-        if trial.by_command and (not isinstance(poses, list) or len(poses) != count + 1):
+        if trial.by_command and len(poses or ()) != count + 1:
             raise FileError(
                 trial.json,
                 f"expected {count + 1} poses (the start, and one for each of {count} commands)",
@@ -391,7 +301,7 @@ def _trial(path: Path, meta: dict[str, Any]) -> Trial:
     _check_errors(trial, count)
     if (path / "recording.json").exists():
         trial.recording = read_json(
-            path / "recording.json", "neurosim-recording", 1, _FIELDS["recording"]
+            path / "recording.json", "neurosim-recording", 1, formats.TrialRecording
         )
     return trial
 
@@ -400,10 +310,6 @@ def _check_errors(trial: Trial, count: int) -> None:
     errors = trial.meta["errors"]
     if trial.by_command and (not count or len(errors) not in (count, count + 1)):
         raise FileError(trial.json, f"expected one for each of {count} commands", field="errors")
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def files_of(artefact: Artefact) -> dict[str, str]:

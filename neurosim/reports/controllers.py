@@ -121,42 +121,28 @@ def history(controller: Artefact) -> dict[str, Any]:
     Raises:
         FileError: if the history is not that.
     """
-    found = controller.meta["evolution"].get("history") or {}
+    found = controller.meta["evolution"].get("history", {})
     lines: dict[str, Any] = {}
-    try:
-        for prefix in ("", "robust_"):
-            names = [prefix + name for name in ("best", "mean") if found.get(prefix + name)]
-            rows = [controller.numbers("", [found[name]], len(found[name]))[0] for name in names]
-            if len({len(row) for row in rows}) > 1 or (rows and prefix + "best" not in names):
-                raise ValueError
-            lines |= dict(zip(names, rows, strict=True))
-        transfer = found.get("transfer")
-        if transfer is not None:
-            if not 0 < int(transfer) <= len(lines["best"]):
-                raise ValueError
-            lines["transfer"] = int(transfer)
-    except (AttributeError, FileError, KeyError, TypeError, ValueError):
+    wrong = found.get("transfer", 0) > len(found.get("best", ()))
+    for prefix in ("", "robust_"):
+        names = [prefix + name for name in ("best", "mean") if found.get(prefix + name)]
+        lines |= {name: np.array(found[name], float) for name in names}
+        wrong |= len({len(found[name]) for name in names}) > 1 or names == [prefix + "mean"]
+    if wrong:
         raise FileError(
             controller.json, "expected best and mean of every generation", field="evolution.history"
-        ) from None
+        )
+    if "transfer" in found:
+        lines["transfer"] = found["transfer"]
     return lines
 
 
 def trajectories(controller: Artefact) -> list[dict[str, NDArray[np.float64]]]:
-    """Return drives from the same starts, {"simulated", "robot"}: poses [T + 1, 3] each.
-
-    Raises:
-        FileError: if what the controller holds is not that.
-    """
-    name = "evolution.trajectories"
-    found = controller.meta["evolution"].get("trajectories") or []
-    try:
-        return [
-            {side: controller.numbers(name, drive[side], 3) for side in ("simulated", "robot")}
-            for drive in found
-        ]
-    except (FileError, KeyError, TypeError):
-        raise FileError(controller.json, "expected poses [x, y, theta]", field=name) from None
+    """Return drives from the same starts, {"simulated", "robot"}: poses [T + 1, 3] each."""
+    return [
+        {side: np.array(drive[side], float).reshape(-1, 3) for side in ("simulated", "robot")}
+        for drive in controller.meta["evolution"].get("trajectories", ())
+    ]
 
 
 def change_at_transfer(controller: Artefact) -> float | None:
@@ -244,10 +230,8 @@ def _before_and_after(controller: Artefact) -> str:
 
 def _on_robot(controller: Artefact) -> str:
     found = controller.meta["evolution"].get("robot_fitness")
-    if not isinstance(found, dict):
+    if found is None:
         return ""
-    for name in ("mean", "spread"):
-        controller.number(f"evolution.robot_fitness.{name}", found.get(name, ""))
     return f"{found['mean']:.4g} +- {found['spread']:.2g}"
 
 

@@ -8,11 +8,11 @@ from typing import Annotated, Literal
 
 from msgspec import Meta
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.declared import Count, FullSpeed, Metres, checks
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import UserError
 from neurosim.robots.khepera.dialects import DIALECTS
-from neurosim.sampling.sampler import FIELDS, FORMAT, VERSION
+from neurosim.sampling.sampler import FORMAT, VERSION
 from neurosim.simulators.sources import sources
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
@@ -134,13 +134,10 @@ def sampled_reaction(folder: str | Path) -> Reaction:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return Reaction()
-    result = files.read_json(path, FORMAT, VERSION, FIELDS).get("result")
+    result = files.read_json(path, FORMAT, VERSION, formats.Sampling).get("result")
     if not result:
         return Reaction()
-    try:
-        return Reaction.from_json(result["reaction"])
-    except UserError as error:
-        raise FileError(path, str(error), field="result.reaction") from None
+    return Reaction.from_json(result["reaction"])
 
 
 def sampled_baud(folder: str | Path) -> int | None:
@@ -152,7 +149,7 @@ def sampled_baud(folder: str | Path) -> int | None:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return None
-    return files.read_json(path, FORMAT, VERSION, FIELDS)["robot"].get("baud")
+    return files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"].get("baud")
 
 
 def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
@@ -166,6 +163,6 @@ def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
     path = Path(folder) / "sampling.json"
     if not path.exists():
         return None, None
-    robot = files.read_json(path, FORMAT, VERSION, FIELDS)["robot"]
+    robot = files.read_json(path, FORMAT, VERSION, formats.Sampling)["robot"]
     dialect = DIALECTS.get(robot.get("dialect", ""))
     return robot.get("full_speed"), None if dialect is None else dialect.geometry.radius

@@ -13,36 +13,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.progress import Progress
-from neurosim.base.schema import Number, OneOf, Shape
 from neurosim.sampling.eye import Eye
 from neurosim.sampling.motors import Counters, interpolation_cost, sample_motors
 from neurosim.sampling.reaction import read_reaction, sample_reaction
 from neurosim.sampling.resampling import full_turn, wheel_sizes, write_samples
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import read_turns, reading_times, sample_object
-from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS
 
 FORMAT, VERSION = "neurosim-sampling", 2
-#: What sampling.json says: of the robot that sampled itself, how, and what came of it.
-FIELDS: dict[str, Shape] = {
-    "robot": {
-        "kind?": str,
-        "dialect?": str,
-        "baud?": Number(1, 10**8, whole=True),
-        "virtual?": bool,
-        "full_speed?": Number(1, 10**4, whole=True),
-    },
-    "virtual_lab?": dict,
-    "motors?": OneOf("counters", "camera"),
-    "options?": dict,
-    "result?": {"reaction": Reaction.FIELDS},
-}
-#: What stands in it from the beginning, without which it is not resumed.
-_BEGUN: dict[str, Shape] = {**FIELDS, "settings": dict, "seed": int}
 
 #: Asks a person to put the robot down, at an object ("wall", "cylinder") or in the open ("open").
 Place = Callable[[str], None]
@@ -157,7 +139,7 @@ def _sample(
     cost = interpolation_cost(out)
     if cost is not None:
         result["interpolation"] = cost
-    content = files.read_json(out / "sampling.json", FORMAT, VERSION, _BEGUN)
+    content = files.read_json(out / "sampling.json", FORMAT, VERSION, formats.BegunSampling)
     described = {
         key: content[key]
         for key in ("settings", "seed", "robot", "virtual_lab", "motors", "options")
@@ -178,7 +160,7 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         files.check_new_folder(out)
         files.write_json(path, FORMAT, VERSION, about)
         return
-    found = files.read_json(path, FORMAT, VERSION, _BEGUN)
+    found = files.read_json(path, FORMAT, VERSION, formats.BegunSampling)
     files.check_no_links(out)
     if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(

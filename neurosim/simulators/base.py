@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
-from neurosim.base.schema import Rows, Shape
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.engine import CompiledRollouts, CompiledStepper
 from neurosim.simulators.numbers import NORMAL, UNIFORM
@@ -20,41 +19,6 @@ from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network.
 FORMAT, VERSION = "neurosim-simulator", 3
-_SOURCE = {"path?": str, "name?": str, "dataset?": str, "sha256?": str, "virtual?": bool}
-_OUTPUTS = ("dx", "dy", "dtheta")
-#: What simulator.json of any kind may say of where the simulator is from and how good it is.
-ABOUT: dict[str, Shape] = {
-    "kind": str,
-    "inputs?": [{"name": str, "unit?": str}],
-    "outputs?": [{"name": str, "unit?": str}],
-    "training?": {"held_out?": float},
-    "history?": [{"generation": float, "mse": Rows(None)}],
-    "test_errors?": {key: {"mse": float, "mean_absolute_error": float} for key in _OUTPUTS},
-    "source?": (_SOURCE, [_SOURCE]),
-    "sources?": [_SOURCE],
-    "wall_clock?": {"training_seconds?": float},
-    "composition?": {
-        "actuators": {str: {str: float}},
-        "delay": float,
-        "product_units": Rows(3),
-        "kernel_units": int,
-        "shares": {key: {"product_units": float, "process": float} for key in _OUTPUTS},
-    },
-    "readings?": {
-        "rows": int,
-        "held_out": int,
-        "sensors": [
-            {
-                "name": str,
-                **dict.fromkeys(("ahead", "aside", "after", "noise", "place_noise"), float),
-                **dict.fromkeys(("rms_error", "rms"), float),
-                "map": int,
-            }
-        ],
-    },
-    "robots?": [{"kind?": str, "virtual?": bool}],
-    "virtual?": bool,
-}
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import torch
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError
 from neurosim.base.registry import Registry
 from neurosim.simulators.base import FORMAT, VERSION, Simulator
@@ -35,7 +35,7 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
     path = Path(folder) / "simulator.json"
     if not Path(folder).is_dir():
         raise FileError(folder, "no such simulator; expected a folder with simulator.json")
-    kind = files.read_json(path, FORMAT, VERSION, {"kind": str})["kind"]
+    kind = files.read_json(path, FORMAT, VERSION, formats.Kind)["kind"]
     if kind not in SIMULATORS.names():
         known = ", ".join(SIMULATORS.names())
         raise FileError(path, f"expected one of {known}, found {kind!r}", field="kind")

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any
 
 from neurosim.base.errors import FileError
-from neurosim.base.files import check_fields, read_json
-from neurosim.base.schema import fields_of
+from neurosim.base.files import made, read_json
+from neurosim.base.formats import Task as TaskFile
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS
 
@@ -45,9 +45,9 @@ def read_task(text: str) -> tuple[str, dict[str, Any]]:
     if not text.endswith(".json"):
         return text, {}
     path = Path(text)
-    content = read_json(path, FORMAT, VERSION, {"name": str, "settings": dict})
+    content = read_json(path, FORMAT, VERSION, TaskFile)
     if content["name"] not in TASKS.names():
         known = ", ".join(TASKS.names())
         raise FileError(path, f"expected one of {known}, found {content['name']!r}", field="name")
-    check_fields(path, content["settings"], fields_of(TASKS.get(content["name"])), "settings")
+    made(path, "settings", TASKS.get(content["name"]), content["settings"])
     return content["name"], content["settings"]

@@ -7,7 +7,6 @@ from typing import Any
 
 from neurosim.base.errors import UserError
 from neurosim.base.registry import Registry
-from neurosim.base.schema import Mismatch, check, fields_of
 from neurosim.tasks.base import Task
 
 #: By name: a class whose settings are keywords.
@@ -38,10 +37,6 @@ def make_task(task: str | Mapping[str, Any] | Task, **settings: Any) -> Task:
         return task
     if isinstance(task, Mapping):
         name, given = str(task.get("name")), task.get("settings", {})
-        try:
-            check(given, fields_of(TASKS.get(name)), "settings")
-        except Mismatch as error:
-            raise UserError(f"the task {name}, {error.field}: {error.what}") from None
         return make_task(name, **{**given, **settings})
     made = TASKS.make(task, settings)
     if not isinstance(made, Task):

@@ -18,13 +18,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import formats
 from neurosim.base.errors import UserError
 from neurosim.base.files import read_json, sha256, write_json
 from neurosim.base.provenance import is_virtual
-from neurosim.base.schema import Number, Shape
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import read_controller
-from neurosim.controllers.files import POSE
 from neurosim.loop.replan import Foreseen, ReplanSettings
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.record import Guard, RecordSettings, record
@@ -41,18 +40,6 @@ from tracking.datasets.recordings import CommandLine, Observations, Poses, Recor
 FORMAT, VERSION = "neurosim-trial", 1
 #: Beside a plan that was planned again after every command stands what was known at each.
 FORESEEN, FORMAT_FORESEEN = "foreseen.json", "neurosim-foreseen"
-_FORESEEN: dict[str, Shape] = {
-    "commands": [
-        {
-            "pose": POSE,
-            "after": POSE,
-            "rest": POSE,
-            "probability": Number(0.0, 1.0),
-            "generations": int,
-            "seconds": float,
-        }
-    ]
-}
 
 #: x (m), y (m), heading (rad), or None where nobody knows.
 Pose = list[float] | None
@@ -230,7 +217,7 @@ def _read_foreseen(path: Path) -> dict[str, Any] | None:
     """
     if not path.exists():
         return None
-    content = read_json(path, FORMAT_FORESEEN, VERSION, _FORESEEN)
+    content = read_json(path, FORMAT_FORESEEN, VERSION, formats.Foreseen)
     commands = content["commands"]
     if not commands:
         return None

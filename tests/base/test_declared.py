@@ -61,8 +61,8 @@ class Settings(Checked):
         ({"speed": "1"}, "speed: expected a number above 0, up to 2, found '1'"),
         ({"word": "c"}, "word: expected one of 'a', 'b', found 'c'"),
         ({"pair": (0.5, -1)}, "pair[1]: expected a number from 0 to 1, found -1"),
-        ({"pair": (0.5,)}, "pair: expected a list of 2, found [0.5]"),
-        ({"maybe": 2}, "maybe: expected a number from 0 to 1 or null, found 2"),
+        ({"pair": (0.5,)}, "pair: expected a list of 2 numbers, found [0.5]"),
+        ({"maybe": 2}, "maybe: expected a number from 0 to 1, found 2"),
     ],
 )
 def test_settings_are_checked_as_they_are_made(given, message):
@@ -83,7 +83,7 @@ def test_numbers_of_numpy_are_numbers():
         (
             {"by_name": {"a": {"gap": 1, "number": 0}}},
             "by_name.a.number",
-            "expected a whole number from 1 to 1,000,000 or null, found 0",
+            "expected a whole number from 1 to 1,000,000, found 0",
         ),
         (
             {"by_name": {}, "each": [None, {"gap": 5}, {"gap": 200}]},
@@ -93,7 +93,7 @@ def test_numbers_of_numpy_are_numbers():
         (
             {"by_name": {}, "rows": [None, [1]]},
             "rows[1]",
-            "expected a list of 2 or null, found [1]",
+            "expected a list of 2 numbers, found [1]",
         ),
         ({"by_name": 3}, "by_name", "expected an object, found 3"),
         ([], "", "expected an object, found []"),

@@ -12,6 +12,16 @@ from hypothesis import strategies as st
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.formats import Format
+
+
+class Thing(Format):
+    x: float
+    y: list[int]
+
+
+class Counted(Format):
+    x: int
 
 
 def test_a_failed_write_leaves_the_old_file(tmp_path):
@@ -93,7 +103,7 @@ def test_json_keeps_its_content_and_says_format_and_version(tmp_path):
         "x": 1.5,
         "y": [0, 1, 2],
     }
-    assert files.read_json(path, "thing", 2, {"x": (int, float), "y": list})["x"] == 1.5
+    assert files.read_json(path, "thing", 2, Thing)["x"] == 1.5
 
 
 def test_json_has_no_word_for_nan(tmp_path):
@@ -125,7 +135,7 @@ def test_json_that_is_wrong_is_refused_in_one_sentence(tmp_path, text, says):
     path = tmp_path / "a.json"
     path.write_text(text)
     with pytest.raises(FileError) as error:
-        files.read_json(path, "thing", 1, {"x": int})
+        files.read_json(path, "thing", 1, Counted)
     assert says in str(error.value)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)

@@ -211,4 +211,4 @@ def test_an_arena_of_too_many_obstacles(refused, tmp_path):
     content = {"outline": square, "obstacles": obstacles}
     write_json(tmp_path / "arena.json", "neurosim-arena", 1, content)
     said = refused("lab", "khepera", "--arena", "arena.json", "--seconds", "1")
-    assert "field 'obstacles': expected at most 1000, found 20,000" in said
+    assert "field 'obstacles': expected a list of at most 1,000, found" in said

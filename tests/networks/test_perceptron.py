@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from neurosim.base.errors import UserError
 from neurosim.networks import Perceptron
 
 
@@ -27,5 +28,5 @@ def test_first_weights_are_within_glorots_bounds_and_biases_zero():
     weights, biases = genes[:, :12], genes[:, 12:16]
     assert weights.abs().max().item() == pytest.approx((6 / 7) ** 0.5, rel=0.02)
     assert (biases == 0).all()
-    with pytest.raises(ValueError, match="both layers"):
+    with pytest.raises(UserError, match="first: expected a whole number from 1"):
         Perceptron(3, 0, 2)

@@ -6,6 +6,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from neurosim.base.errors import UserError
 from neurosim.networks import (
     LOG_LIMIT,
     Expanded,
@@ -119,7 +120,7 @@ def test_the_papers_network_has_131_weights():
     ],
 )
 def test_impossible_networks_are_refused(wrong):
-    with pytest.raises(ValueError, match=r"unit|activation|floor"):
+    with pytest.raises((UserError, ValueError), match=r"unit|activation|floor|products"):
         ProductSummationNetwork(5, **wrong)
 
 

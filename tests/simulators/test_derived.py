@@ -91,13 +91,19 @@ def test_written_and_read(tmp_path):
 @pytest.mark.parametrize(
     ("wrong", "says"),
     [
-        ({"swing": "left"}, "'derived.swing': expected a number above -1 up to 1, found 'left'"),
+        (
+            {"swing": "left"},
+            "'derived.swing': expected a number above -1, up to 0.999999999999, found 'left'",
+        ),
         (
             {"moving": False, "swing": 0.03},
-            "'derived': expected swing and nothing else, found 'mov",
+            "'derived.moving': is no field here",
         ),
-        ({"swing": 2.0}, "'derived.swing': expected a number above -1 up to 1, found 2.0"),
-        ({"more": 1}, "'derived': expected swing and nothing else, found 'more'"),
+        (
+            {"swing": 2.0},
+            "'derived.swing': expected a number above -1, up to 0.999999999999, found 2.0",
+        ),
+        ({"more": 1}, "'derived.more': is no field here"),
         (0.03, "'derived': expected an object, found 0.03"),
     ],
 )

@@ -362,7 +362,7 @@ def test_numbers_that_cannot_be_are_refused(folder, name):
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"kernel_units": -1}, "'kernel_units': expected a whole number from 0 up to .*, found -1"),
+        ({"kernel_units": -1}, "'kernel_units': expected a whole number from 0 to .*, found -1"),
         ({"kernel_units": True}, "'kernel_units': expected a whole number from 0"),
         ({"kernel_units": 7}, "expected shape"),
     ],

@@ -250,9 +250,9 @@ def test_a_late_robot(simulator):
 
 
 def test_no_such_reaction():
-    with pytest.raises(UserError, match="hold is 0 to 1 s, not -0"):
+    with pytest.raises(UserError, match="hold: expected a number from 0 to 1, found -0"):
         Reaction(-0.1)
-    with pytest.raises(UserError, match="right wheel's lag is 0 to 1 s, not nan"):
+    with pytest.raises(UserError, match=r"lag\[1\]: expected a number from 0 to 1, found nan"):
         Reaction(lag=(0.0, math.nan))
 
 
@@ -345,7 +345,7 @@ def test_folder(simulator, tmp_path):
         ({"radius": -1}, "field 'radius'"),
         ({"radius": 1e-300}, "field 'radius'"),
         ({"noise": {"kind": "loud", "level": 0.05}}, "noise.kind.*one of .none"),
-        ({"arena": {"outline": []}}, "do not close"),
+        ({"arena": {"outline": [], "obstacles": []}}, "do not close"),
         ({"sensors": {}}, "sensors.objects"),
     ):
         (tmp_path / "simulator.json").write_text(json.dumps(document | change))

@@ -129,7 +129,7 @@ def test_a_wrong_field_is_named(tmp_path, field, value):
     document = json.loads(path.read_text())
     document[field] = value
     path.write_text(json.dumps(document))
-    with pytest.raises(FileError, match=f"field '{field}'"):
+    with pytest.raises(FileError, match=rf"field '{field}\b"):
         CameraModel.read(path)
 
 

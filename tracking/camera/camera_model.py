@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from neurosim.base import formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_json, write_json
 
@@ -159,45 +160,30 @@ class CameraModel:
             FileError: naming the field that is missing or is not what it should be.
         """
         path = Path(path)
-        document = read_json(
-            path,
-            FORMAT,
-            VERSION,
-            {
-                "image_size": list,
-                "camera_matrix": list,
-                "distortion": list,
-                "rms_px?": float,
-                "photographs?": int,
-                "board_rms_m?": float,
-                "uncertainty?": dict,
-            },
-        )
-        size = _numbers(path, document, "image_size", (2,))
-        if (size < 1).any():
-            raise FileError(path, "expected a width and a height in pixels", field="image_size")
-        matrix = _numbers(path, document, "camera_matrix", (3, 3))
+        document = read_json(path, FORMAT, VERSION, formats.Calibration)
+        matrix = np.array(document["camera_matrix"], float)
         if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or not np.allclose(matrix[2], (0, 0, 1)):
             raise FileError(
                 path, "expected [[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", field="camera_matrix"
             )
-        distortion = _numbers(path, document, "distortion", (5,))
-        rotation = translation = None
-        if document.get("rotation") is not None or document.get("translation") is not None:
-            rotation = _numbers(path, document, "rotation", (3, 3))
-            translation = _numbers(path, document, "translation", (3,))
+        rotation, translation = document.get("rotation"), document.get("translation")
+        if (rotation is None) != (translation is None):
+            field = "rotation" if rotation is None else "translation"
+            raise FileError(path, "is missing", field=field)
+        if rotation is not None:
+            rotation = np.array(rotation, float)
             if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or (
                 np.linalg.det(rotation) < 0
             ):
                 raise FileError(path, "is not a rotation matrix", field="rotation")
         return cls(
-            (int(size[0]), int(size[1])),
+            tuple(document["image_size"]),
             matrix,
-            distortion,
+            document["distortion"],
             rotation,
             translation,
-            float(document.get("rms_px") or 0.0),
-            int(document.get("photographs") or 0),
+            document.get("rms_px", 0.0),
+            document.get("photographs", 0),
             document.get("board_rms_m"),
             document.get("uncertainty"),
         )
@@ -208,14 +194,3 @@ class CameraModel:
                 "this calibration has no points marked on the board, so pixels cannot become "
                 "metres; run neurosim calibrate again with at least 4 marked points"
             )
-
-
-def _numbers(path: Path, document: dict[str, Any], name: str, shape: tuple[int, ...]) -> NDArray:
-    expected = " x ".join(str(n) for n in shape)
-    try:
-        value = np.array(document.get(name), float)
-    except (TypeError, ValueError):
-        raise FileError(path, f"expected {expected} numbers", field=name) from None
-    if value.shape != shape or not np.isfinite(value).all():
-        raise FileError(path, f"expected {expected} finite numbers", field=name)
-    return value

@@ -23,45 +23,16 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
-from neurosim.base.schema import Number, Rows, Shape
 from tracking.datasets import readings as sensor_readings
 from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
 
 FORMAT, VERSION = "neurosim-dataset", 1
-_COLUMN = {"name": str, "unit?": str}
-_SESSION = {"recording": str, "session": int}
-_SENT = {"sent": int, "cut": int, "completed": int}
-_MARKER = {"colour?": str, "rgb?": object, "sure?": float, "doubt?": str}
-_CLOCK = {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float}
-#: What dataset.json says.
-FIELDS: dict[str, Shape] = {
-    "inputs": [_COLUMN],
-    "outputs": [_COLUMN],
-    "rows": int,
-    "within?": Number(0, whole=True),
-    "readings?": Number(0, whole=True),
-    "sources": [{"path?": str, "name?": str, "sha256?": str}],
-    "left_out": {str: int},
-    "reasons?": {str: str},
-    "warnings?": [str],
-    "robots?": [{"kind?": str, "virtual?": bool}],
-    "virtual?": bool,
-    "clocks?": [{**_SESSION, **_CLOCK}],
-    "motor_delays?": [{**_SESSION, "delay": float, "sd": float, "lag": float, "corrected": bool}],
-    "markers?": [{**_SESSION, "front?": _MARKER, "rear?": _MARKER}],
-    "cutting?": {
-        "by_class": {str: _SENT},
-        "by_duration?": [{"from": float, "to": float, **_SENT}],
-        "equal_reach?": {"ratio?": float, "ratio_first?": float},
-    },
-    "settings?": dict,
-}
 
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
@@ -189,7 +160,7 @@ class Dataset:
         if not folder.is_dir():
             raise FileError(folder, "no such dataset; expected a folder with dataset.json")
         json_path, csv_path = folder / "dataset.json", folder / "dataset.csv"
-        meta = files.read_json(json_path, FORMAT, VERSION, FIELDS)
+        meta = files.read_json(json_path, FORMAT, VERSION, formats.Dataset)
         inputs, outputs = (_names(json_path, field, meta[field]) for field in ("inputs", "outputs"))
         if outputs != tuple(OUTPUTS):
             raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")

@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
@@ -39,7 +40,6 @@ from neurosim.base.files import (
     write_csv,
     write_json,
 )
-from neurosim.base.schema import Maybe, Rows, Shape
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
@@ -47,27 +47,6 @@ FORMAT, VERSION = "neurosim-recording", 1
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
 TRACKING_FORMAT = "neurosim-tracking"
-
-_RECORDING: dict[str, Shape] = {
-    "robot": {"kind?": str, "virtual?": bool},
-    "camera?": dict,
-    "sessions": [dict],
-    "videos": [Maybe(str)],
-    "markers": dict,
-    "board": {"length": float, "width": float},
-    "settings?": {"source?": {"controller?": dict}},
-    "complete?": bool,
-}
-_MARKER_SEEN = {"colour?": str, "sure?": float, "doubt?": str}
-_TRACKING: dict[str, Shape] = {
-    "sessions": [
-        {
-            "session": int,
-            "clock?": {"flashes": Rows(None), "drift": float, "sd?": float, "drift_sd?": float},
-            "markers?": {"front?": _MARKER_SEEN, "rear?": _MARKER_SEEN},
-        }
-    ]
-}
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -224,12 +203,7 @@ class Recording:
         self.path = Path(path)
         if not self.path.is_dir():
             raise FileError(self.path, "no such recording; expected a folder made by record")
-        self.meta = read_json(
-            self.path / "recording.json",
-            FORMAT,
-            VERSION,
-            _RECORDING,
-        )
+        self.meta = read_json(self.path / "recording.json", FORMAT, VERSION, formats.Recording)
         self.meta.setdefault("complete", False)  # it would have been said
         _check_markers(self.path / "recording.json", self.meta["markers"])
         for name in self.meta["videos"]:
@@ -435,7 +409,7 @@ class Recording:
         path = self.path / "tracking.json"
         if not path.exists():
             return []
-        sessions = read_json(path, TRACKING_FORMAT, VERSION, _TRACKING)["sessions"]
+        sessions = read_json(path, TRACKING_FORMAT, VERSION, formats.Tracking)["sessions"]
         return [session for session in sessions if session.get("clock") is not None]
 
     def poses(self) -> Poses:
@@ -486,7 +460,7 @@ def read_markers(path: str | Path) -> dict[str, Any]:
     Raises:
         FileError: if it is missing or not what it should be.
     """
-    document = read_json(path, MARKERS_FORMAT, VERSION, {"front": dict, "rear": dict})
+    document = read_json(path, MARKERS_FORMAT, VERSION, formats.Markers)
     _check_markers(Path(path), document)
     return {name: value for name, value in document.items() if name in DEFAULT_MARKERS}
 
@@ -523,28 +497,5 @@ def _check_order(path: Path, before: CommandLine, entry: CommandLine) -> None:
 
 
 def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
-    for name in ("front", "rear"):
-        marker = markers.get(name)
-        whole = isinstance(marker, dict) and {"colour", "x", "y"} <= marker.keys()
-        if not whole or not isinstance(marker["colour"], str):
-            raise FileError(path, "expected colour, x and y", field=f"markers.{name}")
-    lamp = markers.get("lamp")
-    if lamp is not None and not (isinstance(lamp, dict) and {"x", "y"} <= lamp.keys()):
-        raise FileError(path, "expected x and y", field="markers.lamp")
-    optional = {name: markers.get(name) for name in ("height", "diameter")}
-    measures = {name: value for name, value in optional.items() if value is not None}
-    places = {"front": markers["front"], "rear": markers["rear"], "lamp": lamp or {}}
-    for name, place in places.items():
-        measures |= {f"{name}.{axis}": place.get(axis, 0.0) for axis in ("x", "y")}
-    for name, value in measures.items():
-        if not _is_length(value) or (name == "diameter" and value <= 0):
-            raise FileError(
-                path, f"expected a length in metres, found {value!r:.60}", field=f"markers.{name}"
-            )
     if markers["front"]["colour"] == markers["rear"]["colour"]:
         raise UserError(f"{path}: the two markers need different colours")
-
-
-def _is_length(value: object) -> bool:
-    # A number that JSON can hold may still be no float: 10**400.
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= 1e3

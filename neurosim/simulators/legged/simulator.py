@@ -24,13 +24,12 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from neurosim.base import files
-from neurosim.base.errors import FileError, UserError
-from neurosim.base.schema import fields_of
+from neurosim.base import files, formats
+from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.robots.quadruped import FOLD, FRAME, JOINTS, KNEE, SPREAD, SWING
 from neurosim.simulators.adjustable import Adjustable, adjustables
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Rollouts, Simulator
+from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
 from neurosim.simulators.sampling import draw_samples
@@ -172,12 +171,9 @@ class LeggedSimulator(Simulator):
             FileError: if the file is missing or wrong.
         """
         path = Path(folder) / "simulator.json"
-        fields = {**ABOUT, "parameters": fields_of(Build)}
-        given = files.read_json(path, FORMAT, VERSION, fields)["parameters"]
-        try:
-            return cls(Build(**{name: _fixed(value) for name, value in given.items()}))
-        except (TypeError, UserError) as error:
-            raise FileError(path, str(error), field="parameters") from None
+        given = files.read_json(path, FORMAT, VERSION, formats.Legged)["parameters"]
+        fixed = {name: _fixed(value) for name, value in given.items()}
+        return files.made(path, "parameters", lambda **given: cls(Build(**given)), fixed)
 
 
 def _fixed(value: Any) -> Any:

@@ -12,12 +12,14 @@ did, and a command may be cut as before.
 
 from __future__ import annotations
 
-import math
-from dataclasses import astuple, dataclass, replace
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
+from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Checked, Number
 from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.motion.drive import DriveModel
 
@@ -31,7 +33,7 @@ _RANGES = {
 
 
 @dataclass(frozen=True)
-class Correction:
+class Correction(Checked):
     """What is corrected of the motion; as it stands, nothing.
 
     Attributes:
@@ -43,18 +45,14 @@ class Correction:
             model's forward speed and turn rate, s.
 
     Raises:
-        ValueError: if one is not finite, or a factor not above 0.
+        UserError: if one is not finite, or a factor not above 0.
     """
 
-    forward: float = 1.0
-    turn: float = 1.0
-    yaw: float = 0.0
-    drift: float = 0.0
-    slip: float = 0.0
-
-    def __post_init__(self) -> None:
-        if not all(map(math.isfinite, astuple(self))) or min(self.forward, self.turn) <= 0.0:
-            raise ValueError("a correction is of finite numbers, and its factors are above 0")
+    forward: Annotated[float, Meta(gt=0, le=1e9)] = 1.0
+    turn: Annotated[float, Meta(gt=0, le=1e9)] = 1.0
+    yaw: Number = 0.0
+    drift: Number = 0.0
+    slip: Number = 0.0
 
     @property
     def parameters(self) -> tuple[Adjustable, ...]:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError
-from neurosim.base.schema import Maybe, Number, OneOf, Only, Rows, Shape, fields_of
 from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.networks.control import NOT_READINGS
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION
+from neurosim.simulators.base import FORMAT, VERSION
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
@@ -44,23 +44,6 @@ NOISE = {
 }
 #: Networks by the name of their kind.
 NETWORKS = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
-_COUNT = Number(0, 10**6, whole=True)
-#: What simulator.json says of a motion network, beside :data:`ABOUT`.
-FIELDS: dict[str, Shape] = {
-    "kind": OneOf(MotionNetwork.kind),
-    "inputs": [{"name": str, "unit?": str}],
-    "network": dict,
-    "coordinates": str,
-    "derived?": Only({"swing?": Number(above=-1.0, high=1.0 - 1e-12)}),
-    "drive?": Maybe([str]),
-    "kernel_units?": _COUNT,
-    "members?": Number(1, 10**6, whole=True),
-    "central?": bool,
-    "noise?": dict,
-    "domain?": {"commands": {str: Rows(2)}, "rows": _COUNT, "reach": float},
-    "sensors?": {"names": [str], "cell": Number(above=0.0, high=1e3)},
-    "correction?": Only({one.name: float for one in fields(Correction)}),
-}
 
 
 def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
@@ -130,7 +113,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             version, of the wrong shape, or not a number.
     """
     path = Path(folder) / "simulator.json"
-    content = files.read_json(path, FORMAT, VERSION, {**ABOUT, **FIELDS})
+    content = files.read_json(path, FORMAT, VERSION, formats.MotionNetwork)
     inputs = content["inputs"]
     derived = Derived(content.get("derived", {}).get("swing"))
     network = _network(path, content["network"], len(inputs) + len(derived))
@@ -179,7 +162,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         raise FileError(weights, "expected numbers above 0", field="input_scale")
     known = None if said is None else _domain(path, said, inputs, tensors.pop("domain.seen"))
     loaded = {name: torch.from_numpy(value).to(device) for name, value in tensors.items()}
-    described = {"format", "version", "outputs", *(name.removesuffix("?") for name in FIELDS)}
+    described = {"format", "version", "outputs", *formats.MotionNetwork.__annotations__}
     meta = {key: value for key, value in content.items() if key not in described}
     try:
         return MotionNetwork(
@@ -208,16 +191,8 @@ def _network(
     path: Path, about: Mapping[str, Any], inputs: int
 ) -> ProductSummationNetwork | Perceptron:
     kind = about.get("kind", "product-summation")
-    if kind not in NETWORKS:
-        raise FileError(
-            path, f"expected one of {', '.join(NETWORKS)}, found {kind!r:.60}", field="network.kind"
-        )
     shape = {name: value for name, value in about.items() if name != "kind"}
-    files.check_fields(path, shape, fields_of(NETWORKS[kind]), "network")
-    try:
-        return NETWORKS[kind](inputs, **shape)
-    except (TypeError, ValueError) as error:
-        raise FileError(path, f"is no network ({error})", field="network") from None
+    return files.made(path, "network", partial(NETWORKS[kind], inputs), shape)
 
 
 def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:
@@ -247,13 +222,7 @@ def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, boo
 
 
 def _correction(path: Path, content: Mapping[str, Any]) -> Correction:
-    found = content.get("correction")
-    if found is None:
-        return Correction()
-    try:
-        return Correction(**{one.name: float(found[one.name]) for one in fields(Correction)})
-    except ValueError as error:
-        raise FileError(path, str(error), field="correction") from None
+    return files.made(path, "correction", Correction, content.get("correction", {}))
 
 
 def _sensors(

@@ -16,16 +16,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
 
 FORMAT, VERSION = "neurosim-arena", 1
 #: Walls, or obstacles, at most.
-MOST = 1000
 #: Ends of walls may be so far apart and still meet, m.
 _TOUCHING = 1e-3
 #: Metres and radians beyond this are a mistake.
-_LARGEST = 1000.0
 #: Thickness of a wall that stands inside, m.
 THICKNESS = 0.01
 
@@ -71,28 +69,19 @@ class Arena:
             FileError: naming the field: a number that is missing, walls that do not close, an
                 obstacle that is outside or overlaps something, a start in something solid.
         """
-        fields = {"outline": list, "obstacles": list}
-        return cls.from_json(path, files.read_json(path, FORMAT, VERSION, fields))
+        return cls.from_json(path, files.read_json(path, FORMAT, VERSION, formats.Arena))
 
     @classmethod
     def from_json(cls, path: str | Path, content: dict[str, Any]) -> Arena:
-        """Return the arena that a JSON object of the file ``path`` describes, checked."""
-        rows: dict[str, Any] = {}
-        for name, length in (("outline", 4), ("inner", 4), ("obstacles", 3)):
-            values = content.get(name, [])
-            if not isinstance(values, list):
-                raise FileError(path, f"expected a list, found {values!r:.60}", field=name)
-            if len(values) > MOST:
-                raise FileError(path, f"expected at most {MOST}, found {len(values):,}", field=name)
-            rows[name] = tuple(
-                _numbers(path, f"{name}[{index}]", value, length)
-                for index, value in enumerate(values)
-            )
-        start = content.get("start")
+        """Return the arena of a checked JSON object in the file ``path``."""
+        rows: dict[str, Any] = {
+            name: tuple(tuple(map(float, row)) for row in content.get(name) or ())
+            for name in ("outline", "inner", "obstacles")
+        }
+        if content.get("start") is not None:
+            rows["start"] = tuple(map(float, content["start"]))
         try:
-            return cls(**rows, start=None if start is None else _numbers(path, "start", start, 3))
-        except FileError:
-            raise
+            return cls(**rows)
         except UserError as error:
             raise FileError(path, str(error)) from None
 
@@ -258,16 +247,3 @@ def _wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
     off = points[..., None, :] - start
     share = np.clip((off * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
     return np.linalg.norm(off - share[..., None] * along, axis=-1)
-
-
-def _numbers(path: str | Path, name: str, value: Any, count: int) -> Any:
-    good = isinstance(value, list) and len(value) == count
-    if not good or not all(
-        isinstance(v, int | float) and not isinstance(v, bool) and abs(v) <= _LARGEST for v in value
-    ):
-        raise FileError(
-            path,
-            f"expected {count} numbers, none beyond {_LARGEST:g}, found {value!r:.60}",
-            field=name,
-        )
-    return tuple(float(number) for number in value)

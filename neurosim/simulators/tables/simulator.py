@@ -29,11 +29,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.schema import Number, OneOf, Shape
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.base import ABOUT, FORMAT, VERSION, Simulator
+from neurosim.simulators.base import FORMAT, VERSION, Simulator
 from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.kernels import (
     FAINT,
@@ -51,23 +50,6 @@ from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
 
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
-#: Sizes and noise are within these, m (or m and shares).
-_SIZE, _LARGE = Number(0.0, 10.0), Number(0.0, 100.0)
-#: What simulator.json says of tables, beside :data:`ABOUT`.
-FIELDS: dict[str, Shape] = {
-    "kind": OneOf("tables"),
-    "sensors": {
-        "objects": [str],
-        "first_distance": _SIZE,
-        "distance_step": Number(above=0.0, high=10.0),
-        "repeated?": bool,
-    },
-    "motors": {"resolution": _LARGE, "repeated?": bool},
-    "radius": Number(low=0.001, high=10.0),
-    "noise": {"kind": OneOf(*NOISES), "level": _LARGE},
-    "arena": dict,
-    "reaction?": Reaction.FIELDS,
-}
 #: Radius of a Khepera, m.
 RADIUS = 0.0275
 #: Readings above ambient that count as none: half a percent of the range.
@@ -508,7 +490,7 @@ class TableSimulator(Simulator):
                 version, of the wrong shape, or not a number.
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
-        content = files.read_json(path, FORMAT, VERSION, {**ABOUT, **FIELDS})
+        content = files.read_json(path, FORMAT, VERSION, formats.Tables)
         about, motors, noise = content["sensors"], content["motors"], content["noise"]
         if about["objects"] != list(OBJECTS):
             raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
@@ -526,8 +508,7 @@ class TableSimulator(Simulator):
             name: np.asarray(tensor, np.float64)
             for name, tensor in files.read_tensors(tables, shapes).items()
         }
-        reaction = content.get("reaction")
-        described = {"format", "version", *(name.removesuffix("?") for name in FIELDS)}
+        described = {"format", "version", *formats.Tables.__annotations__}
         try:
             return cls(
                 SensorTable(
@@ -546,7 +527,7 @@ class TableSimulator(Simulator):
                 content["radius"],
                 noise["kind"],
                 noise["level"],
-                Reaction.from_json(reaction) if reaction else Reaction(),
+                Reaction.from_json(content.get("reaction", {})),
                 {key: value for key, value in content.items() if key not in described},
                 device,
             )
