@@ -41,6 +41,37 @@ def test_damaged_files_of_every_kind(made, tmp_path):
     attack(made, tmp_path, targets(""), 150, seed=2)
 
 
+EVOLVE = "evolve simulator -o out --generations 2 --runs 1 --population 10 --commands 3 "
+AVOID = "evolve tables --task obstacle-avoidance -o out --generations 1 --population 10 --steps 6 "
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "line",
+    [
+        *(EVOLVE + "--final-draws 4 " + words for words in (
+            "--eta 0", "--eta 1000", "--penalty 1e-320", "--mutation-scale 1000",
+            "--placing 1e-320 0", "--seed 2147483647", "--longest-arc 1e-4", "--width 1000",
+            "--task go-to --radius 0 --begin 1000 -1000 1000",
+        )),
+        *(AVOID + "--starts 2 --final-draws 4 " + words for words in (
+            "--enough -1", "--parents 0", "--duration 0.001", "--seed 2147483647",
+        )),
+        "plan-check plan simulator --draws 1 --placing 1e6 360",
+        "dataset --from csv log.csv -o out --shortest 0.001 --longest 100000",
+        "train dataset -o out --members 1 --ridge 1e-12 --floor 0.999 --limits -20..20",
+    ],
+)  # fmt: skip
+def test_numbers_at_the_ends_of_their_ranges_work(made, tmp_path, line):
+    from fuzz import call
+
+    for name in ("simulator", "tables", "plan", "dataset"):
+        shutil.copytree(made / name, tmp_path / name)
+    shutil.copy(made / "log.csv", tmp_path)
+    code, said, fault = call(line.split(), tmp_path)
+    assert (code, fault) == (0, ""), said
+
+
 @pytest.mark.parametrize(
     "text",
     [

@@ -17,6 +17,7 @@ from msgspec import Meta
 from neurosim.base.declared import Checked, Metres
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
+from tracking.camera.targets import Pattern
 from tracking.markers.colours import Colour, colour_pair, parse_colour
 from tracking.markers.pointing import distinguishable
 
@@ -35,10 +36,6 @@ _RINGS = 48
 _INCH = 0.0254
 
 
-#: Inner corners along a side of a chessboard.
-Corners = Annotated[int, Meta(ge=2, le=100)]
-
-
 @dataclass(frozen=True)
 class PageSettings(Checked):
     """What is on the page.
@@ -55,7 +52,7 @@ class PageSettings(Checked):
     colours: str = "pink,blue"
     diameter: Annotated[float, Meta(ge=0.002, le=1)] = 0.060
     square: Metres = 0.018
-    pattern: tuple[Corners, Corners] = (9, 6)
+    pattern: Pattern = (9, 6)
     paper: Literal["A4", "Letter"] = "A4"
     plain: bool = False
 

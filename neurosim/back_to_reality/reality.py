@@ -12,7 +12,7 @@ import inspect
 import math
 import queue
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol, runtime_checkable
@@ -20,8 +20,10 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Mismatch, convert
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.base.files import JsonLines, read_json_lines
+from neurosim.base.formats import TrialRow
 from neurosim.base.registry import Registry
 from neurosim.base.trajectory import Tracked
 
@@ -347,20 +349,14 @@ def _mean_pose(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     return found
 
 
-def _checked(row: Mapping[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], _Trial]:
-    genes, fitness = row.get("genes"), row.get("fitness")
-    if not isinstance(fitness, float | int) or isinstance(fitness, bool):
-        raise FileError(path, f"expected a number, found {fitness!r}", line=line, field="fitness")
-    poses = None
-    if "poses" in row:
-        listed = row["poses"] if isinstance(row["poses"], list) else []
-        poses = _poses([[math.nan] * 3 if one is None else one for one in listed])
-        if poses is None:
-            raise FileError(path, "expected poses, or null each", line=line, field="poses")
+def _checked(row: dict[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], _Trial]:
     try:
-        return np.array(genes, np.float64).reshape(-1), _Trial(float(fitness), poses)
-    except (TypeError, ValueError):
-        raise FileError(path, "expected numbers", line=line, field="genes") from None
+        convert(row, TrialRow)
+    except Mismatch as error:
+        raise FileError(path, error.what, line=line, field=error.field) from None
+    given = row.get("poses")
+    poses = _poses([[math.nan] * 3 if one is None else one for one in given]) if given else None
+    return np.array(row["genes"], np.float64), _Trial(float(row["fitness"]), poses)
 
 
 def read_trials(path: str | Path) -> list[dict[str, Any]]:

@@ -18,7 +18,7 @@ from neurosim.back_to_reality.alternate import Alternation, Found
 from neurosim.back_to_reality.reality import Reality, Trials
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
-from neurosim.base import files
+from neurosim.base import files, formats
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers import FixedPlan, SavedController, read_controller
@@ -80,17 +80,15 @@ def _read_genes(controller: Controller, path: str | Path) -> NDArray[np.float64]
                 f"{controller.kind} of {controller.genes}"
             )
         return saved.genes
-    content = files.read_json(path, GENES_FORMAT, GENES_VERSION)
+    content = files.read_json(path, GENES_FORMAT, GENES_VERSION, formats.Genes)
     named = content.get("parameters")
-    try:
-        if named is not None and hasattr(controller, "from_named"):
+    if named is not None and hasattr(controller, "from_named"):
+        try:
             return np.asarray(controller.from_named(named), np.float64)
-        genes = np.array(content.get("genes"), np.float64)
-    except UserError as error:
-        raise FileError(path, str(error), field="parameters") from None
-    except (TypeError, ValueError, AttributeError):
-        genes = np.empty(0)
-    if genes.shape != (controller.genes,) or not np.isfinite(genes).all():
+        except UserError as error:
+            raise FileError(path, str(error), field="parameters") from None
+    genes = np.array(content.get("genes", ()), np.float64)
+    if genes.shape != (controller.genes,):
         field = "genes" if named is None else "parameters"
         raise FileError(path, f"expected {controller.genes} finite numbers", field=field)
     return genes

@@ -35,6 +35,8 @@ class Format(Struct):
 Near = Annotated[float, Meta(ge=-1000, le=1000)]
 MOST_SHAPES = 1000
 Walls = Annotated[list[tuple[Near, Near, Near, Near]], Meta(max_length=MOST_SHAPES)]
+#: A pose, or where the robot was not seen.
+Seen = tuple[float | None, float | None, float | None]
 #: A command of a plan: speeds in percent, a duration in s.
 Speed = Annotated[float, Meta(ge=-100, le=100)]
 Command = tuple[Speed, Speed, Annotated[float, Meta(gt=0, le=3600)]]
@@ -409,11 +411,11 @@ class MotionNetwork(Simulator, kw_only=True):
     kind: Literal["motion-network"]
     inputs: list[Column]
     network: Network
-    coordinates: str
+    coordinates: Literal["displacement", "residual-twist"]
+    members: Annotated[int, Meta(ge=1, le=10**6)]
     derived: Swing | None = None
     drive: list[str] | None = None
     kernel_units: Annotated[int, Meta(ge=0, le=10**6)] | None = None
-    members: Annotated[int, Meta(ge=1, le=10**6)] | None = None
     central: bool | None = None
     noise: dict[str, Any] | None = None
     domain: Commands | None = None
@@ -744,6 +746,21 @@ class BackToReality(Format):
     real: list[float]
     believed: list[float]
     cycles: list[Cycle]
+
+
+class TrialRow(Format):
+    """A line of a file of trials."""
+
+    genes: list[float]
+    fitness: float
+    poses: Annotated[list[Seen | None], Meta(min_length=1)] | None = None
+
+
+class Genes(Format):
+    """The genes of a controller, or its parameters by name."""
+
+    genes: list[float] | None = None
+    parameters: dict[str, float] | None = None
 
 
 class Task(Format):

@@ -178,7 +178,7 @@ def test_what_are_no_poses_is_refused(tmp_path, poses):
     trials.evaluate(ONE[None], "first")
     head, line = path.read_text().splitlines()
     path.write_text("\n".join([head, json.dumps(json.loads(line) | {"poses": poses})]) + "\n")
-    with pytest.raises(FileError, match="line 2, field 'poses'"):
+    with pytest.raises(FileError, match="line 2, field 'poses"):
         read_trials(path)
 
 

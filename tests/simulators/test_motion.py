@@ -149,7 +149,7 @@ def edit(folder, **changes):
         # Of simulators from before there were drive models.
         (
             {"coordinates": "twist-offset"},
-            "'coordinates': expected .*'twist-offset': train the simulator anew",
+            "'coordinates': expected .*'twist-offset'",
         ),
         ({"network": {"neurons": 3}}, "network"),
         ({"network": {"hidden_activation": "relu"}}, "relu"),

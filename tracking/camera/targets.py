@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-import math
-from typing import NamedTuple, Protocol
+from typing import Annotated, NamedTuple, Protocol
 
 import cv2
 import numpy as np
+from msgspec import Meta
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Metres, checks
 from neurosim.base.errors import UserError
 
 _REFINE = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-4)
 
 #: Of a ChArUco board so many corners must be seen, and not all on one line.
 FEWEST_CORNERS = 8
+
+#: Inner corners along the two sides of a chessboard.
+Corners = Annotated[int, Meta(ge=2, le=100)]
+Pattern = tuple[Corners, Corners]
 
 
 class View(NamedTuple):
@@ -44,8 +49,8 @@ class Chessboard:
         square: side of a square, m.
     """
 
-    def __init__(self, pattern: tuple[int, int], square: float):
-        check_chessboard(pattern, square)
+    @checks
+    def __init__(self, pattern: Pattern, square: Metres):
         self.pattern = pattern
         self.name = f"whole chessboard of {pattern[0]} x {pattern[1]} inner corners"
         self._board = np.mgrid[: pattern[0], : pattern[1]].T.reshape(-1, 2) * square
@@ -66,10 +71,10 @@ class Charuco:
         dictionary: of the markers, as OpenCV names it without ``DICT_``, such as ``4X4_50``.
     """
 
+    @checks
     def __init__(
-        self, pattern: tuple[int, int], square: float, marker: float, dictionary: str = "4X4_50"
+        self, pattern: Pattern, square: Metres, marker: Metres, dictionary: str = "4X4_50"
     ):
-        check_chessboard(pattern, square)
         if not 0 < marker < square:
             raise UserError(
                 f"a marker of {1000 * marker:g} mm does not fit a square of {1000 * square:g} mm"
@@ -115,16 +120,3 @@ def _reach(corners: NDArray) -> int:
     """Return how far the refinement window reaches: 11 x 11 pixels, less on small squares."""
     nearest = min(np.linalg.norm(np.diff(corners, axis=axis), axis=-1).min() for axis in (0, 1))
     return int(np.clip(nearest / 2, 2, 5))
-
-
-def check_chessboard(pattern: tuple[int, int], square: float) -> None:
-    """Refuse a chessboard that cannot be.
-
-    Raises:
-        UserError: if it has fewer than 2 x 2 inner corners, or squares without a size (m).
-    """
-    if min(pattern) < 2 or not 0 < square < math.inf:
-        raise UserError(
-            f"a chessboard of {pattern[0]} x {pattern[1]} inner corners with squares of "
-            f"{square:g} m cannot be: at least 2 x 2 corners and squares above 0 m are needed"
-        )

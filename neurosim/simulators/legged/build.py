@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
+from msgspec import Meta
 
+from neurosim.base.declared import Checked, Coordinate
 from neurosim.base.errors import UserError
 from neurosim.robots.quadruped import (
     FOLD,
@@ -28,8 +30,13 @@ from neurosim.robots.quadruped import (
 UPPER_SHARE = 0.6
 
 
+#: Quantities that are above 0, or not below.
+Positive = Annotated[float, Meta(gt=0, le=10_000)]
+Amount = Annotated[float, Meta(ge=0, le=1e12)]
+
+
 @dataclass(frozen=True)
-class Build:
+class Build(Checked):
     """How the robot and the place are built; the defaults are the simulator's, not a real robot's.
 
     Attributes:
@@ -51,36 +58,33 @@ class Build:
         bumps: (x, y, radius, height) of flat spherical caps on the floor, m.
     """
 
-    head: float = 0.20
-    neck: float = 0.08
-    body: float = 0.60
-    leg: float = 0.15
-    friction: float = 0.8
-    gravity: float = 9.81
-    slip: float = 0.02
-    slip_ratio: float = 1.0
-    p: float = 6.0
-    i: float = 3.0
-    d: float = 0.1
-    torque: float = 0.9
-    timestep: float = 0.004
-    iterations: int = 20
-    cone: str = "elliptic"
-    armature: float = 0.0015
-    damping: float = 0.01
-    joint_friction: float = 0.0
-    backlash: float = 0.0
-    legs: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
-    bumps: tuple[tuple[float, float, float, float], ...] = field(default=())
+    head: Positive = 0.20
+    neck: Positive = 0.08
+    body: Positive = 0.60
+    leg: Positive = 0.15
+    friction: Amount = 0.8
+    gravity: Amount = 9.81
+    slip: Amount = 0.02
+    slip_ratio: Amount = 1.0
+    p: Amount = 6.0
+    i: Amount = 3.0
+    d: Amount = 0.1
+    torque: Amount = 0.9
+    timestep: Annotated[float, Meta(ge=1e-5, le=1)] = 0.004
+    iterations: Annotated[int, Meta(ge=1, le=10000)] = 20
+    cone: Literal["elliptic", "pyramidal"] = "elliptic"
+    armature: Amount = 0.0015
+    damping: Amount = 0.01
+    joint_friction: Amount = 0.0
+    backlash: Amount = 0.0
+    legs: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.0, 1.0)
+    bumps: tuple[tuple[Coordinate, Coordinate, Coordinate, Coordinate], ...] = field(default=())
 
     def __post_init__(self) -> None:
-        steps = FRAME / self.timestep if self.timestep > 0.0 else 0.0
+        super().__post_init__()
+        steps = FRAME / self.timestep
         if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
             raise UserError(f"the timestep must divide {FRAME:g} s evenly, not {self.timestep:g} s")
-        if self.iterations < 1:
-            raise UserError(f"the solver makes one iteration at least, not {self.iterations}")
-        if self.cone not in ("elliptic", "pyramidal"):
-            raise UserError(f"the cone is elliptic or pyramidal, not {self.cone!r}")
 
 
 def mujoco() -> Any:

@@ -22,7 +22,7 @@ from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.motion.kernel_units import KernelUnits
-from neurosim.simulators.motion.network import COORDINATES, OUTPUTS, MotionNetwork
+from neurosim.simulators.motion.network import OUTPUTS, MotionNetwork
 from neurosim.simulators.motion.noise import (
     COMPONENTS,
     SCALE_FEATURES,
@@ -117,13 +117,12 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     inputs = content["inputs"]
     derived = Derived(content.get("derived", {}).get("swing"))
     network = _network(path, content["network"], len(inputs) + len(derived))
-    members, noisy = _members_and_noise(path, content)
-    if content["coordinates"] not in COORDINATES:
+    members, noisy = content["members"], "noise" in content
+    if noisy and content["noise"] != NOISE:
         raise FileError(
             path,
-            f"expected one of {', '.join(COORDINATES)}, found {content['coordinates']!r}: train "
-            "the simulator anew",
-            field="coordinates",
+            "is no noise model that this version reads: train the simulator anew",
+            field="noise",
         )
     central = content.get("central", False)
     expected: dict[str, tuple[int | None, ...]] = dict(
@@ -153,9 +152,6 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         expected |= {"sensors.mount": (count, 2), "sensors.noise": (count, 2)}
         expected |= {"sensors.place": (count,), "sensors.origin": (2,)}
         expected["sensors.maps"] = (None, None, None)
-    if content["version"] == 1:
-        expected |= {name: expected[name][1:] for name in ("genes", "output_scale")}
-        del expected["dead_zone"]
     tensors = files.read_tensors(Path(folder) / "weights.safetensors", expected)
     if (tensors["input_scale"] <= 0).any():
         weights = Path(folder) / "weights.safetensors"
@@ -174,13 +170,13 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             content["coordinates"],
             meta,
             _noise(loaded) if noisy else None,
-            loaded.get("dead_zone"),
+            loaded["dead_zone"],
             central,
             derived,
             DriveModel(**_part(loaded, "drive.")) if drives else None,
             KernelUnits(**_part(loaded, "kernel.")) if units else None,
             known,
-            _correction(path, content),
+            files.made(path, "correction", Correction, content.get("correction", {})),
             _sensors(path, content, loaded),
         )
     except ValueError as error:
@@ -193,36 +189,6 @@ def _network(
     kind = about.get("kind", "product-summation")
     shape = {name: value for name, value in about.items() if name != "kind"}
     return files.made(path, "network", partial(NETWORKS[kind], inputs), shape)
-
-
-def _members_and_noise(path: Path, content: Mapping[str, Any]) -> tuple[int, bool]:
-    if content["version"] == 1:
-        return 1, False
-    if "members" not in content:
-        raise FileError(path, "is missing", field="members")
-    noise = content.get("noise")
-    if noise is None:
-        return content["members"], False
-    if noise.get("kind") != NOISE["kind"]:
-        raise FileError(
-            path,
-            f"{noise.get('kind')!r:.60} is no noise model that this version reads, which is "
-            f"{NOISE['kind']!r}: train the simulator anew",
-            field="noise.kind",
-        )
-    for name, known in NOISE.items():
-        if noise.get(name) != known:
-            raise FileError(
-                path,
-                f"the noise model {NOISE['kind']!r} of this version has {', '.join(known)}, not "
-                f"{noise.get(name)!r:.60}: train the simulator anew",
-                field=f"noise.{name}",
-            )
-    return content["members"], True
-
-
-def _correction(path: Path, content: Mapping[str, Any]) -> Correction:
-    return files.made(path, "correction", Correction, content.get("correction", {}))
 
 
 def _sensors(
