@@ -59,7 +59,7 @@ def train(
     out: str | Path,
     *,
     trainer: str = DEFAULT,
-    members: Annotated[int, Meta(ge=1, le=1000)] | None = None,
+    members: Annotated[int, Meta(ge=1, le=MOST_MEMBERS)] | None = None,
     noise: bool | None = None,
     generations: Count | None = None,
     seed: Seed = 0,
@@ -110,10 +110,6 @@ def train(
     members = (1 if trainer == PAPER else MEMBERS) if members is None else members
     noise = trainer != PAPER if noise is None else noise
     hidden = kind.default_hidden if hidden is None else hidden
-    if not 1 <= members <= MOST_MEMBERS:
-        raise UserError(f"the number of members must be 1 to {MOST_MEMBERS}, not {members}")
-    if generations < 1:
-        raise UserError(f"the number of generations must be at least 1, not {generations}")
     _check_device(device)
     rows = Dataset.read(dataset)
     repeated = rows.repeated
