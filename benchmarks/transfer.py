@@ -56,7 +56,7 @@ from neurosim.simulators.tables.arena import paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
-from neurosim.tasks.obstacle_avoidance import FITNESS, ObstacleAvoidance
+from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 from neurosim.trials.reality import RobotTrials
 
 TABLES = ("samples", "tenth", "formulas")
@@ -231,7 +231,7 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
             return real.drive(network, PATH_STEPS, lambda: rig.lab.pose)
 
         def from_starts(network: np.ndarray) -> float:
-            fitness = [FITNESS["avoidance"](put_down(network, start)) for start in starts]
+            fitness = [avoidance(put_down(network, start)) for start in starts]
             return TASK.starts * float(np.mean(fitness))
 
         paths = np.stack(
@@ -254,7 +254,7 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
 
 def per_trial(trajectory: Any) -> float:
     """Return a trial's fitness, of trajectories [1, R] from many starts."""
-    return TASK.starts * float(FITNESS["avoidance"](trajectory).mean())
+    return TASK.starts * float(avoidance(trajectory).mean())
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:

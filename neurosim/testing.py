@@ -432,7 +432,6 @@ def check_task(task: Task) -> None:
     lost[..., 0, :] = whole.poses[..., 0, :]
     _check_judgement(task, Trajectory(lost, whole.commands, whole.durations, whole.readings,
                                       whole.active), (2, 3))  # fmt: skip
-    _close_shape("progress(trajectory)", task.progress(whole), (2, 3))
     _close_shape("whole(fitness)", task.whole(np.ones((4, task.trial_starts))), (4,))
     _close_shape("region(poses)", task.region(whole.poses), whole.poses.shape[:-1])
     _json("outline()", task.outline())
@@ -465,7 +464,7 @@ def _check_judgement(task: Task, trajectory: Trajectory, shape: tuple[int, ...])
     for name, value in given.items():
         same = np.array_equal(value, getattr(trajectory, name), equal_nan=True)
         _require(same, f"judge() must not change the trajectory's {name}")
-    for name in ("fitness", "success", "reason", "segment"):
+    for name in ("fitness", "success", "reason", "segment", "progress", "over"):
         found = np.shape(getattr(judged, name))
         _require(found == shape, f"{name} of a trajectory {shape} must be {shape}, not {found}")
     _require(np.isfinite(judged.fitness).all(), "fitness must be finite, whatever the poses are")

@@ -55,8 +55,8 @@ class Far(ns.Task):
     def episode(self):
         return ns.Episode(step=0.2, steps=8, rest=0.3)
 
-    def judge(self, trajectory):
-        gone = np.linalg.norm(trajectory.poses[..., -1, :2] - trajectory.poses[..., 0, :2], axis=-1)
+    def worth(self, record):
+        gone = np.linalg.norm(record[:, 4:6] - record[:, 1:3], axis=-1)
         return ns.Judgement.of(gone, gone > self.far)
 
 

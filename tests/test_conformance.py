@@ -245,28 +245,27 @@ class Task(ns.Task):
 
     far: float = 0.3
 
-    def fitness(self, poses):
-        return np.nan_to_num(np.linalg.norm(poses[..., -1, :2], axis=-1))
+    def fitness(self, record):
+        return np.linalg.norm(record[:, 4:6], axis=-1)
 
-    def judge(self, trajectory):
-        fitness = self.fitness(trajectory.poses)
+    def worth(self, record):
+        fitness = self.fitness(record)
         return ns.Judgement.of(fitness, fitness > self.far)
 
 
 class NotSafe(Task):
-    def fitness(self, poses):
-        return np.linalg.norm(poses[..., -1, :2], axis=-1)
+    def fitness(self, record):
+        return np.where(record[:, 7] > 0, np.nan, 0.0)
 
 
 class OneAtATime(Task):
-    def judge(self, trajectory):
-        fitness = np.atleast_1d(self.fitness(trajectory.poses)).ravel()
-        return ns.Judgement.of(fitness, fitness > self.far)
+    def judge(self, trajectory, record=None):
+        return super().judge(trajectory, record).mapped(np.ravel)
 
 
 class Relative(Task):
-    def fitness(self, poses):
-        found = super().fitness(poses)
+    def fitness(self, record):
+        found = super().fitness(record)
         return found - found.mean()
 
 

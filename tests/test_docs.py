@@ -18,7 +18,6 @@ from neurosim.loop.evolve import evolve_in
 from neurosim.loop.optimisers import OPTIMISERS
 from neurosim.loop.settings import default_settings
 from neurosim.simulators import TableSimulator
-from neurosim.tasks.obstacle_avoidance import FITNESS
 from neurosim.tasks.registry import TASKS
 from neurosim.training.train import train
 
@@ -58,15 +57,6 @@ def test_commands_take_these_options(page, words):
     command.make_context(command.name, words)
 
 
-@pytest.fixture
-def _same_fitness():
-    before = dict(FITNESS)
-    yield
-    FITNESS.clear()
-    FITNESS.update(before)
-
-
-@pytest.mark.usefixtures("_same_fitness")
 @pytest.mark.parametrize(("page", "block"), PYTHON, ids=lambda x: x if ".md" in x else "")
 def test_python_runs(page, block, made, tmp_path, monkeypatch):
     for folder in made.iterdir():
@@ -108,12 +98,11 @@ def _nothing_stays_registered():
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("_same_fitness")
 def test_networks_are_evolved_for_the_distance_to_a_path():
-    (block,) = (block for page, block in PYTHON if page == "tables.md" and "near_a_line" in block)
+    (block,) = (block for page, block in PYTHON if page == "tables.md" and "NearALine" in block)
     shown: dict = {}
     exec(compile(block, "tables.md", "exec"), shown)
-    tables, task = TableSimulator(made_up()), shown["task"]
+    tables, task = TableSimulator(made_up()), shown["NearALine"]()
     family = make_controller("network", tables, task)
     settings = default_settings(family, task, generations=25)
     genetic = replace(settings.genetic, population=40, parents=8)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.controllers.base import Controller
 from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.objectives import mean_fitness
 from neurosim.simulators.adjustable import Adjustable, AdjustableSimulator
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
@@ -88,9 +89,12 @@ class Simulated:
         evaluator = self._evaluator(parameters)
         self.tried += len(genes)
         with evaluator.threads_for(len(genes)):
-            merit, _ = evaluator.merit(self.real_genes(genes), evaluator.expectation())
-        finite = np.isfinite(merit.merit)
-        return np.where(finite, merit.merit, merit.merit[finite].min(initial=0.0))
+            judged, trajectory = evaluator.judge(self.real_genes(genes), evaluator.expectation())
+        fitness = mean_fitness(self._task, judged.fitness)
+        finite = np.isfinite(fitness)
+        if trajectory.poses is not None:
+            finite &= np.isfinite(trajectory.poses).all(axis=(1, 2, 3))
+        return np.where(finite, fitness, fitness[finite].min(initial=0.0))
 
     def poses(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]

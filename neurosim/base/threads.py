@@ -8,6 +8,9 @@ from contextlib import contextmanager
 import numba
 import torch
 
+#: From so many rows on, sharing them out to several cores pays.
+WORTH_SHARING = 500
+
 
 @contextmanager
 def one_core(wanted: bool = True) -> Iterator[None]:

@@ -30,13 +30,16 @@ from neurosim.networks.control import (
 )
 from neurosim.networks.control_kernels import closed_loop, observe
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Task
-from neurosim.tasks.score import Interval, Rows
+from neurosim.tasks.base import Interval, Judgement, Task
 
 #: Poses are told up to so far outside of what simulator and task have an outline of, m.
 BEYOND = 0.5
 #: Where neither has one, they are told up to so far from the start, m.
 AROUND = 5.0
+
+
+#: Rows of a batch: places, or all.
+Rows = NDArray[np.int64] | slice
 
 
 class Face:
@@ -47,7 +50,8 @@ class Face:
         names: of the columns of an observation.
         outputs: of the columns of an action.
         reads: whether the sensors are to be read.
-        score: of the task.
+        record: [B, W] of the task, one for each trial.
+        judged: what trials are worth now.
     """
 
     def __init__(
@@ -81,8 +85,8 @@ class Face:
         seen = any(name not in NOT_READINGS for name in self.names)
         self.reads = bool(simulator.reading_names) and (seen or self.episode.readings)
         self.action_space, self.observation_space = self._actions(), self._observations()
-        sensors = len(simulator.reading_names) if self.reads else 0
-        self.score = task.score(count, len(self.outputs), sensors)
+        self.record = task.first_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
+        self.judged: Judgement = task.worth(self.record)
         sources = input_sources(self.names, simulator.reading_names)
         # Of the network that this is of, nothing is used but its inputs.
         shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
@@ -112,7 +116,8 @@ class Face:
 
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
-        self.score.begin(rows, poses)
+        self.record[rows] = self.task.first_record(poses)
+        self.judged = self.task.worth(self.record)
         self._goal[rows] = 0
 
     def observation(
@@ -181,10 +186,19 @@ class Face:
         return out
 
     def add(self, rows: Rows, interval: Interval) -> None:
-        """Go on with trials; as :meth:`neurosim.tasks.score.Score.add`, durations in commands."""
-        own = interval.commands[:, : len(self.outputs)]
-        readings = interval.readings if self.reads else None
-        self.score.add(rows, interval._replace(commands=own, readings=readings))
+        """Add an interval to K trials; commands may have a duration behind them."""
+        assert interval.commands is not None
+        record = self.record[rows]
+        self.task.advance(
+            record, interval._replace(commands=interval.commands[:, : len(self.outputs)])
+        )
+        self.record[rows] = record
+        self.judged = self.task.worth(self.record)
+
+    @property
+    def over(self) -> NDArray[np.bool_]:
+        """Which trials [B] can gain nothing any more."""
+        return self.record[:, 0] > 0
 
 
 def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:

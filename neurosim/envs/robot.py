@@ -23,8 +23,7 @@ from neurosim.robots.base import Counters, Sensors, drive_for
 from neurosim.robots.odometry import Odometry
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
-from neurosim.tasks.base import Task
-from neurosim.tasks.score import Interval
+from neurosim.tasks.base import Interval, Task
 from neurosim.trials.rig import RIGS, Setup, open_rig
 from tracking.camera.camera_model import CameraModel
 
@@ -196,13 +195,13 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         drive_for(self.robot, left, right, episode.step)
         missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
         self._due = (now if missed else due) + episode.step
-        before, readings = face.score.progress.copy(), self._readings
+        before, readings = face.judged.progress, self._readings
         clock.sleep_until(self._due)
         self._look()
         every = slice(None)
-        face.add(every, Interval(self._pose[None], commands, readings, episode.step))
+        face.add(every, _interval(self._pose, episode.step, True, commands, readings))
         self._steps += 1
-        decided = bool(face.score.over[0])
+        decided = bool(face.over[0])
         late = self._steps >= episode.steps and not decided
         info: dict[str, Any] = {}
         if decided or late:
@@ -212,18 +211,18 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 readings = self._readings
                 self._look()
                 still = face.lasting(np.zeros((1, 2)), episode.rest)
-                moved = Interval(self._pose[None], still, readings, episode.rest, False)
+                moved = _interval(self._pose, episode.rest, False, still, readings)
                 face.add(every, moved)
             self._begun = False
             info = {
-                "is_success": bool(face.score.success[0]),
-                "progress": float(face.score.progress[0]),
+                "is_success": bool(face.judged.success[0]),
+                "progress": float(face.judged.progress[0]),
                 "missed_deadlines": self._deadlines.missed,
             }
         if self._picture is not None:
             self._picture.add(self._pose[None])
         self._show()
-        return self._see(), float(face.score.progress[0] - before[0]), decided, late, info
+        return self._see(), float(face.judged.progress[0] - before[0]), decided, late, info
 
     def _look(self) -> None:
         """Read the sensors, and where the robot is; one that is not seen is where it was."""
@@ -266,6 +265,12 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _check_open(self) -> None:
         if self._closed:
             raise UserError(CLOSED)
+
+
+def _interval(
+    pose: NDArray, duration: float, active: bool, commands: NDArray, readings: NDArray | None
+) -> Interval:
+    return Interval(pose[None], duration, active, True, commands, readings)
 
 
 class _Nothing:

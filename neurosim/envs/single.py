@@ -103,10 +103,10 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         if self._picture is not None:
             self._picture.add(self.trials.poses)
             self._show()
-        score = self.trials.face.score
+        judged = self.trials.face.judged
         info: dict[str, Any] = {}
         if over:
-            info = {"is_success": bool(score.success[0]), "progress": float(score.progress[0])}
+            info = {"is_success": bool(judged.success[0]), "progress": float(judged.progress[0])}
         return self.trials.see()[0], float(reward[0]), bool(decided[0]), bool(late[0]), info
 
     def _show(self) -> None:

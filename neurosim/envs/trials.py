@@ -8,16 +8,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
-from neurosim.base.threads import one_core
-from neurosim.envs.face import Face
+from neurosim.base.threads import WORTH_SHARING, one_core
+from neurosim.envs.face import Face, Rows
 from neurosim.loop.evaluate import draw_starts
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
-from neurosim.tasks.base import Task
-from neurosim.tasks.score import Interval, Rows
+from neurosim.tasks.base import Interval, Task
 
-#: From so many rows on, sharing them out to several cores pays.
-WORTH_SHARING = 500
 #: So many outcomes are drawn at once: most of the work of drawing is not in the numbers.
 BLOCK = 16
 
@@ -160,17 +157,17 @@ class Trials:
     def _step(
         self, commands: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_]]:
-        score, episode = self.face.score, self.face.episode
-        before = score.progress.copy()
+        face, episode = self.face, self.face.episode
+        before = face.judged.progress
         self._go_on(slice(None), commands, episode.step, True)
-        decided = score.over.copy()
+        decided = face.over
         late = (self._steps >= episode.steps) & ~decided
         ended = decided | late
         if episode.rest > 0 and ended.any():
             rows = np.flatnonzero(ended)
             still = np.zeros((len(rows), len(self.face.outputs)))
             self._go_on(rows, self.face.lasting(still, episode.rest), episode.rest, False)
-        return score.progress - before, decided, late
+        return face.judged.progress - before, decided, late
 
     def _go_on(
         self, rows: Rows, commands: NDArray[np.float64], duration: float, active: bool
@@ -186,7 +183,11 @@ class Trials:
         else:
             after = self._stepper.step(self.state[rows], commands, noise)
         self.state = self._kept(self.state, rows, after)
-        self.face.add(rows, Interval(after[:, :3], commands, readings, duration, active))
+        poses, touching = after[:, :3], None
+        if self.face.episode.contacts:
+            touching = self.face.simulator.touching(poses)
+        moved = Interval(poses, duration, active, True, commands, readings, touching)
+        self.face.add(rows, moved)
 
     def _drawn(self, rows: Rows) -> NDArray | None:
         """Return the noise of the next step, if there is any, and keep it."""

@@ -191,11 +191,11 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
     def _infos(self, ended: NDArray[np.bool_]) -> dict[str, Any]:
         if not ended.any():
             return {}
-        score = self.trials.face.score
+        judged = self.trials.face.judged
         return {
-            "is_success": score.success & ended,
+            "is_success": judged.success & ended,
             "_is_success": ended.copy(),
-            "progress": np.where(ended, score.progress, 0.0),
+            "progress": np.where(ended, judged.progress, 0.0),
             "_progress": ended.copy(),
         }
 

@@ -112,7 +112,11 @@ class Evaluator:
     def judge(self, genes: NDArray[np.float64], draws: Draws) -> tuple[Judgement, Trajectory]:
         """Return judgements [P, R] of individuals [P, G], and their trajectories."""
         trajectory = self.run(genes, draws)
-        return self.task.judge(trajectory), trajectory
+        return self.scored(trajectory), trajectory
+
+    def scored(self, trajectory: Trajectory) -> Judgement:
+        """Return the task's judgement [P, R] of trajectories."""
+        return self.task.judge(trajectory)
 
     def merit(
         self,
@@ -152,7 +156,7 @@ class Evaluator:
     ) -> tuple[Merit, list[NDArray]]:
         """Return what one part of a population is worth, and its hints; see :meth:`merit`."""
         trajectory = self.run(genes, draws, reuse=True)
-        merit = objective_named(objective)(self.task, trajectory, self.task.judge(trajectory))
+        merit = objective_named(objective)(self.task, trajectory, self.scored(trajectory))
         if unsupported is not None and self.simulator.knows_gaps:
             merit = put_behind(merit, self.unsupported(trajectory), unsupported)
         return merit, [getattr(self, f"_{name}")(trajectory) for name in hints]

@@ -54,7 +54,7 @@ def probability(task: Task, trajectory: Trajectory, judgement: Judgement) -> Mer
 
 def progress(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
     """The mean graded progress over outcomes: a fitness without steps."""
-    value = mean_fitness(task, task.progress(trajectory))
+    value = mean_fitness(task, judgement.progress)
     return Merit(value, value, judgement.success.mean(axis=1))
 
 

@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from neurosim.base.declared import Checked, Count, Placing, Seconds, SecondsOrNone
 from neurosim.base.threads import one_core, one_thread
-from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.base.trajectory import Draws, Trajectory
 from neurosim.controllers.plan import Command, Plan, commands_of
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
@@ -31,7 +31,7 @@ from neurosim.loop.optimisers import make_optimiser
 from neurosim.loop.search import Search
 from neurosim.loop.settings import EvolveSettings
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.base import Interval, Judgement, Task
 
 
 class Clock(Protocol):
@@ -271,11 +271,19 @@ def _tuple(pose: NDArray[np.float64]) -> tuple[float, ...]:
 class _Onward(Evaluator):
     """Judges the rest of plans, from where the robot is, with what it has done so far."""
 
+    _record: NDArray[np.float64] | None = None
+
     def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
         """Be in a state [S], after poses [K + 1, 3] and commands [K, 3]."""
-        done = self.task if isinstance(self.task, _Rest) else _Rest(self.task)
-        done.poses, done.commands = poses, commands
-        self.task, self._state = done, state
+        self._state, self._record = state, None
+        if len(commands):
+            record = self.task.first_record(poses[:1])
+            for pose, command in zip(poses[1:, None], commands[:, None], strict=True):
+                self.task.advance(record, Interval(pose, command[:, 2], commands=command))
+            self._record = record[0]
+
+    def scored(self, trajectory: Trajectory) -> Judgement:
+        return self.task.judge(trajectory, self._record)
 
     @contextmanager
     def threads_for(self, individuals: int) -> Iterator[None]:
@@ -291,44 +299,3 @@ class _Onward(Evaluator):
 
     def expectation(self, seed: int = 0) -> Draws:
         return replace(super().expectation(seed), state=self._state)
-
-
-class _Rest(Task):
-    """The rest of a task: trajectories are judged together with what was driven before.
-
-    Attributes:
-        poses: [K + 1, 3] of what was driven, the last where the rest begins.
-        commands: [K, 3].
-    """
-
-    name = "rest"
-
-    def __init__(self, task: Task):
-        self._task = task
-        self.poses, self.commands = np.empty((1, 3)), np.empty((0, 3))
-
-    @property
-    def episode(self) -> Episode:
-        return self._task.episode
-
-    def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
-        return self._task.region(poses)
-
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        count, shape = len(self.commands), trajectory.shape
-        if count == 0:
-            return self._task.judge(trajectory)
-
-        def whole(driven: NDArray, planned: Any) -> NDArray:
-            axis = len(shape)
-            wide = np.broadcast_to(driven, (*shape, *driven.shape))
-            return np.concatenate([wide, planned], axis=axis)
-
-        return self._task.judge(
-            Trajectory(
-                whole(self.poses[:-1], trajectory.poses),
-                whole(self.commands, trajectory.commands),
-                whole(self.commands[:, 2], trajectory.durations),
-                active=whole(np.ones(count, np.bool_), trajectory.active),
-            )
-        )

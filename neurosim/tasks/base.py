@@ -1,36 +1,73 @@
-"""What every task offers: where a trial starts, how long it is, and what a trajectory is worth."""
+"""What every task offers: where a trial starts, how long it is, and how it is scored.
+
+A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a
+record of each trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what
+the trial is worth if it ends there. Environments advance records while
+trials run; :meth:`Task.judge` advances them over whole trajectories.
+"""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, field, is_dataclass
-from typing import TYPE_CHECKING, Any, ClassVar
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field, is_dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked
+from neurosim.base.errors import UserError
+from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
-from neurosim.tasks.score import Replayed, Score
 
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
 
 
+class Interval(NamedTuple):
+    """The time from one command to the next, or between two camera frames, of K trials.
+
+    Attributes:
+        poses: [K, 3] at its end (m, m, rad); NaN where the robot was not seen.
+        duration: [K] or one for all, s.
+        active: [K] or one for all: whether it belongs to a command of the controller, not to a
+            null command or to the motors running down.
+        ends: whether it is the last interval of its command.
+        commands: [K, C] during it; None unless the task scores by commands.
+        readings: [K, S] at its beginning; None unless the task scores by readings.
+        touching: [K] whether the robot touches something at its end; None where that is unknown.
+    """
+
+    poses: NDArray[np.float64]
+    duration: NDArray[np.float64] | float
+    active: NDArray[np.bool_] | bool = True
+    ends: bool = True
+    commands: NDArray | None = None
+    readings: NDArray | None = None
+    touching: NDArray[np.bool_] | None = None
+
+
 @dataclass(frozen=True, eq=False)
 class Judgement:
-    """What a task says of a batch of trajectories; ``...`` are their leading axes.
+    """The score of a batch of trials; ``...`` are its axes.
 
     Attributes:
         fitness: [...] float64, finite; the higher the better.
         success: [...] bool, whether the task is done.
-        reason: [...] why not: an index into the task's ``reasons``, or -1 where it is done.
-        segment: [...] the command during which that was settled; the last where it is done.
-        detail: name -> [...]: what the fitness was made of; a task's own.
+        reason: [...] index of the failure in the task's ``reasons``; -1 where the task is done.
+        progress: [...] how far the robot came: a fitness without steps, for optimisers that need
+            a slope and for rewards.
+        over: [...] bool, whether the robot can gain nothing any more.
+        segment: [...] the command during which the result was settled; the last by default.
+        detail: name -> [...]: the components of the fitness, different in each task.
     """
 
     fitness: NDArray[np.float64]
     success: NDArray[np.bool_]
     reason: NDArray[np.int64]
+    progress: NDArray[np.float64]
+    over: NDArray[np.bool_]
     segment: NDArray[np.int64]
     detail: dict[str, NDArray] = field(default_factory=dict)
 
@@ -40,22 +77,34 @@ class Judgement:
         fitness: NDArray,
         success: NDArray,
         reason: NDArray | int = 0,
-        segment: NDArray | int = 0,
+        *,
+        progress: NDArray | None = None,
         **detail: NDArray,
     ) -> Judgement:
-        """Return a judgement of arrays [...], with ``reason`` and ``segment`` filled in."""
-        success = np.asarray(success, np.bool_)
+        """Return a judgement of arrays [...]; progress is the fitness where it is not given.
+
+        ``reason`` counts only where the task is not done.
+        """
+        fitness, success = np.asarray(fitness, np.float64), np.asarray(success, np.bool_)
         why = np.where(success, -1, reason)
-        where = np.broadcast_to(np.asarray(segment, np.int64), success.shape)
-        return cls(np.asarray(fitness, np.float64), success, why, where, detail)
+        graded = fitness if progress is None else progress
+        none = np.zeros(success.shape, np.int64)
+        return cls(fitness, success, why, graded, none.astype(np.bool_), none, detail)
+
+    def mapped(self, change: Callable[[NDArray], NDArray]) -> Judgement:
+        """Return the judgement with every array changed, as by a selection or a reshape."""
+        names = ("fitness", "success", "reason", "progress", "over", "segment")
+        arrays = {name: change(getattr(self, name)) for name in names}
+        return Judgement(**arrays, detail={name: change(one) for name, one in self.detail.items()})
 
 
 class Task(Checked):
-    """Something to be achieved, judged by one function of the trajectory; subclass it.
+    """Something to be achieved, scored step by step; subclass it.
 
-    A task of your own is a frozen dataclass with a ``name``, what makes it different as fields,
-    with their ranges (:mod:`neurosim.base.declared`), and :meth:`judge`. A trajectory may be
-    simulated or driven; that makes no difference here.
+    A task of your own is a frozen dataclass with a ``name``, its settings as fields
+    with their ranges (:mod:`neurosim.base.declared`), and :meth:`worth`;
+    also :meth:`first_record` and :meth:`advance` where the score needs more than the end of a
+    trial. Trials may be simulated or driven.
 
     Attributes:
         name: what ``--task`` takes.
@@ -66,9 +115,12 @@ class Task(Checked):
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
             said, because no blind one does the task.
+        scored_by: which parts of a trajectory the score needs: ``poses``, ``commands``,
+            ``readings``.
     """
 
     name: ClassVar[str]
+    scored_by: tuple[str, ...] = ("poses",)
     reasons: ClassVar[tuple[str, ...]] = ("did not complete the task",)
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     trial_starts: int = 1
@@ -86,32 +138,70 @@ class Task(Checked):
         """The kind of controller, unless another is named: a network where readings are needed."""
         return "network" if self.episode.readings else "plan"
 
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        """Judge trajectories [...]; see :class:`Judgement`.
+    def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the records [K, W] of trials that begin at poses [K, 3] (m, m, rad).
 
-        Raises:
-            UserError: if the task needs poses or readings and the trajectory has none.
+        Column 0 is 1 where the robot can gain nothing any more, else 0; the others are the task's
+        own. By default these are 8 columns, enough for a task that is scored by where the robot
+        ends: 0; the start pose (3); the last pose that was seen (3); the time since the start (s).
+        """
+        zero = np.zeros((len(poses), 1))
+        return np.concatenate([zero, poses, poses, zero], axis=1)
+
+    def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval of K trials to their records [K, W], in place."""
+        seen = np.isfinite(interval.poses).all(axis=1)
+        record[seen, 4:7] = interval.poses[seen]
+        record[:, 7] += interval.duration
+
+    def worth(self, record: NDArray[np.float64]) -> Judgement:
+        """Return what trials with records [K, W] are worth if they end now.
+
+        ``over`` and ``segment`` need not be given: callers of this method fill them in.
         """
         raise NotImplementedError
 
-    def progress(self, trajectory: Trajectory) -> NDArray[np.float64]:
-        """Return how far trajectories [...] came, without steps: a fitness to climb.
-
-        By default the fitness itself.
-        """
-        return self.judge(trajectory).fitness
-
-    def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the progress of trials step by step.
-
-        By default each is judged anew after every step: time that grows with its square.
+    def judge(self, trajectory: Trajectory, record: NDArray[np.float64] | None = None) -> Judgement:
+        """Judge trajectories [...]; see :class:`Judgement`.
 
         Args:
-            count: trials at once.
-            columns: of their commands.
-            sensors: whose readings there are.
+            trajectory: simulated or driven.
+            record: [W] of what came before, where trajectories continue a trial; by default trials
+                begin at their first poses.
+
+        Raises:
+            UserError: if the task is scored by poses or readings that the trajectory lacks.
         """
-        return Replayed(self, count, columns, sensors)
+        self.check_scored(trajectory.poses is not None, trajectory.readings is not None)
+        shape, steps = trajectory.shape, trajectory.commands.shape[-2]
+        count = math.prod(shape)
+        poses = np.full((count, steps + 1, 3), np.nan)
+        if trajectory.poses is not None:
+            poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
+        own = self.first_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
+        settled = np.where(own[:, 0] > 0, 0, max(steps - 1, 0))
+        with one_core(count < WORTH_SHARING):
+            for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
+                running = own[:, 0] == 0
+                self.advance(own, interval)
+                settled[running & (own[:, 0] > 0)] = step
+        if trajectory.segment is not None:
+            settled = trajectory.segment[settled]
+        judged = replace(self.worth(own), over=own[:, 0] > 0, segment=settled)
+        return judged.mapped(lambda one: np.asarray(one).reshape(shape))
+
+    def check_scored(self, poses: bool, readings: bool) -> None:
+        """Refuse trials that have no poses or no readings where the task is scored by them.
+
+        Raises:
+            UserError: naming what is missing.
+        """
+        if "poses" in self.scored_by and not poses:
+            raise UserError(
+                f"{self.name} can only be judged where the robot's poses are known: use a camera"
+            )
+        if "readings" in self.scored_by and not readings:
+            raise UserError(f"{self.name} can only be judged where the sensors were read")
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness of whole trials [...] of those from each start [..., trial_starts]."""
@@ -152,3 +242,31 @@ class Task(Checked):
         """Return name and settings, enough to make the same task again."""
         settings: dict[str, Any] = asdict(self) if is_dataclass(self) else {}
         return {"name": self.name, "settings": settings}
+
+
+def _intervals(
+    trajectory: Trajectory, poses: NDArray[np.float64], wanted: tuple[str, ...]
+) -> Iterator[Interval]:
+    """Give the intervals of trajectories [...] with poses [B, T + 1, 3], flattened to B trials."""
+    shape, steps = trajectory.shape, trajectory.commands.shape[-2]
+    count, ends = len(poses), np.ones(steps, np.bool_)
+    if trajectory.segment is not None:
+        ends = np.append(np.diff(trajectory.segment) > 0, True)
+
+    def at(values: Any, step: int) -> Any:
+        """Return values [..., T, ...] of one step, [B, ...]; one for all remains one for all."""
+        if values is None or not np.ndim(values):
+            return values
+        own = np.take(values, step, axis=min(len(shape), np.ndim(values) - 1))
+        return own.reshape(count, *own.shape[len(shape) :]) if own.ndim else own.item()
+
+    for step in range(steps):
+        yield Interval(
+            np.ascontiguousarray(poses[:, step + 1]),
+            at(trajectory.durations, step),
+            True if trajectory.active is None else at(trajectory.active, step),
+            bool(ends[step]),
+            at(trajectory.commands, step) if "commands" in wanted else None,
+            at(trajectory.readings, step) if "readings" in wanted else None,
+            at(trajectory.touching, step),
+        )

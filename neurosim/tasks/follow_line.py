@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from neurosim.base.closed_line import ClosedLine
 from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Seconds, Step
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.base.trajectory import Episode
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Interval, Rows, Score
+from neurosim.tasks.base import Interval, Judgement, Task
 
 Pose = tuple[float, float, float]
 
@@ -94,31 +93,34 @@ class FollowLine(Task):
             backwards = np.full(count, self.direction == "against")
         return self.line.poses(along, backwards)
 
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        """Judge trajectories by their poses.
+    def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return records [K, 7].
 
-        Raises:
-            UserError: if there are no poses.
+        Their columns: lost; way along the line (m); direction (1 or -1); laps made, and most; sum
+        of distances from the line (m), their number.
         """
-        if trajectory.poses is None:
-            raise UserError(f"{self.name} can only be judged where the robot's poses are known")
-        poses = np.asarray(trajectory.poses, np.float64)
-        away, along, sense = self._seen(poses)
-        lost = np.logical_or.accumulate(away > self.within, axis=-1)
-        steps = self._forward(along[..., :-1], along[..., 1:]) * sense[..., :1]
-        made = np.cumsum(np.where(lost[..., 1:], 0.0, steps), axis=-1) / self.line.length
-        laps = made[..., -1]
-        success = made.max(axis=-1) >= self.laps
-        gone = lost.any(axis=-1)
-        last = np.where(gone, lost.argmax(axis=-1) - 1, poses.shape[-2] - 2).clip(0)
-        segment = last if trajectory.segment is None else trajectory.segment[last]
-        kept = ~lost
-        mean = (np.where(kept, away, 0.0)).sum(-1) / np.maximum(kept.sum(-1), 1)
-        return Judgement.of(laps, success, np.where(gone, 0, 1), segment, laps=laps, distance=mean)
+        away, along, direction = self._seen(poses)
+        lost = away > self.within
+        zero = np.zeros(len(poses))
+        near = np.where(lost, 0.0, away)
+        return np.stack([lost, along, direction, zero, zero, near, ~lost], axis=1).astype(float)
 
-    def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the way along the line step by step."""
-        return _OnTheLine(self, count)
+    def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval; nothing counts after the line was lost."""
+        away, along, _ = self._seen(interval.poses)
+        lost = (record[:, 0] > 0) | (away > self.within)
+        made = self._forward(record[:, 1], along) * record[:, 2] / self.line.length
+        record[:, 0], record[:, 1] = lost, along
+        record[:, 3] += np.where(lost, 0.0, made)
+        record[:, 4] = np.maximum(record[:, 4], record[:, 3])
+        record[:, 5] += np.where(lost, 0.0, away)
+        record[:, 6] += ~lost
+
+    def worth(self, record: NDArray[np.float64]) -> Judgement:
+        """Return laps; in ``detail`` also the mean distance from the line until it was lost, m."""
+        lost, _, _, laps, most, away, count = record.T
+        mean, why = away / np.maximum(count, 1), np.where(lost > 0, 0, 1)
+        return Judgement.of(laps.copy(), most >= self.laps, why, laps=laps.copy(), distance=mean)
 
     def outline(self) -> list[dict[str, Any]]:
         """Return the line."""
@@ -140,26 +142,3 @@ class FollowLine(Task):
         """Return by how much a way along the line went on, m, the shorter way round."""
         length = self.line.length
         return np.remainder(after - before + length / 2, length) - length / 2
-
-
-class _OnTheLine(Score):
-    """The way along the line of trials under way."""
-
-    def __init__(self, task: FollowLine, count: int):
-        super().__init__(task, count)
-        self._along = np.zeros(count)
-        self._sense = np.zeros(count)
-
-    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        away, self._along[rows], self._sense[rows] = self.task._seen(poses)
-        self.progress[rows], self.success[rows] = 0.0, False
-        self.over[rows] = away > self.task.within
-
-    def add(self, rows: Rows, interval: Interval) -> None:
-        task = self.task
-        away, along, _ = task._seen(interval.poses)
-        over = self.over[rows] | (away > task.within)
-        made = task._forward(self._along[rows], along) * self._sense[rows] / task.line.length
-        self.progress[rows] += np.where(over, 0.0, made)
-        self.success[rows] |= self.progress[rows] >= task.laps
-        self._along[rows], self.over[rows] = along, over

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 from neurosim.base import se2
 from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Pose, Seconds, Step, Turn
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
-from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Interval, Rows, Score
+from neurosim.base.trajectory import RUN_DOWN, Episode
+from neurosim.tasks.base import Interval, Judgement, Task
 
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
@@ -106,38 +105,26 @@ class GoTo(Task):
         start, goal = (anywhere(self.area, count, rng) for _ in range(2))
         return se2.compose(np.array(self.goals[-1]), se2.between(goal, start))
 
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        """Judge trajectories by their poses; between two, the robot moves straight.
+    def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return records [K, 5 + goals].
 
-        Raises:
-            UserError: if there are no poses.
+        Their columns: touched a wall; pose (3); goals passed; nearest distance to each goal (m).
         """
-        if trajectory.poses is None:
-            raise UserError("go-to can only be judged where the robot's poses are known")
-        shape = trajectory.shape
-        poses = np.asarray(trajectory.poses, np.float64)
-        poses = poses.reshape(-1, *poses.shape[-2:])
-        poses = _finite(poses)
-        places = poses[..., :2]
-        touched, until = self._touched(places)
-        passed, nearest = self._passed(places, until)
-        fitness, success, reason, away, turned = self._worth(passed, nearest, touched, poses[:, -1])
-        segment = np.where(touched, until - 1, poses.shape[1] - 2)
-        if trajectory.segment is not None:
-            segment = trajectory.segment[segment]
-        return Judgement.of(
-            fitness.reshape(shape),
-            success.reshape(shape),
-            reason.reshape(shape),
-            segment.reshape(shape),
-            passed=passed.reshape(shape),
-            distance=away.reshape(shape),
-            turn=turned.reshape(shape),
-        )
+        record = np.full((len(poses), 5 + len(self.goals)), _FAR)
+        record[:, 0], record[:, 1:4], record[:, 4] = 0.0, _finite(poses), 0.0
+        self._add(record, record[:, 1:4])
+        return record
 
-    def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the goals step by step; who touches a wall is done."""
-        return _OnTheWay(self, count)
+    def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval, in which the robot moves straight; nothing counts after a wall."""
+        self._add(record, _finite(interval.poses))
+
+    def worth(self, record: NDArray[np.float64]) -> Judgement:
+        """Return goals passed and how well the last was hit; ``distance`` (m), ``turn`` (rad)."""
+        passed = record[:, 4].astype(np.int64)
+        found = self._worth(passed, record[:, 5:], record[:, 0] > 0, record[:, 1:4])
+        fitness, success, reason, away, turned = found
+        return Judgement.of(fitness, success, reason, passed=passed, distance=away, turn=turned)
 
     def outline(self) -> list[dict[str, Any]]:
         """Return walls, and goals as circles."""
@@ -191,42 +178,18 @@ class GoTo(Task):
             near |= _between_segments(before, after, a, b) < self.radius
         return near
 
-    def _touched(self, places: NDArray) -> tuple[NDArray[np.bool_], NDArray[np.int64]]:
-        """Return who touches a wall [B], and the first pose after that (else the last) [B]."""
-        last = places.shape[1] - 1
-        near = np.zeros(places.shape[:2], np.bool_)
-        near[:, 1:] = self._touches(places[:, :-1], places[:, 1:])
-        touched = np.any(near, axis=1)
-        return touched, np.where(touched, near.argmax(axis=1), last)
-
-    def _passed(
-        self, places: NDArray, until: NDArray
-    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Return how many goals were passed in turn [B], and how near each came [B, N]."""
-        passed = np.zeros(len(places), np.int64)
-        nearest = np.full((len(places), len(self.goals)), _FAR)
-        for step in range(places.shape[1]):
-            self._pass(passed, nearest, places[:, max(step - 1, 0)], places[:, step], step <= until)
-        return passed, nearest
-
-    def _pass(
-        self,
-        passed: NDArray[np.int64],
-        nearest: NDArray[np.float64],
-        before: NDArray,
-        after: NDArray,
-        counts: NDArray[np.bool_],
-    ) -> None:
-        """Change how many goals were passed [B] and how near each came [B, N] by a step.
-
-        It is from places [B, 2] to others, and counts for some [B].
-        """
+    def _add(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
+        """Move robots with records [K, W] straight to poses [K, 3]."""
+        before, after, counts = record[:, 1:3].copy(), poses[:, :2], record[:, 0] == 0
         goals = np.array(self.goals)[:, :2]
-        rows, goal = np.arange(len(passed)), np.minimum(passed, len(goals) - 1)
+        rows = np.arange(len(record))
+        goal = np.minimum(record[:, 4].astype(np.int64), len(goals) - 1)
         distance = _to_segment(goals[goal], before, after)
-        least = np.minimum(nearest[rows, goal], distance)
-        nearest[rows, goal] = np.where(counts, least, nearest[rows, goal])
-        passed += counts & (distance <= self.within) & (passed < len(goals))
+        least = np.minimum(record[rows, 5 + goal], distance)
+        record[rows, 5 + goal] = np.where(counts, least, record[rows, 5 + goal])
+        record[:, 4] += counts & (distance <= self.within) & (record[:, 4] < len(goals))
+        record[:, 0] = ~counts | self._touches(before, after)
+        record[:, 1:4] = poses
 
 
 def anywhere(
@@ -235,37 +198,6 @@ def anywhere(
     """Return poses [count, 3] (m, m, rad) anywhere on a board of this length and width, m."""
     half = np.array([*area, 2.0 * math.pi]) / 2.0
     return rng.uniform(-half, half, (count, 3))
-
-
-class _OnTheWay(Score):
-    """Goals passed by trials under way."""
-
-    def __init__(self, task: GoTo, count: int):
-        super().__init__(task, count)
-        self._passed = np.zeros(count, np.int64)
-        self._nearest = np.zeros((count, len(task.goals)))
-        self._touched = np.zeros(count, np.bool_)
-        self._pose = np.zeros((count, 3))
-
-    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        self._passed[rows], self._nearest[rows], self._touched[rows] = 0, _FAR, False
-        self._pose[rows] = poses
-        self._go_on(rows, poses)
-
-    def add(self, rows: Rows, interval: Interval) -> None:
-        self._go_on(rows, _finite(interval.poses))
-
-    def _go_on(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        task, before, after = self.task, self._pose[rows, :2], poses[:, :2]
-        passed, nearest = self._passed[rows].copy(), self._nearest[rows].copy()
-        touched = self._touched[rows]
-        task._pass(passed, nearest, before, after, ~touched)
-        touched = touched | task._touches(before, after)
-        self._passed[rows], self._nearest[rows], self._touched[rows] = passed, nearest, touched
-        self._pose[rows] = poses
-        fitness, success, *_ = task._worth(passed, nearest, touched, poses)
-        self.progress[rows], self.success[rows] = fitness, success
-        self.over[rows] = touched
 
 
 def _finite(poses: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -34,6 +34,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, ClassVar
 
 import numpy as np
@@ -44,9 +45,8 @@ from numpy.typing import NDArray
 from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import compiled as se2
-from neurosim.base.trajectory import RUN_DOWN, Episode, Trajectory
-from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Interval, Rows, Score
+from neurosim.base.trajectory import RUN_DOWN, Episode
+from neurosim.tasks.base import Interval, Judgement, Task
 
 #: The centre is checked at least this often, m.
 SPACING = 0.02
@@ -54,6 +54,10 @@ SPACING = 0.02
 #: What a robot can do wrong; 0 is nothing.
 FAULTS = {1: "entered a forbidden rectangle", 2: "left the grid", 3: "skipped a rectangle"}
 _FORBIDDEN, _OUTSIDE, _SKIPPED = FAULTS
+#: Columns of a record before the squares of the nearest distances to the goals (m^2): breach; pose
+#: (3); progress; N_max below the last goal; C_nogain; fault; progress when the command began;
+#: square of the distance from the last goal now (m^2).
+_COLUMNS = 10
 _NOT_THERE = "did not end in the last rectangle"
 
 
@@ -106,7 +110,7 @@ class NineRectangles(Task):
         """The number of the last goal: the start, reached again."""
         return int(self._grid[0].max()) + 1
 
-    @property
+    @cached_property
     def _grid(self) -> tuple[NDArray[np.int64], float, float]:
         return np.array(self.course, np.int64), float(self.length), float(self.width)
 
@@ -142,72 +146,59 @@ class NineRectangles(Task):
             reach=0.3 * min(self.length, self.width),
         )
 
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        """Judge trajectories by their poses: at the boundaries of commands, or all that were seen.
+    def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return records [K, 10 + goals]; see :data:`_COLUMNS`."""
+        record = np.zeros((len(poses), _COLUMNS + self.last + 1))
+        record[:, 1:4], record[:, _COLUMNS:] = poses, np.inf
+        self._add(record, poses, False, False, True)
+        return record
 
-        A pose that is not finite is outside the grid.
+    def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval; nothing counts after a breach, and commands then gain nothing."""
+        self._add(record, interval.poses, interval.active, interval.ends, False)
 
-        Returns:
-            Fitness and success (ended in the last rectangle without a breach); in ``detail``
-            ``furthest`` (N_max), ``no_gain`` (C_nogain) and ``fault`` (a key of FAULTS or 0).
+    def worth(self, record: NDArray[np.float64]) -> Judgement:
+        """Return equation 2; ``detail`` has ``furthest``, ``no_gain`` and ``fault`` of FAULTS.
 
-        Raises:
-            UserError: if there are no poses.
+        ``furthest`` is N_max, ``no_gain`` C_nogain. Progress adds how near the robot came to the
+        next rectangle: most of what reaching it would add; the last one counts only where the
+        robot ends.
         """
-        poses, active = _flat(trajectory)
-        ends = np.ones(active.shape[1], np.bool_)
-        if trajectory.segment is not None:
-            ends = np.append(np.diff(trajectory.segment) > 0, True)
-        furthest, no_gain, fault, where = _drive(
-            poses, active, ends, float(self.longest_arc), self._grid
-        )
+        fault, no_gain = record[:, 7].astype(np.int64), record[:, 6].astype(np.int64)
+        success = (fault == 0) & (record[:, 4] == self.last)
+        furthest = np.where(success, self.last, record[:, 5]).astype(np.int64)
         fitness = furthest**2 - no_gain / 10.0 - self.penalty * (fault != 0)
-        success = furthest == self.last
-        reason = np.where(success, -1, np.where(fault > 0, fault, len(self.reasons)) - 1)
-        if trajectory.segment is not None:
-            where = trajectory.segment[where]
-        detail = {"furthest": furthest, "no_gain": no_gain, "fault": fault}
-        shape = trajectory.shape
-        return Judgement(
-            fitness.reshape(shape),
-            success.reshape(shape),
-            reason.reshape(shape),
-            where.reshape(shape),
-            {name: value.reshape(shape) for name, value in detail.items()},
+        away = record[np.arange(len(record)), _COLUMNS + furthest]
+        away = np.where((furthest == self.last - 1) & (fault == 0), record[:, 9], away)
+        fraction = np.clip(1.0 - np.sqrt(away) / math.hypot(self.length, self.width), 0.0, 1.0)
+        gain = np.where(success, 0.0, 0.9 * (2 * furthest + 1) * fraction)
+        why = np.where(fault > 0, fault, len(self.reasons)) - 1
+        return Judgement.of(
+            fitness,
+            success,
+            why,
+            progress=fitness + gain,
+            furthest=furthest,
+            no_gain=no_gain,
+            fault=fault,
         )
 
-    def progress(self, trajectory: Trajectory) -> NDArray[np.float64]:
-        """Return the fitness [...] and how near the robot came to the next rectangle.
+    def _add(
+        self,
+        record: NDArray[np.float64],
+        poses: NDArray[np.float64],
+        active: NDArray[np.bool_] | bool,
+        ends: bool,
+        begins: bool,
+    ) -> None:
+        given = np.ascontiguousarray(np.broadcast_to(active, len(record)))
+        course = self._grid, self._goals, float(self.longest_arc)
+        _add(record, np.ascontiguousarray(poses), given, ends, begins, *course)
 
-        Near a rectangle most of what reaching it would add is given already; the last one only
-        for where the robot ends. Nothing counts after a breach.
-        """
-        judged, (poses, _) = self.judge(trajectory), _flat(trajectory)
-        furthest = judged.detail["furthest"].ravel()
-        off = np.abs(poses[..., :2] - self._goals[furthest][:, None])
-        away = np.linalg.norm(np.maximum(off - (self.length / 2, self.width / 2), 0.0), axis=-1)
-        away = np.where(np.isfinite(away), away, np.inf)
-        steps = np.arange(away.shape[1])
-        segment = judged.segment.ravel()
-        if trajectory.segment is not None:
-            segment = np.searchsorted(trajectory.segment, segment, side="left")
-        fault = judged.detail["fault"].ravel() != 0
-        over = fault[:, None] & (steps > segment[:, None])
-        early = (furthest == self.last - 1)[:, None] & ~fault[:, None] & (steps < steps[-1])
-        nearest = np.where(over | early, np.inf, away).min(axis=1)
-        reach = math.hypot(self.length, self.width)
-        share = np.clip(1.0 - nearest / reach, 0.0, 1.0)
-        gain = np.where(judged.success.ravel(), 0.0, 0.9 * (2 * furthest + 1) * share)
-        return judged.fitness + gain.reshape(judged.fitness.shape)
-
-    @property
+    @cached_property
     def _goals(self) -> NDArray[np.float64]:
         """The centres [last + 1, 2] (m) of the rectangles that follow 0, 1, 2, ..."""
         return np.array([self.centre(number + 1) for number in range(self.last + 1)])
-
-    def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows the course step by step; a breach of the rules ends a trial."""
-        return _Course(self, count)
 
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rectangle of each pose [..., 3]: its number, -1 forbidden, -2 outside."""
@@ -228,18 +219,6 @@ class NineRectangles(Task):
             shapes.append({"polygon": corners, "forbidden": bool(number < 0)})
             shapes.append({"text": label, **where})
         return shapes
-
-
-def _flat(trajectory: Trajectory) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return poses [B, T + 1, 3] and active [B, T] of trajectories."""
-    if trajectory.poses is None:
-        raise UserError("the course can only be judged where the robot's poses are known")
-    poses = np.ascontiguousarray(trajectory.poses, np.float64)
-    poses = poses.reshape(-1, *poses.shape[-2:])
-    active = trajectory.active
-    if active is None:
-        active = np.ones(trajectory.commands.shape[:-1], np.bool_)
-    return poses, np.ascontiguousarray(active, np.bool_).reshape(len(poses), -1)
 
 
 @njit(cache=True, nogil=True)
@@ -294,17 +273,21 @@ def _advance(progress: int, place: int, last: int) -> tuple[int, int]:
 
 @njit(cache=True, nogil=True)
 def _segment(
-    start: NDArray,
-    end: NDArray,
+    start_x: float,
+    start_y: float,
+    start_heading: float,
+    end_x: float,
+    end_y: float,
+    end_heading: float,
     progress: int,
     longest: float,
     grid: tuple,
     last: int,
 ) -> tuple[int, int, int]:
     """Follow the arc between two poses; return progress, its highest, and the fault or 0."""
-    x, y = end[0] - start[0], end[1] - start[1]
+    x, y = end_x - start_x, end_y - start_y
     chord = math.sqrt(x * x + y * y)
-    turn = end[2] - start[2]
+    turn = end_heading - start_heading
     # Also true where anything is not a number.
     if not (chord < 10.0 and abs(turn) < 1e6):
         return progress, progress, _OUTSIDE
@@ -314,149 +297,73 @@ def _segment(
     samples = math.ceil(length / SPACING)
     highest = progress
     # Samples that are nearer than the rectangle's border cannot lie beyond it.
-    sample = max(1, int(_room(start[0], start[1], grid) / length * samples)) if samples > 1 else 1
+    sample = max(1, int(_room(start_x, start_y, grid) / length * samples)) if samples > 1 else 1
     while sample < samples:
         at_x, at_y = se2.arc(x, y, turn, sample / samples)
-        at_x, at_y = start[0] + at_x, start[1] + at_y
+        at_x, at_y = start_x + at_x, start_y + at_y
         progress, fault = _advance(progress, _place(at_x, at_y, grid), last)
         highest = max(highest, progress)
         if fault:
             return progress, highest, fault
         sample += max(1, int(_room(at_x, at_y, grid) / length * samples))
-    progress, fault = _advance(progress, _place(end[0], end[1], grid), last)
+    progress, fault = _advance(progress, _place(end_x, end_y, grid), last)
     return progress, max(highest, progress), fault
 
 
 @njit(cache=True, nogil=True)
-def _begin(pose: NDArray, grid: tuple, last: int) -> tuple[int, int]:
+def _begin(x: float, y: float, grid: tuple, last: int) -> tuple[int, int]:
     """Return progress at a start, and the fault or 0."""
-    progress, fault = _advance(0, _place(pose[0], pose[1], grid), last)
+    progress, fault = _advance(0, _place(x, y, grid), last)
     return (progress, fault) if progress == 0 else (0, _SKIPPED)
 
 
 @njit(cache=True, nogil=True, parallel=True)
-def _drive(
+def _add(
+    record: NDArray,
     poses: NDArray,
-    given: NDArray,
-    ends: NDArray,
-    longest: float,
-    grid: tuple,
-) -> tuple[NDArray, NDArray, NDArray, NDArray]:
-    """Return N_max, C_nogain, the fault and the segment it happened in (B,) of trajectories.
-
-    Args:
-        poses: (B, S + 1, 3).
-        given: (B, S) whether each segment is part of a given command.
-        ends: (S,) whether each segment is the last of its command.
-        longest: arcs longer than this are replaced by their chords, m.
-        grid: course, length and width (m) of a rectangle.
-    """
-    batch, segments = given.shape
-    last = grid[0].max() + 1
-    furthest = np.zeros(batch, np.int64)
-    no_gain = np.zeros(batch, np.int64)
-    faults = np.zeros(batch, np.int64)
-    where = np.full(batch, max(segments - 1, 0))
-    for b in prange(batch):
-        progress, fault = _begin(poses[b, 0], grid, last)
-        if fault != 0:
-            where[b] = 0
-        began = 0
-        for s in range(segments):
-            if fault == 0:
-                progress, highest, fault = _segment(
-                    poses[b, s], poses[b, s + 1], progress, longest, grid, last
-                )
-                furthest[b] = max(furthest[b], min(highest, last - 1))
-                if fault != 0:
-                    where[b] = s
-            if ends[s]:
-                if given[b, s] and min(progress, last) <= began:
-                    no_gain[b] += 1
-                began = min(progress, last)
-        if fault == 0 and progress == last:
-            furthest[b] = last
-        faults[b] = fault
-    return furthest, no_gain, faults, where
-
-
-class _Course(Score):
-    """Rectangles passed by trials under way; every interval is a command."""
-
-    def __init__(self, task: NineRectangles, count: int):
-        super().__init__(task, count)
-        self._course = task._grid, task._goals, float(task.longest_arc), task.penalty
-        self._pose = np.zeros((count, 3))
-        #: Progress, N_max below the last goal, C_nogain and the fault of each.
-        self._at = np.zeros((count, 4), np.int64)
-        #: How near each came to the rectangle that follows each, m.
-        self._nearest = np.zeros((count, task.last + 1))
-        self._every = np.arange(count)
-
-    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        self._at[rows], self._nearest[rows], self._pose[rows] = 0, np.inf, poses
-        self._go_on(rows, poses, False, True)
-
-    def add(self, rows: Rows, interval: Interval) -> None:
-        self._go_on(rows, interval.poses, interval.active, False)
-
-    def _go_on(self, rows: Rows, poses: NDArray[np.float64], active: bool, begins: bool) -> None:
-        state = self._pose, self._at, self._nearest
-        found = self.progress, self.success, self.over
-        poses = np.ascontiguousarray(poses)
-        _go_on(self._every[rows], poses, active, begins, *self._course, *state, *found)
-
-
-@njit(cache=True, parallel=True)
-def _go_on(
-    rows: NDArray,
-    poses: NDArray,
-    active: bool,
+    active: NDArray,
+    ends: bool,
     begins: bool,
     grid: tuple,
     goals: NDArray,
     longest: float,
-    penalty: float,
-    before: NDArray,
-    at: NDArray,
-    nearest: NDArray,
-    value: NDArray,
-    success: NDArray,
-    over: NDArray,
 ) -> None:
-    """Go on by a command to poses [K, 3]; as :func:`_drive` and :meth:`NineRectangles.progress`."""
+    """Move robots with records [K, W] to poses [K, 3], or begin there; see :data:`_COLUMNS`."""
     _, length, width = grid
-    last, reach = len(goals) - 1, math.sqrt(length * length + width * width)
-    for k in prange(len(rows)):
-        b = rows[k]
-        x, y = poses[k, 0], poses[k, 1]
-        progress, fault = at[b, 0], at[b, 3]
+    last = len(goals) - 1
+    for k in prange(len(record)):
+        x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
+        progress, fault = int(record[k, 4]), int(record[k, 7])
         if begins:
-            progress, fault = _begin(poses[k], grid, last)
-        began = min(progress, last)
-        if fault == 0:
-            progress, highest, fault = _segment(before[b], poses[k], progress, longest, grid, last)
-            at[b, 1] = max(at[b, 1], min(highest, last - 1))
-        if active and min(progress, last) <= began:
-            at[b, 2] += 1
-        done = fault == 0 and progress == last
-        furthest = last if done else at[b, 1]
-        away = np.inf
+            progress, fault = _begin(x, y, grid, last)
+        elif fault == 0:
+            progress, highest, fault = _segment(
+                record[k, 1],
+                record[k, 2],
+                record[k, 3],
+                x,
+                y,
+                heading,
+                progress,
+                longest,
+                grid,
+                last,
+            )
+            record[k, 5] = max(record[k, 5], min(highest, last - 1))
+        if ends:
+            if active[k] and min(progress, last) <= record[k, 8]:
+                record[k, 6] += 1
+            record[k, 8] = min(progress, last)
+        record[k, 9] = np.inf
         if math.isfinite(x) and math.isfinite(y):
             for goal in range(len(goals)):
                 off_x = max(abs(x - goals[goal, 0]) - 0.5 * length, 0.0)
                 off_y = max(abs(y - goals[goal, 1]) - 0.5 * width, 0.0)
-                here = math.sqrt(off_x * off_x + off_y * off_y)
+                square = off_x * off_x + off_y * off_y
                 if fault == 0:  # after a breach nothing counts
-                    nearest[b, goal] = min(nearest[b, goal], here)
-                if goal == furthest:
-                    away = here
-        if furthest != last - 1 or fault != 0:  # the last goal counts only where the robot ends
-            away = nearest[b, furthest]
-        value[b] = furthest * furthest - at[b, 2] / 10.0 - penalty * (fault != 0)
-        if not done:
-            share = min(max(1.0 - away / reach, 0.0), 1.0)
-            value[b] += 0.9 * (2 * furthest + 1) * share
-        success[b], over[b] = done, fault != 0
-        at[b, 0], at[b, 3] = progress, fault
-        before[b] = poses[k]
+                    record[k, _COLUMNS + goal] = min(record[k, _COLUMNS + goal], square)
+                if goal == last - 1:
+                    record[k, 9] = square
+        record[k, 0] = 1.0 if fault != 0 else 0.0
+        record[k, 4], record[k, 7] = progress, fault
+        record[k, 1], record[k, 2], record[k, 3] = x, y, heading

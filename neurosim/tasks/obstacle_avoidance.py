@@ -2,70 +2,22 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Count, Number, Step
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
-from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.score import Interval, Rows, Score
+from neurosim.tasks.base import Interval, Judgement, Task
 
-#: A trajectory's fitness [...], the higher the better; the second argument is the task's step, s.
-Fitness = Callable[[Trajectory, float], NDArray[np.float64]]
-
-
-def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
-    """Return equation (1): the sum over steps of V (1 - DV^2) (1 - I).
-
-    V is the mean of the wheels' absolute speeds over full speed, DV half the difference of the
-    signed ones over full speed, I the highest sensor: all in 0..1 (DV in -1..1). To drive fast,
-    straight and far from everything is best; a step is worth at most 1. An interval of another
-    duration than ``step`` (s) counts as so many steps. Where it is known when the robot touches
-    something, what comes after the first contact counts nothing.
-    """
-    if trajectory.readings is None:
-        raise UserError("obstacle avoidance can only be judged where the sensors were read")
-    readings, commands = trajectory.readings, trajectory.commands
-    shape = trajectory.shape
-    rows = math.prod(shape)
-    weight = np.empty((0, 0))
-    if np.ndim(trajectory.durations):
-        durations = np.asarray(trajectory.durations) / step
-        weight = np.broadcast_to(durations, readings.shape[:-1]).reshape(rows, -1)
-    if trajectory.touching is not None:
-        free = ~np.logical_or.accumulate(trajectory.touching, axis=-1).reshape(rows, -1)
-        weight = free if weight.size == 0 else weight * free
-    found = _avoidance(
-        np.ascontiguousarray(readings).reshape(rows, *readings.shape[-2:]),
-        np.ascontiguousarray(commands[..., :2]).reshape(rows, commands.shape[-2], 2),
-        np.ascontiguousarray(weight, np.float64),
-    )
-    return found.reshape(shape)
-
-
-def cells_visited(
-    trajectory: Trajectory, step: float = 0.1, size: float = 0.05
-) -> NDArray[np.float64]:
-    """Return how many different squares of ``size`` (m) the robot's centre was in.
-
-    The paper's outlook: a fitness that only a simulator (or a camera) can compute.
-    """
-    if trajectory.poses is None:
-        raise UserError("cells visited cannot be counted without the robot's poses")
-    column, row = np.floor(trajectory.poses[..., :2] / size).astype(np.int64).T
-    cells = np.sort((column * 1_000_003 + row).T, axis=-1)
-    return 1.0 + (np.diff(cells, axis=-1) != 0).sum(axis=-1)
-
-
-FITNESS: dict[str, Fitness] = {"avoidance": avoidance, "cells": cells_visited}
+#: Side of the squares whose visits are counted, m.
+CELL = 0.05
+_NONE = -(2.0**60)
 
 
 @dataclass(frozen=True)
@@ -77,7 +29,7 @@ class ObstacleAvoidance(Task):
 
     Attributes:
         fitness: The fitness: avoidance, equation (1) of Lund and Miglino; or cells, how many
-            different squares of 5 cm were visited. One of :data:`FITNESS`.
+            different squares of 5 cm were visited.
         steps: Steps of a trial, over all its starts together.
         starts: Random poses from which a trial starts, each for an equal share of the steps.
         duration: Duration of a step, s.
@@ -90,7 +42,7 @@ class ObstacleAvoidance(Task):
     name: ClassVar[str] = "obstacle-avoidance"
     reasons: ClassVar[tuple[str, ...]] = ("drove too slowly, or too near to things",)
 
-    fitness: str = "avoidance"
+    fitness: Literal["avoidance", "cells"] = "avoidance"
     steps: Count = 500
     starts: Count = 5
     duration: Step = 0.1
@@ -99,13 +51,11 @@ class ObstacleAvoidance(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.fitness not in FITNESS:
-            raise UserError(f"fitness is one of {', '.join(FITNESS)}, not {self.fitness!r}")
         if self.steps % self.starts:
             raise UserError(
                 f"{self.steps} steps cannot be shared out evenly among {self.starts} starts"
             )
-        if self.contacts == "end" and FITNESS[self.fitness] is not avoidance:
+        if self.contacts == "end" and self.fitness != "avoidance":
             raise UserError("contacts that end a drive are those of the fitness avoidance")
 
     @property
@@ -116,7 +66,7 @@ class ObstacleAvoidance(Task):
     @property
     def highest_fitness(self) -> float | None:  # type: ignore[override]
         """Of equation (1): a step is worth at most 1."""
-        return float(self.steps) if FITNESS[self.fitness] is avoidance else None
+        return float(self.steps) if self.fitness == "avoidance" else None
 
     @property
     def episode(self) -> Episode:
@@ -130,55 +80,82 @@ class ObstacleAvoidance(Task):
         """Return random poses where the robot touches nothing."""
         return simulator.free_poses(count, rng)
 
-    def judge(self, trajectory: Trajectory) -> Judgement:
-        """Judge what happened from each start; see :data:`FITNESS`."""
-        if trajectory.readings is None:
-            raise UserError("obstacle avoidance can only be judged where the sensors were read")
-        fitness = FITNESS[self.fitness](trajectory, self.duration)
-        last = trajectory.commands.shape[-2] - 1
-        if trajectory.segment is not None:
-            last = int(trajectory.segment[-1])
-        return Judgement.of(fitness, fitness >= self.least, 0, last)
+    @property
+    def scored_by(self) -> tuple[str, ...]:  # type: ignore[override]
+        """Equation (1) takes commands and readings; cells take poses."""
+        if self.fitness == "cells":
+            return ("poses",)
+        return "commands", "readings"
+
+    def first_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return records [K, 2] of contact and sum; of cells [K, 2 + M], with squares visited."""
+        squares = self.episode.steps + 2 if self.fitness == "cells" else 0
+        record = np.full((len(poses), 2 + squares), _NONE)
+        record[:, :2] = 0.0
+        if squares:
+            self._visit(record, poses)
+        return record
+
+    def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval; what comes after a contact counts nothing where contacts end a drive."""
+        if self.fitness == "cells":
+            return self._visit(record, interval.poses)
+        if self.contacts == "end" and interval.touching is not None:
+            record[:, 0] = (record[:, 0] > 0) | interval.touching
+        assert interval.readings is not None
+        assert interval.commands is not None
+        steps = np.broadcast_to(np.divide(interval.duration, self.duration), len(record))
+        readings = np.ascontiguousarray(interval.readings)
+        _add(readings, np.ascontiguousarray(interval.commands), steps.copy(), record)
+
+    def worth(self, record: NDArray[np.float64]) -> Judgement:
+        """Return the sum of equation (1), or how many squares were visited."""
+        fitness = record[:, 1].copy()
+        return Judgement.of(fitness, fitness >= self.least)
+
+    def _visit(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
+        """Add the squares of poses [K, 3] to records; a robot that was not seen visits none."""
+        column, row = np.floor(poses[:, :2] / CELL).T
+        cell = np.where(np.isnan(column + row), _NONE, column * 1_000_003 + row)
+        new = (record[:, 2:] != cell[:, None]).all(axis=1) & (cell != _NONE)
+        at = np.flatnonzero(new & (record[:, 1] < record.shape[1] - 2))
+        record[at, 2 + record[at, 1].astype(np.int64)] = cell[at]
+        record[at, 1] += 1
 
     @property
     def least(self) -> float:
         """The fitness from one start that counts as success."""
         if self.enough is not None:
             return self.enough
-        return 0.5 * self.episode.steps if FITNESS[self.fitness] is avoidance else 0.0
-
-    def score(self, count: int, columns: int, sensors: int) -> Score:
-        """Return what follows equation (1) step by step: it is a sum."""
-        if FITNESS[self.fitness] is avoidance and sensors:
-            return _Sum(self, count)
-        return super().score(count, columns, sensors)
+        return 0.5 * self.episode.steps if self.fitness == "avoidance" else 0.0
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the sum over the starts [..., starts]: a trial is all of them."""
         return fitness.sum(axis=-1)
 
 
-class _Sum(Score):
-    """Equation (1) of trials under way."""
+def avoidance(trajectory: Trajectory, step: float = 0.1) -> NDArray[np.float64]:
+    """Return equation (1) [...] of trajectories in steps of so many seconds.
 
-    def __init__(self, task: ObstacleAvoidance, count: int):
-        super().__init__(task, count)
-        self._every = np.arange(count)
+    Where contacts are known, what comes after the first one counts nothing.
+    """
+    return ObstacleAvoidance(duration=step, contacts="end").judge(trajectory).fitness
 
-    def begin(self, rows: Rows, poses: NDArray[np.float64]) -> None:
-        self.progress[rows] = 0.0
-        self.success[rows] = self.task.least <= 0.0
 
-    def add(self, rows: Rows, interval: Interval) -> None:
-        assert interval.readings is not None
-        steps = interval.duration / self.task.duration
-        _add(self._every[rows], interval.readings, interval.commands, steps, self.progress)
-        self.success[rows] = self.progress[rows] >= self.task.least
+def cells_visited(trajectory: Trajectory) -> NDArray[np.float64]:
+    """Return how many different squares of :data:`CELL` the robot's centre was in, [...]."""
+    steps = trajectory.commands.shape[-2]
+    return ObstacleAvoidance("cells", steps=steps, starts=1).judge(trajectory).fitness
 
 
 @njit(cache=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
 def _worth(readings, command):  # type: ignore[no-untyped-def]
-    """Return what a step with readings [S] and a command [2 or more] is worth."""
+    """Return the value of a step with readings [S] and a command [2 or more]: equation (1).
+
+    It is V (1 - DV^2) (1 - I): V is the mean of the wheels' absolute speeds over full speed, DV
+    half the difference of the signed ones over full speed, I the highest sensor; all in 0..1 (DV
+    in -1..1). To drive fast, straight and far from everything is best: 1.
+    """
     highest = np.float64(0.0)
     for s in range(len(readings)):
         highest = max(highest, np.float64(readings[s]))
@@ -189,23 +166,8 @@ def _worth(readings, command):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _add(rows, readings, commands, steps, total):  # type: ignore[no-untyped-def]
-    """Add to rows [K] of a total what a step of readings [K, S] and commands [K, C] is worth."""
-    for k in range(len(rows)):
-        total[rows[k]] += steps * _worth(readings[k], commands[k])
-
-
-@njit(cache=True, parallel=True, error_model="numpy", fastmath={"contract", "nsz"})
-def _avoidance(readings: NDArray, commands: NDArray, weight: NDArray) -> NDArray[np.float64]:
-    """Return equation (1) [B] of readings [B, T, S], commands [B, T, 2].
-
-    Steps count ``weight`` [B, T] times; where that is empty, once.
-    """
-    fitness = np.empty(len(readings))
-    for b in prange(len(readings)):
-        total = 0.0
-        for k in range(readings.shape[1]):
-            worth = _worth(readings[b, k], commands[b, k])
-            total += worth if len(weight) == 0 else weight[b, k] * worth
-        fitness[b] = total
-    return fitness
+def _add(readings, commands, steps, record):  # type: ignore[no-untyped-def]
+    """Add to records [K, 2] the value of intervals of readings [K, S] and commands [K, C]."""
+    for k in range(len(record)):
+        if record[k, 0] == 0.0:
+            record[k, 1] += steps[k] * _worth(readings[k], commands[k])

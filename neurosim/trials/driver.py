@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Episode, Trajectory
+from neurosim.base.trajectory import Episode
 from neurosim.controllers import FixedPlan, Plan, SavedController, make_controller
 from neurosim.controllers.base import WHEELS, observe
 from neurosim.controllers.goals import Goals
@@ -211,28 +211,8 @@ def missing(
     found += closed_loop.missing(driver, robot, sees=sees)
     poses = camera is not None or isinstance(robot, Counters)
     sensors = len(robot.sensor_names) if driver.reads and isinstance(robot, Sensors) else 0
-    why = _why_not_judged(task, poses, sensors)
-    if why is not None:
-        found.append(f"the task {task.name} cannot judge what this robot ({kind}) tells: {why}")
-    return found
-
-
-def _why_not_judged(task: Task, poses: bool, sensors: int) -> str | None:
-    """Return why a task cannot judge trajectories that have these things; None if it can."""
-    standing = Trajectory(
-        np.tile(task.start, (2, 1)) if poses else None,
-        np.zeros((1, 2)),
-        task.episode.step,
-        np.zeros((1, sensors)) if sensors else None,
-    )
     try:
-        task.judge(standing)
+        task.check_scored(poses, sensors > 0)
     except UserError as error:
-        return str(error)
-    except Exception as error:
-        # A task of a user's own need not look before it takes what is not there.
-        lacks = " and ".join(["poses"] * (not poses) + ["readings"] * (not sensors))
-        if not lacks:
-            raise
-        return f"it fails without {lacks} ({error})"
-    return None
+        found.append(f"this robot ({kind}) does not suit the task: {error}")
+    return found

@@ -143,7 +143,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     evaluator = Evaluator(simulator, task, Function(rule, names), stepped=True)
     seen, _ = env.reset(seed=4)
     trials, steps, total, over = env.trials, 0, 0.0, False
-    begun = trials.face.score.progress[0]
+    begun = trials.face.judged.progress[0]
     starts, seeds = trials.poses.copy(), trials._seeds.copy()
     member = np.array([int(trials.state[0, -1])]) if simulator.members > 1 else None
     poses = [starts[0]]
@@ -162,7 +162,7 @@ def test_an_episode_is_a_trial_of_the_loop(name, noise):
     np.testing.assert_allclose(driven[:steps], poses[:steps], atol=1e-4)
     if truncated:  # with the motors run down
         np.testing.assert_allclose(driven[-1], poses[-1], atol=1e-4)
-        assert total + begun == pytest.approx(task.progress(trajectory)[0, 0], abs=1e-3)
+        assert total + begun == pytest.approx(task.judge(trajectory).progress[0, 0], abs=1e-3)
         assert info["is_success"] == judged.success[0, 0]
         assert info["progress"] == pytest.approx(total + begun)
     assert np.linalg.norm(driven[-1, :2] - driven[0, :2]) > 0.005

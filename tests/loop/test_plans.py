@@ -184,10 +184,10 @@ def test_a_simulator_of_other_commands_is_refused():
 class FirstRectangle(NineRectangles):
     """Done by a robot that stands in rectangle 1 at the end: a command does it."""
 
-    def judge(self, trajectory):
-        result = super().judge(trajectory)
-        there = (self.region(trajectory.poses[..., -1, :]) == 1) & (result.reason == 3)
-        return Judgement(result.fitness, there, result.reason, result.segment, result.detail)
+    def worth(self, record):
+        result = super().worth(record)
+        there = (self.region(record[:, 1:4]) == 1) & (result.reason == 3)
+        return Judgement.of(result.fitness, there, result.reason)
 
 
 @pytest.mark.parametrize("objective", ["fitness", "probability"])

@@ -42,8 +42,8 @@ class Dock(Task):
     highest_fitness: ClassVar[float] = 0.0
     where: tuple[float, float] = (0.5, 0.2)
 
-    def judge(self, trajectory):
-        away = np.linalg.norm(trajectory.poses[..., -1, :2] - np.array(self.where), axis=-1)
+    def worth(self, record):
+        away = np.linalg.norm(record[:, 4:6] - np.array(self.where), axis=-1)
         return Judgement.of(-away, away < 0.1)
 
     def outline(self):

@@ -215,7 +215,7 @@ def test_a_failure_is_said_in_words(points, reason, segment):
 
 def test_progress_grows_towards_the_next_rectangle_and_not_after_a_breach():
     def progress(*points):
-        return TASK.progress(driven(straight(points), np.ones((1, len(points) - 1), bool)))[0]
+        return TASK.judge(driven(straight(points), np.ones((1, len(points) - 1), bool))).progress[0]
 
     # On the way from 0 to 1, whose lower border is at y = 0.25.
     values = [progress(CENTRES[0], (-0.8, y)) for y in (0.0, 0.1, 0.2, 0.24, 0.3)]

@@ -18,8 +18,8 @@ from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings, default_sett
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.sensor_table import SensorTable
+from neurosim.tasks.base import Judgement
 from neurosim.tasks.obstacle_avoidance import (
-    FITNESS,
     ObstacleAvoidance,
     avoidance,
     cells_visited,
@@ -70,8 +70,7 @@ def test_cells_visited_by_hand():
     still = np.zeros((4, 3))
     trajectory = Trajectory(np.stack([poses, still]), np.zeros((2, 3, 2)), 0.1)
     assert cells_visited(trajectory).tolist() == [3, 1]
-    assert cells_visited(trajectory, size=0.02).tolist() == [4, 1]
-    with pytest.raises(UserError, match="without the robot's poses"):
+    with pytest.raises(UserError, match="where the robot's poses are known"):
         cells_visited(Trajectory(None, np.zeros((3, 2)), 0.1))
 
 
@@ -176,10 +175,12 @@ def test_of_two_that_are_as_fit_the_steadier_has_the_better_chances(monkeypatch)
     genes = np.random.default_rng(0).normal(0, 1, (20, 18))
     draws = evaluator.draw(1, 2, 2)
     for fitness in (-1.0, 1.0):
-        monkeypatch.setitem(
-            FITNESS,
-            "avoidance",
-            lambda driven, step, worth=fitness: np.full(driven.shape, worth),
+        monkeypatch.setattr(
+            ObstacleAvoidance,
+            "worth",
+            lambda task, record, worth=fitness: Judgement.of(
+                np.full(len(record), worth), np.zeros(len(record), np.bool_)
+            ),
         )
         found, _ = evaluator.merit(genes, draws, "steady")
         poses = evaluator.run(genes, draws).poses

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 import neurosim as ns
-from neurosim.tasks.score import Interval, Replayed
+from neurosim.base.trajectory import Trajectory
+from neurosim.tasks.base import Interval
 
 TASKS = {
     "nine-rectangles": lambda: ns.make_task("nine-rectangles", seconds=4.0),
@@ -52,54 +53,58 @@ def drives(task, count, steps, rng):
 
 
 @pytest.mark.parametrize("name", TASKS)
-def test_scores_are_the_progress_of_the_trajectory_until_then(name):
+def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
     task, rng = TASKS[name](), np.random.default_rng(3)
     count, steps = 60, min(task.episode.steps, 40)
     poses = drives(task, count, steps, rng)
-    if name == "obstacle-avoidance":
-        poses = np.nan_to_num(poses)
     commands = rng.uniform(-100, 100, (count, steps, 2))
     readings = rng.uniform(0, 1, (count, steps, 3))
-    fast, slow = task.score(count, 2, 3), Replayed(task, count, 2, 3)
-    if name == "obstacle-avoidance, cells":
-        assert isinstance(fast, Replayed)
-        poses = np.nan_to_num(poses)
-    assert (type(fast) is Replayed) == ("cells" in name)
-    every = slice(None)
-    for score in (fast, slow):
-        score.begin(every, np.zeros((count, 3)))
-        score.begin(np.arange(count), poses[:, 0])
-    np.testing.assert_allclose(fast.progress, slow.progress, atol=1e-12)
-    ended = fast.over.copy()
+    durations = np.full((count, steps), task.episode.step)
+    active = np.ones((count, steps), np.bool_)
+    active[:, -1], durations[:, -1] = False, task.episode.rest or task.episode.step
+    record, ended = task.first_record(poses[:, 0]), np.zeros(count, np.bool_)
+    seen = []
     for step in range(steps):
-        last = step == steps - 1
-        duration = 0.5 if last and task.episode.rest else task.episode.step
-        moved = poses[:, step + 1], commands[:, step], readings[:, step], duration, not last
-        for score in (fast, slow):
-            # Not all of a batch at once, and in no order.
-            order = np.arange(count) if step % 2 else rng.permutation(count)
-            for rows in (order[:25], order[25:]) if step % 3 else (every,):
-                score.add(rows, Interval(*(one[rows] if np.ndim(one) else one for one in moved)))
-        np.testing.assert_allclose(fast.progress, slow.progress, atol=1e-9)
-        assert np.array_equal(fast.success, slow.success)
-        assert not (ended & ~fast.over).any()
-        ended = fast.over.copy()
-    assert len(np.unique(np.round(fast.progress, 6))) > 10
+        order = rng.permutation(count)
+        for rows in (order[:25], order[25:]):  # not all of a batch at once, and in no order
+            part = record[rows]
+            given = poses[rows, step + 1], durations[rows, step], active[rows, step]
+            task.advance(part, Interval(*given, True, commands[rows, step], readings[rows, step]))
+            record[rows] = part
+        until = slice(step + 1)
+        whole = Trajectory(
+            poses[:, : step + 2],
+            commands[:, until],
+            durations[:, until],
+            readings[:, until],
+            active[:, until],
+        )
+        judged, now = task.judge(whole), task.worth(record)
+        for one in ("fitness", "progress", "success", "reason"):
+            np.testing.assert_allclose(getattr(now, one), getattr(judged, one), atol=1e-9)
+        assert np.array_equal(judged.over, record[:, 0] > 0)
+        assert not (ended & ~judged.over).any()
+        assert (judged.segment[~judged.over] == step).all()
+        assert (judged.segment[ended] < max(step, 1)).all()
+        if step == steps // 2:
+            middle = record.copy()
+        ended = judged.over
+        seen.append(judged.progress)
+    half = steps // 2 + 1
+    for row in (0, 1, count - 1):
+        rest = Trajectory(
+            poses[row, half:],
+            commands[row, half:],
+            durations[row, half:],
+            readings[row, half:],
+            active[row, half:],
+        )
+        onward = task.judge(rest, middle[row])
+        assert onward.fitness == pytest.approx(judged.fitness[row])
+        assert onward.success == judged.success[row]
+    assert len(np.unique(np.round(seen, 6))) > 10
     if "course" in name or "walls" in name:
         assert 0 < ended.sum() < count
     if "course" in name or "go-to" in name:
-        assert fast.success.any()
-        assert not fast.success.all()
-
-
-def test_a_trial_begins_anew():
-    task = TASKS["go-to"]()
-    score = task.score(2, 2, 0)
-    score.begin(slice(None), np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
-    before = score.progress.copy()
-    moved = Interval(np.array([[0.2, 0.1, 0.0]] * 2), np.zeros((2, 2)), None, 0.1)
-    score.add(slice(None), moved)
-    assert (score.progress > before).all()
-    score.begin(np.array([1]), np.zeros((1, 3)))
-    assert score.progress[1] == before[1]
-    assert score.progress[0] > before[0]
+        assert judged.success.any()
+        assert not judged.success.all()

@@ -45,10 +45,16 @@ class FindTheLine(Task):
     def episode(self):
         return Episode(0.25, round(self.seconds / 0.25), readings=True)
 
-    def judge(self, trajectory):
-        if trajectory.readings is None:
-            raise UserError("whether a line was met only readings say")
-        darkest = trajectory.readings.min(axis=(-1, -2))
+    scored_by = ("readings",)
+
+    def first_record(self, poses):
+        return np.tile([0.0, 1.0], (len(poses), 1))
+
+    def advance(self, record, interval):
+        record[:, 1] = np.minimum(record[:, 1], interval.readings.min(axis=-1))
+
+    def worth(self, record):
+        darkest = record[:, 1]
         return Judgement.of(1.0 - darkest, darkest < 0.4)
 
 
@@ -260,7 +266,7 @@ def test_what_is_missing_is_said_before_anything_moves(tmp_path):
         (legs,) = lacks(Network(("line_left",), outputs=("hip", "knee")), task)
         assert "commands hip, knee, and this robot (nxt) is driven by left and right" in legs
         (judged,) = lacks(Network(("line_left",)), GoTo())
-        assert "the task go-to cannot judge what this robot (nxt) tells" in judged
+        assert "go-to can only be judged where the robot's poses are known" in judged
     with VirtualKheperaRig(1) as rig:
         one = SavedController(Network(("x", "sensor_0")), np.zeros(6), GoTo().describe())
         assert missing(one, rig.robot, None, GoTo()) == []
