@@ -10,14 +10,12 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from neurosim.base.declared import Fraction
+from neurosim.base.declared import Coordinate, Fraction
 
 #: Poses of results are no farther away, m, and turn no more, rad: pictures of them are drawn.
 FARTHEST = 1e5
 Far = Annotated[float, Meta(ge=-FARTHEST, le=FARTHEST)]
 FarPose = tuple[Far, Far, Far]
-#: A length with a sign, m.
-Length = Annotated[float, Meta(ge=-1000, le=1000)]
 #: How many rows or units; there may be none.
 Whole = Annotated[int, Meta(ge=0, le=10**9)]
 #: A size or an amount of noise, m or as a fraction.
@@ -31,10 +29,11 @@ class Format(Struct):
     """Base of all."""
 
 
-#: Of arenas, m; and the most walls or obstacles.
-Near = Annotated[float, Meta(ge=-1000, le=1000)]
+#: Walls of arenas, m, and how many at most; obstacles, too.
 MOST_SHAPES = 1000
-Walls = Annotated[list[tuple[Near, Near, Near, Near]], Meta(max_length=MOST_SHAPES)]
+Walls = Annotated[
+    list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)
+]
 #: A pose, or where the robot was not seen.
 Seen = tuple[float | None, float | None, float | None]
 #: A command of a plan: speeds in percent, a duration in s.
@@ -156,8 +155,8 @@ class Tracking(Format):
 class Place(Format):
     """A place on the robot, m: x ahead, y to the left of the middle of the axle."""
 
-    x: Length
-    y: Length
+    x: Coordinate
+    y: Coordinate
 
 
 class Marker(Place):
@@ -172,7 +171,7 @@ class Markers(Format):
     front: Marker
     rear: Marker
     lamp: Place | None = None
-    height: Length | None = None
+    height: Coordinate | None = None
     diameter: Annotated[float, Meta(gt=0, le=1000)] | None = None
 
 
@@ -458,9 +457,11 @@ class Arena(Format):
     """arena.json: walls x1, y1, x2, y2, obstacles x, y, radius, m."""
 
     outline: Walls
-    obstacles: Annotated[list[tuple[Near, Near, Near]], Meta(max_length=MOST_SHAPES)]
+    obstacles: Annotated[
+        list[tuple[Coordinate, Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)
+    ]
     inner: Walls | None = None
-    start: tuple[Near, Near, Near] | None = None
+    start: tuple[Coordinate, Coordinate, Coordinate] | None = None
 
 
 class Tables(Simulator, kw_only=True):

@@ -86,7 +86,7 @@ class Face:
         self.reads = bool(simulator.reading_names) and (seen or self.episode.readings)
         self.action_space, self.observation_space = self._actions(), self._observations()
         self.record = task.first_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
-        self.judged: Judgement = task.worth(self.record)
+        self.judged: Judgement = task.score(self.record)
         sources = input_sources(self.names, simulator.reading_names)
         # Of the network that this is of, nothing is used but its inputs.
         shape = NetworkArrays(len(self.names), np.empty(0, np.int64), np.empty(0), FEED_FORWARD)
@@ -117,7 +117,7 @@ class Face:
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
         self.record[rows] = self.task.first_record(poses)
-        self.judged = self.task.worth(self.record)
+        self.judged = self.task.score(self.record)
         self._goal[rows] = 0
 
     def observation(
@@ -193,12 +193,7 @@ class Face:
             record, interval._replace(commands=interval.commands[:, : len(self.outputs)])
         )
         self.record[rows] = record
-        self.judged = self.task.worth(self.record)
-
-    @property
-    def over(self) -> NDArray[np.bool_]:
-        """Which trials [B] can gain nothing any more."""
-        return self.record[:, 0] > 0
+        self.judged = self.task.score(self.record)
 
 
 def _box(pairs: NDArray[np.float64]) -> Box[np.float32]:

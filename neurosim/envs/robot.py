@@ -199,9 +199,11 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         clock.sleep_until(self._due)
         self._look()
         every = slice(None)
-        face.add(every, _interval(self._pose, episode.step, True, commands, readings))
+        face.add(
+            every, Interval(self._pose[None], episode.step, commands=commands, readings=readings)
+        )
         self._steps += 1
-        decided = bool(face.over[0])
+        decided = bool(face.judged.over[0])
         late = self._steps >= episode.steps and not decided
         info: dict[str, Any] = {}
         if decided or late:
@@ -211,7 +213,9 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
                 readings = self._readings
                 self._look()
                 still = face.lasting(np.zeros((1, 2)), episode.rest)
-                moved = _interval(self._pose, episode.rest, False, still, readings)
+                moved = Interval(
+                    self._pose[None], episode.rest, False, commands=still, readings=readings
+                )
                 face.add(every, moved)
             self._begun = False
             info = {
@@ -265,12 +269,6 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def _check_open(self) -> None:
         if self._closed:
             raise UserError(CLOSED)
-
-
-def _interval(
-    pose: NDArray, duration: float, active: bool, commands: NDArray, readings: NDArray | None
-) -> Interval:
-    return Interval(pose[None], duration, active, True, commands, readings)
 
 
 class _Nothing:

@@ -160,7 +160,7 @@ class Trials:
         face, episode = self.face, self.face.episode
         before = face.judged.progress
         self._go_on(slice(None), commands, episode.step, True)
-        decided = face.over
+        decided = face.judged.over
         late = (self._steps >= episode.steps) & ~decided
         ended = decided | late
         if episode.rest > 0 and ended.any():

@@ -1,9 +1,9 @@
 """What every task offers: where a trial starts, how long it is, and how it is scored.
 
-A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a
-record of each trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what
-the trial is worth if it ends there. Environments advance records while
-trials run; :meth:`Task.judge` advances them over whole trajectories.
+A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a record of each
+trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what the trial is
+worth if it ends there. Environments advance records while trials run; :meth:`Task.judge` advances
+them over whole trajectories.
 """
 
 from __future__ import annotations
@@ -83,13 +83,15 @@ class Judgement:
     ) -> Judgement:
         """Return a judgement of arrays [...]; progress is the fitness where it is not given.
 
-        ``reason`` counts only where the task is not done.
+        ``reason`` counts only where the task is not done. Arrays are copied, so columns of a
+        record may be given: records change while trials run.
         """
-        fitness, success = np.asarray(fitness, np.float64), np.asarray(success, np.bool_)
+        fitness, success = np.array(fitness, np.float64), np.array(success, np.bool_)
         why = np.where(success, -1, reason)
-        graded = fitness if progress is None else progress
-        none = np.zeros(success.shape, np.int64)
-        return cls(fitness, success, why, graded, none.astype(np.bool_), none, detail)
+        graded = fitness if progress is None else np.array(progress, np.float64)
+        over, segment = np.zeros(success.shape, np.bool_), np.zeros(success.shape, np.int64)
+        own = {name: np.array(one) for name, one in detail.items()}
+        return cls(fitness, success, why, graded, over, segment, own)
 
     def mapped(self, change: Callable[[NDArray], NDArray]) -> Judgement:
         """Return the judgement with every array changed, as by a selection or a reshape."""
@@ -157,9 +159,13 @@ class Task(Checked):
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return what trials with records [K, W] are worth if they end now.
 
-        ``over`` and ``segment`` need not be given: callers of this method fill them in.
+        ``over`` and ``segment`` need not be given: :meth:`score` and :meth:`judge` fill them in.
         """
         raise NotImplementedError
+
+    def score(self, record: NDArray[np.float64]) -> Judgement:
+        """Return :meth:`worth`, and which trials are ``over`` by column 0 of their records."""
+        return replace(self.worth(record), over=record[:, 0] > 0)
 
     def judge(self, trajectory: Trajectory, record: NDArray[np.float64] | None = None) -> Judgement:
         """Judge trajectories [...]; see :class:`Judgement`.
@@ -175,8 +181,9 @@ class Task(Checked):
         self.check_scored(trajectory.poses is not None, trajectory.readings is not None)
         shape, steps = trajectory.shape, trajectory.commands.shape[-2]
         count = math.prod(shape)
-        poses = np.full((count, steps + 1, 3), np.nan)
-        if trajectory.poses is not None:
+        if trajectory.poses is None:
+            poses = np.full((count, steps + 1, 3), np.nan)
+        else:
             poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
         own = self.first_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
         settled = np.where(own[:, 0] > 0, 0, max(steps - 1, 0))
@@ -187,7 +194,7 @@ class Task(Checked):
                 settled[running & (own[:, 0] > 0)] = step
         if trajectory.segment is not None:
             settled = trajectory.segment[settled]
-        judged = replace(self.worth(own), over=own[:, 0] > 0, segment=settled)
+        judged = replace(self.score(own), segment=settled)
         return judged.mapped(lambda one: np.asarray(one).reshape(shape))
 
     def check_scored(self, poses: bool, readings: bool) -> None:

@@ -11,13 +11,11 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base.closed_line import ClosedLine
-from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Seconds, Step
+from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Pose, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
-
-Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -120,7 +118,7 @@ class FollowLine(Task):
         """Return laps; in ``detail`` also the mean distance from the line until it was lost, m."""
         lost, _, _, laps, most, away, count = record.T
         mean, why = away / np.maximum(count, 1), np.where(lost > 0, 0, 1)
-        return Judgement.of(laps.copy(), most >= self.laps, why, laps=laps.copy(), distance=mean)
+        return Judgement.of(laps, most >= self.laps, why, laps=laps, distance=mean)
 
     def outline(self) -> list[dict[str, Any]]:
         """Return the line."""

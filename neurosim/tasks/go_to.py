@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -121,34 +122,9 @@ class GoTo(Task):
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return goals passed and how well the last was hit; ``distance`` (m), ``turn`` (rad)."""
-        passed = record[:, 4].astype(np.int64)
-        found = self._worth(passed, record[:, 5:], record[:, 0] > 0, record[:, 1:4])
-        fitness, success, reason, away, turned = found
-        return Judgement.of(fitness, success, reason, passed=passed, distance=away, turn=turned)
-
-    def outline(self) -> list[dict[str, Any]]:
-        """Return walls, and goals as circles."""
-        shapes: list[dict[str, Any]] = [
-            {"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.walls
-        ]
-        for number, (x, y, _) in enumerate(self.goals, start=1):
-            shapes.append({"circle": [x, y, self.within]})
-            shapes.append({"text": str(number), "at": [x, y]})
-        return shapes
-
-    def _worth(
-        self,
-        passed: NDArray[np.int64],
-        nearest: NDArray[np.float64],
-        touched: NDArray[np.bool_],
-        end: NDArray[np.float64],
-    ) -> tuple[NDArray, ...]:
-        """Return fitness, success, the reason, and distance (m) and turn (rad) to the last goal.
-
-        All [B], of trials that passed so many goals [B], came so near to each [B, N] (m), may have
-        touched a wall [B] and end at poses [B, 3].
-        """
-        goals, last = np.array(self.goals), len(self.goals) - 1
+        goals, last = self._goals, len(self.goals) - 1
+        passed, nearest = record[:, 4].astype(np.int64), record[:, 5:]
+        touched, end = record[:, 0] > 0, record[:, 1:4]
         away = np.linalg.norm(end[:, :2] - goals[last, :2], axis=-1)
         turned = np.abs(np.remainder(end[:, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
         legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
@@ -168,7 +144,22 @@ class GoTo(Task):
         fitness = np.where(passed >= len(goals), len(goals) + np.where(touched, 0.0, hit), fitness)
         success = there & good & fine
         reason = np.select([touched, ~there, ~good], [0, 1, 2], 3)
-        return fitness, success, reason, away, turned
+        return Judgement.of(fitness, success, reason, passed=passed, distance=away, turn=turned)
+
+    def outline(self) -> list[dict[str, Any]]:
+        """Return walls, and goals as circles."""
+        shapes: list[dict[str, Any]] = [
+            {"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.walls
+        ]
+        for number, (x, y, _) in enumerate(self.goals, start=1):
+            shapes.append({"circle": [x, y, self.within]})
+            shapes.append({"text": str(number), "at": [x, y]})
+        return shapes
+
+    @cached_property
+    def _goals(self) -> NDArray[np.float64]:
+        """The poses [N, 3] to pass."""
+        return np.array(self.goals)
 
     def _touches(self, before: NDArray, after: NDArray) -> NDArray[np.bool_]:
         """Return who touches a wall [...] between places [..., 2]."""
@@ -181,7 +172,7 @@ class GoTo(Task):
     def _add(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:
         """Move robots with records [K, W] straight to poses [K, 3]."""
         before, after, counts = record[:, 1:3].copy(), poses[:, :2], record[:, 0] == 0
-        goals = np.array(self.goals)[:, :2]
+        goals = self._goals[:, :2]
         rows = np.arange(len(record))
         goal = np.minimum(record[:, 4].astype(np.int64), len(goals) - 1)
         distance = _to_segment(goals[goal], before, after)

@@ -110,7 +110,7 @@ class ObstacleAvoidance(Task):
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
         """Return the sum of equation (1), or how many squares were visited."""
-        fitness = record[:, 1].copy()
+        fitness = record[:, 1]
         return Judgement.of(fitness, fitness >= self.least)
 
     def _visit(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:

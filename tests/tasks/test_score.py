@@ -5,7 +5,7 @@ import pytest
 
 import neurosim as ns
 from neurosim.base.trajectory import Trajectory
-from neurosim.tasks.base import Interval
+from neurosim.tasks.base import Interval, Judgement
 
 TASKS = {
     "nine-rectangles": lambda: ns.make_task("nine-rectangles", seconds=4.0),
@@ -108,3 +108,22 @@ def test_a_trial_in_parts_is_worth_what_the_whole_one_is(name):
     if "course" in name or "go-to" in name:
         assert judged.success.any()
         assert not judged.success.all()
+
+
+def test_a_judgement_stays_as_it_is_while_the_record_goes_on():
+    task = TASKS["obstacle-avoidance"]()
+    record = task.first_record(np.zeros((1, 3)))
+    before = task.score(record)
+    given = np.array([[100.0, 100.0]]), np.zeros((1, 3))
+    task.advance(record, Interval(np.zeros((1, 3)), 0.1, True, True, *given))
+    assert before.progress == 0.0
+    assert task.score(record).progress == 1.0
+
+
+def test_columns_of_a_record_may_be_given_as_they_are():
+    record = np.zeros((2, 3))
+    judged = Judgement.of(record[:, 1], record[:, 1] > 1, progress=record[:, 2], own=record[:, 1])
+    record[:] = 5.0
+    assert not judged.fitness.any()
+    assert not judged.progress.any()
+    assert not judged.detail["own"].any()
