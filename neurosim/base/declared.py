@@ -287,6 +287,9 @@ def _mismatch(value: Any, kind: Any, message: str, path: str) -> Mismatch:
         return Mismatch(f"{field}.{named[1]}".lstrip("."), what)
     if not re.match("Expected|Invalid", message):  # what a dataclass itself says of its fields
         return Mismatch(field, message)
+    bare, _ = bounded(kind)
+    if typing.get_origin(bare) is list and not isinstance(value, list | tuple):
+        kind = bare  # how long a list may be says nothing of what is none
     return Mismatch(field, f"expected {in_words(kind)}, found {value!r:.60}")
 
 
@@ -294,9 +297,7 @@ def _within(value: Any, kind: Any, step: str) -> tuple[Any, Any]:
     """Return the declared type of a part of a value, and its key."""
     bare, _ = bounded(kind)
     if typing.get_origin(bare) in _UNIONS:  # a number, or a list
-        bare = next(one for one in map(bounded, typing.get_args(bare)) if typing.get_args(one[0]))[
-            0
-        ]
+        bare = next(one for one, _ in map(bounded, typing.get_args(bare)) if typing.get_args(one))
     parts = typing.get_args(bare)
     if step == "...":
         return parts[1], next(key for key, each in value.items() if not _is(each, parts[1]))
