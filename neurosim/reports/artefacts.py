@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import formats
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import read_json, sha256
+from neurosim.base.files import made, read_json, sha256
 from neurosim.base.provenance import is_virtual
 from neurosim.controllers import read_controller
 from neurosim.simulators import read_simulator
@@ -200,10 +200,8 @@ def task_of(task: Mapping[str, Any], json: Path) -> Task | None:
     """
     if task.get("name") not in TASKS.names():
         return None
-    try:
-        return make_task(task)
-    except (UserError, TypeError, ValueError) as error:
-        raise FileError(json, str(error), field="task.settings") from None
+    make = partial(make_task, task["name"])
+    return made(json, "task.settings", make, task.get("settings") or {})
 
 
 def gather(folders: Sequence[str | Path]) -> Artefacts:
