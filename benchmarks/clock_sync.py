@@ -145,7 +145,7 @@ def summary(drives: list[Recording], dropped: float, drift: float) -> dict[str, 
     """Find delay and clock of every drive, and give the errors in ms."""
     delays, ratios, clocks, refused = [], [], [], 0
     for place, recording in enumerate(drives):
-        lines = [line for line in recording.commands() if line.is_motor]
+        lines = [line for line in recording.commands().itertuples() if line.is_motor]
         times, poses = seen(recording, dropped, np.random.default_rng(place))
         found = motion_delay(times, poses, lines)
         if found is not None:
@@ -210,7 +210,9 @@ def film(folder: Path, seed: int) -> dict[str, Any]:
         clock = track(folder, calibration=model, sync=sync)["sessions"][0]["clock"]
         return clock["offset"] + (1 + clock["drift"]) * camera, clock["sd"]
 
-    sent = np.array([line.time for line in recording.commands() if line.kind.startswith("lamp")])
+    sent = np.array(
+        [line.time for line in recording.commands().itertuples() if line.kind.startswith("lamp")]
+    )
     # Each edge comes when its telegram was heard, and the filament has followed.
     lit = np.array(heard.lamp[: len(sent)]) + LAMP
     at, flash_sd = robot_clock("flash", camera_clock(lit))

@@ -262,7 +262,7 @@ def drive_brick(given: list, lab_seed: int, seed: int) -> bool:
     ):
         out = Path(folder) / "drive"
         record(out, rig.robot, None, FixedCommands(commands), settings, say=lambda _: None)
-        lines = [line for line in Recording(out).commands() if line.is_motor]
+        lines = [line for line in Recording(out).commands().itertuples() if line.is_motor]
         truth = rig.lab.truth
     boundaries = [line.time for line in lines][: len(commands) + 1]
     inside = (truth.times >= boundaries[0]) & (truth.times <= boundaries[-1] + 2 * RUN_DOWN)

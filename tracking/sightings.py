@@ -45,13 +45,13 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
     parsers = dict.fromkeys(SIGHTING_COLUMNS, optional_number)
     parsers |= {"session": integer, "frame": integer, "quality": number}
     table = read_csv(path, parsers, drop_torn_line=True)
-    rows = (np.array(table["session"]) == session) & (np.array(table["frame"]) < len(times))
-    if not rows.any():
+    table = table[(table["session"] == session) & table["frame"].between(0, len(times) - 1)]
+    if table.empty:
         return None
-    frames = np.array(table["frame"])[rows]
+    frames = table["frame"].to_numpy()
     values = np.full((len(times), len(SIGHTING_COLUMNS) - 2), np.nan)
     values[:, 4] = 0.0
-    values[frames] = np.column_stack([table[name] for name in SIGHTING_COLUMNS[2:]])[rows]
+    values[frames] = table[list(SIGHTING_COLUMNS[2:])].to_numpy()
     missing = np.setdiff1d(np.arange(len(times)), frames)
     markers = recording.meta["markers"]
     if missing.size:

@@ -81,7 +81,7 @@ def track(
     camera = _camera(source, calibration)
     geometry = marker_geometry(markers, camera)
     names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
-    lines = source.commands()
+    lines = list(source.commands().itertuples())
     parts: list[Poses] = []
     tracks: list[tuple[str | Path, Track]] = []
     sessions = []

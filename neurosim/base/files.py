@@ -11,6 +11,7 @@ import csv
 import errno
 import glob
 import hashlib
+import io
 import json
 import math
 import os
@@ -21,12 +22,15 @@ import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TextIO, TypeVar
 
 import numpy as np
 
 from neurosim.base.declared import Mismatch, SettingError, convert, without_nulls
 from neurosim.base.errors import FileError, UserError
+
+if TYPE_CHECKING:
+    import pandas as pd  # 0.4 s, needed where a table is read
 
 try:
     import fcntl
@@ -552,18 +556,19 @@ def flag(text: str) -> bool:
     return text == "1"
 
 
-_EXPECTED = {
-    number: "a finite number",
-    optional_number: "a finite number or nothing",
-    integer: "a whole number",
-    flag: "0 or 1",
-    str: "text",
+#: Parser -> the text that it expects, and the type of a column of it.
+_PARSED: dict[Column, tuple[str, Any]] = {
+    number: ("a finite number", float),
+    optional_number: ("a finite number or nothing", float),
+    integer: ("a whole number", int),
+    flag: ("0 or 1", bool),
+    str: ("text", str),
 }
 
 
 def read_csv(
     path: str | Path, columns: Mapping[str, Column], *, drop_torn_line: bool = False
-) -> dict[str, list]:
+) -> pd.DataFrame:
     """Read the named columns of a CSV file, checking every field.
 
     Args:
@@ -573,51 +578,128 @@ def read_csv(
         drop_torn_line: pass over a last line without a line end: a writer was killed in it.
 
     Returns:
-        Column name -> list of values, in the order of ``columns``.
+        The columns, in the order of ``columns``; the index says on which line of the file a row
+        stands.
 
     Raises:
         FileError: naming the line and the field, if something is missing or is not what it
             should be.
     """
+    import pandas as pd
+
     path = Path(path)
     text = read_text(path, "a CSV file in UTF-8")
     if drop_torn_line and not text.endswith("\n"):
         text = text[: text.rfind("\n") + 1]
-    reader = csv.reader(text.splitlines())
-    rows = _rows(path, reader)
-    header = next(rows, None)
-    if not header:
+    lines = dict(enumerate(text.splitlines(), start=1))
+    if not lines.get(1):
         raise FileError(path, "is empty; expected a line with the column names", line=1)
+    table = table_of_lines(path, lines.pop(1), lines)
     for name in columns:
-        if name not in header:
-            raise FileError(path, f"this column is missing; found {', '.join(header)}", field=name)
-    places = [(name, header.index(name), parse) for name, parse in columns.items()]
-    table: dict[str, list] = {name: [] for name in columns}
-    for row in rows:
-        if not row:
-            continue
-        if len(row) != len(header):
-            raise FileError(
-                path, f"expected {len(header)} fields, found {len(row)}", line=reader.line_num
+        if name not in table:
+            found = ", ".join(table.columns)
+            raise FileError(path, f"this column is missing; found {found}", field=name)
+        if table.columns.to_list().count(name) > 1:
+            raise FileError(path, "this column stands twice", line=1, field=name)
+    return pd.DataFrame(
+        {
+            name: pd.Series(
+                parsed(path, table[name], parse), table.index, _PARSED.get(parse, ("", object))[1]
             )
-        for name, place, parse in places:
-            try:
-                table[name].append(parse(row[place]))
-            except ValueError:
-                raise FileError(
-                    path,
-                    f"expected {_EXPECTED.get(parse, parse.__name__)}, found {row[place]!r}",
-                    line=reader.line_num,
-                    field=name,
-                ) from None
+            for name, parse in columns.items()
+        }
+    )
+
+
+def table_of_lines(
+    path: Path, header: str, lines: Mapping[int, str], delimiter: str = ","
+) -> pd.DataFrame:
+    """Split lines of a CSV file into fields.
+
+    Args:
+        path: the file, for messages.
+        header: the line with the column names.
+        lines: number in the file -> line; empty ones are passed over.
+        delimiter: between fields; a blank stands for any number of them.
+
+    Returns:
+        The fields as text, a column for each name, indexed by the number of the line.
+
+    Raises:
+        FileError: naming the line, where it has more or fewer fields than there are names.
+    """
+    import pandas as pd
+
+    options: dict[str, Any] = {
+        "sep": r"\s+" if delimiter == " " else delimiter,
+        "header": None,
+        "dtype": object,
+        "na_filter": False,
+        "skipinitialspace": True,
+    }
+    lines = {place: line for place, line in lines.items() if line.strip()}
+    try:
+        names = pd.read_csv(io.StringIO(header), **options).iloc[0].str.strip().tolist()
+        for place, line in lines.items():
+            count = _count(line, delimiter)
+            if count != len(names):
+                what = f"expected {len(names)} fields ({', '.join(names)}), found {count}"
+                raise FileError(path, what, line=place)
+        if not lines:
+            return pd.DataFrame(columns=names, dtype=object)
+        table = pd.read_csv(io.StringIO("\n".join(lines.values())), **options)
+    except (pd.errors.ParserError, csv.Error) as error:
+        raise FileError(path, f"is no CSV ({error})") from None
+    if table.shape != (len(lines), len(names)):
+        raise FileError(path, "is no CSV: a quotation mark is not closed on its line")
+    table.columns, table.index = pd.Index(names), pd.Index(lines, name="line")
     return table
 
 
-def _rows(path: Path, reader: Any) -> Iterator[list[str]]:
+def _count(line: str, delimiter: str) -> int:
+    """Return how many fields a line has."""
+    if delimiter == " ":
+        return len(line.split())
+    if '"' in line:
+        return len(next(csv.reader([line], delimiter=delimiter, skipinitialspace=True)))
+    return line.count(delimiter) + 1
+
+
+def parsed(path: Path, column: pd.Series, parse: Column, expected: str = "") -> list:
+    """Parse a column of text (N,), indexed by the number of the line.
+
+    Args:
+        path: the file, for the message.
+        column: of :func:`table_of_lines`.
+        parse: of a field; it raises ValueError.
+        expected: what it takes, for the message.
+
+    Raises:
+        FileError: naming line, column and text of the first field that is wrong.
+    """
+    values: list = []
     try:
-        yield from reader
-    except csv.Error as error:
-        raise FileError(path, f"is no CSV ({error})", line=reader.line_num) from None
+        for text in column:
+            values.append(parse(text))
+    except ValueError:
+        raise FileError(
+            path,
+            f"expected {expected or _PARSED.get(parse, (parse.__name__,))[0]}, found {text!r:.60}",
+            line=int(column.index[len(values)]),
+            field=str(column.name),
+        ) from None
+    return values
+
+
+def refuse_lines(path: Path, table: pd.DataFrame, wrong: Any, what: str, field: str = "") -> None:
+    """Refuse a table of :func:`read_csv` where any of its rows is wrong, (N,) bool.
+
+    Raises:
+        FileError: naming the first such line.
+    """
+    if np.any(wrong):
+        line = int(table.index[int(np.argmax(wrong))])
+        raise FileError(path, what, line=line, field=field or None)
 
 
 def read_header(path: str | Path) -> tuple[str, ...]:

@@ -182,16 +182,16 @@ def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
     from tracking.markers.palette import least_confident
 
     lines = [part.commands() for part in made]
-    ends = [{line.session: line.time for line in part} for part in lines]  # of each session
+    kinds = [kind for part in lines for kind in part["kind"]]
     return {
         "recording": str(out),
         "commands": commands,
-        "sent": sum(line.kind == "command" for part in lines for line in part),
-        "cut": sum(line.kind == "cut" for part in lines for line in part),
+        "sent": kinds.count("command"),
+        "cut": kinds.count("cut"),
         "sessions": sum(part.sessions for part in made),
         "tracked": all(part.is_tracked for part in made),
         "markers": least_confident([told for part in made for told in part.tracked_sessions()]),
-        "robot_seconds": sum(sum(part.values()) for part in ends),
+        "robot_seconds": sum(float(part.groupby("session")["time"].last().sum()) for part in lines),
     }
 
 

@@ -226,7 +226,7 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
         seen = {number: seen_live(recording, number, model) for number in sessions}
         live = {number: one for number, one in seen.items() if one}
         # Without a lamp the motion alone joins the clocks.
-        flashed = any(line.kind == "lamp-on" for line in recording.commands())
+        flashed = "lamp-on" in set(recording.commands()["kind"])
         sync = "flash" if flashed else "motion"
         try:
             summary = track(recording.path, live=live, sync=sync)

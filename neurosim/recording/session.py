@@ -439,11 +439,11 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
     attempts: dict[int, int] = {}
     settled: set[int] = set()
     if (recording.path / "commands.csv").exists():
-        every = recording.commands()
+        every = list(recording.commands().itertuples())
         filmed = _filmed_until(recording, every)
         lines = [line for line in every if line.is_motor]
         for line, after in zip_longest(lines, lines[1:]):
-            if line.kind != "command" or line.command is None:
+            if line.kind != "command":
                 continue
             attempts[line.command] = attempts.get(line.command, 0) + 1
             ran = after is not None and after.session == line.session and after.kind != "cut"

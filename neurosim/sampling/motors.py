@@ -61,7 +61,7 @@ def sample_motors(
             continue
         with files.LineLog(path, _COLUMNS) as log:
             columns = {"left": files.number, "right": files.number, "repeat": files.integer}
-            done = set(zip(*files.read_csv(path, columns).values(), strict=True))
+            done = set(files.read_csv(path, columns).itertuples(index=False, name=None))
             for repeat in range(1, repeats + 1):
                 for left, right in wanted:
                     speeds = 100.0 * left / full, 100.0 * right / full
@@ -124,10 +124,10 @@ def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:
         return None
     columns = dict.fromkeys(_COLUMNS[:6], files.number)
     table = files.read_csv(path, columns, drop_torn_line=True)
-    if not table["left"]:
+    if table.empty:
         return None
-    moved = np.column_stack([table[name] for name in ("dx", "dy", "dtheta")])
-    twist = se2.log(moved) / np.array(table["duration"])[:, None]
+    moved = table[["dx", "dy", "dtheta"]].to_numpy()
+    twist = se2.log(moved) / table[["duration"]].to_numpy()
     errors = np.abs(twist - _interpolated(motors, table["left"], table["right"]))
     return {
         "settings": len(errors),

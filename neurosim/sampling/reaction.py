@@ -36,7 +36,7 @@ def sample_reaction(out: Path, robot: Sampler, in_the_open: Callable[[], None]) 
     with files.LineLog(path, _COLUMNS) as log:
         parsers = {"start": files.integer, "whole": files.flag}
         table = files.read_csv(path, parsers, drop_torn_line=True)
-        done = {n for n, whole in zip(table["start"], table["whole"], strict=True) if whole}
+        done = set(table["start"][table["whole"]])
         for start in range(STARTS):
             if start in done:
                 continue
@@ -71,9 +71,8 @@ def read_reaction(folder: str | Path, seconds: NDArray[np.float64], scan: float)
     path = Path(folder) / "reaction.csv"
     columns = {"whole": files.flag} | dict.fromkeys(("time", "left", "right"), files.number)
     table = files.read_csv(path, columns, drop_torn_line=True)
-    live = ~np.array(table["whole"], bool)
-    time = np.array(table["time"])[live]
-    ways = np.array([table["left"], table["right"]])[:, live]
+    table = table[~table["whole"]]
+    time, ways = table["time"].to_numpy(), table[["left", "right"]].to_numpy().T
     if len(time) < 10 or not (ways.max(axis=1) > 0).all():
         raise UserError(f"{path}: the wheels did not turn as they were told to")
     delays, lags = np.arange(0.0, 0.15, _STEP), np.arange(_STEP, 0.3, 4 * _STEP)

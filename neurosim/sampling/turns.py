@@ -72,7 +72,7 @@ def sample_object(
     last = 0
     if path.exists():
         numbers = files.read_csv(path, {"turn": files.integer}, drop_torn_line=True)["turn"]
-        last = max(numbers, default=0)
+        last = int(numbers.max()) if len(numbers) else 0
     with files.LineLog(path, _COLUMNS) as log:
         for turn, distance in enumerate(left_to_do, last + 1):
             away = settings.first + distance * settings.step
@@ -97,21 +97,19 @@ def read_turns(folder: str | Path) -> Turns:
     parsers |= dict.fromkeys(("repeat", "distance", "turn"), files.integer)
     parsers |= dict.fromkeys(_ROW, files.number)
     table = files.read_csv(Path(folder) / "sensors.csv", parsers, drop_torn_line=True)
-    rows = np.column_stack([table[name] for name in _ROW])
-    number, found = np.array(table["turn"], int), {}
-    for turn in np.unique(number):
-        places = np.flatnonzero(number == turn)
-        last = places[-1]
-        if table["whole"][last]:
-            key = (table["object"][last], table["repeat"][last], table["distance"][last])
-            found[key] = rows[places]
+    found = {}
+    for _, turn in table.groupby("turn"):
+        last = turn.iloc[-1]
+        if last["whole"]:
+            found[last["object"], last["repeat"], last["distance"]] = turn[list(_ROW)].to_numpy()
     return found
 
 
 def reading_times(folder: str | Path) -> NDArray[np.float64]:
     """Return how long every reading of the sensors took, s."""
     path = Path(folder) / "sensors.csv"
-    return np.array(files.read_csv(path, {"seconds": files.number}, drop_torn_line=True)["seconds"])
+    table = files.read_csv(path, {"seconds": files.number}, drop_torn_line=True)
+    return table["seconds"].to_numpy()
 
 
 class _Whereabouts(Odometry):

@@ -256,7 +256,11 @@ class _Drive:
         Raises:
             UserError: if no command was sent, the last did not end, or the robot was not seen.
         """
-        motor = [line for line in recording.commands() if line.is_motor and line.session == 1]
+        motor = [
+            line
+            for line in recording.commands().itertuples()
+            if line.is_motor and line.session == 1
+        ]
         sent = [line for line in motor if line.kind == "command"]
         if not sent:
             raise UserError(f"{recording.path}: no command was sent")

@@ -60,7 +60,9 @@ def test_a_row_is_the_displacement_that_truly_happened(pipeline):
     assert len(dataset) >= 57
     assert pipeline.printed["dataset"]["rows"] == len(dataset)
     truth = read_truth(pipeline / "recording")
-    motor = [line for line in Recording(pipeline / "recording").commands() if line.is_motor]
+    motor = [
+        line for line in Recording(pipeline / "recording").commands().itertuples() if line.is_motor
+    ]
     from neurosim.base import se2
 
     checked = 0
@@ -99,7 +101,9 @@ def test_the_trial_compares_command_by_command(pipeline):
     assert len(trial["predicted"]["poses"]) == len(given) + 1
     assert trial["virtual"] is True
     truth = read_truth(pipeline / "trial")
-    motor = [line for line in Recording(pipeline / "trial").commands() if line.is_motor]
+    motor = [
+        line for line in Recording(pipeline / "trial").commands().itertuples() if line.is_motor
+    ]
     for line, pose in zip(motor, trial["actual"]["poses"], strict=False):
         if pose is not None:
             was = truth.pose_at(np.array(line.time + 0.022))

@@ -65,7 +65,7 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipel
     assert len(chosen["commands"]) == 15
     sent = {
         line.command: [line.left, line.right, line.duration]
-        for line in recordings[1].commands()
+        for line in recordings[1].commands().itertuples()
         if line.kind == "command"
     }
     assert [sent[number] for number in range(15)] == chosen["commands"]

@@ -124,7 +124,7 @@ def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
     robot, source = Robot(), Source(20)
     recording, _ = drive(tmp_path / "r", robot, source)
     assert source.begun == 1
-    sent = [line for line in recording.commands() if line.kind == "command"]
+    sent = [line for line in recording.commands().itertuples() if line.kind == "command"]
     assert [line.command for line in sent] == list(range(20))
     assert np.diff([line.time for line in sent]) == pytest.approx(0.1)
     assert [line.duration for line in sent] == [0.1] * 20
@@ -146,7 +146,7 @@ def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):
 
 def test_the_last_command_is_held_as_long_as_the_others_and_then_comes_rest(tmp_path):
     recording, _ = drive(tmp_path / "r", Robot(), Source(5))
-    motor = [line for line in recording.commands() if line.is_motor]
+    motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor] == [*["command"] * 5, "stop"]
     assert np.diff([line.time for line in motor]) == pytest.approx(0.1)
     seen = recording.observations()
@@ -158,7 +158,7 @@ def test_the_last_command_is_held_as_long_as_the_others_and_then_comes_rest(tmp_
 def test_what_is_late_is_counted_and_does_not_shorten_what_follows(tmp_path):
     # Five looks before the start; the 3rd and the 8th step's are slow.
     recording, _ = drive(tmp_path / "r", Robot(slow_at=(8, 13)), Source(12))
-    sent = [line.time for line in recording.commands() if line.kind == "command"]
+    sent = [line.time for line in recording.commands().itertuples() if line.kind == "command"]
     found = recording.meta["deadlines"]
     assert (found["steps"], found["missed"]) == (12, 2)
     assert found["worst_late_s"] == pytest.approx(0.227)
@@ -176,7 +176,7 @@ def test_looks_that_take_longer_are_begun_earlier(tmp_path):
 def test_a_line_ends_the_drive(tmp_path, at_line):
     robot = Robot(line=0.2)
     recording, said = drive(tmp_path / "r", robot, Source(50), at_line=at_line)
-    motor = [line for line in recording.commands() if line.is_motor]
+    motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-3:]] == ["command", "cut", "stop"]
     assert motor[-2].command == motor[-3].command < 30
     assert sum(robot.ways) / 2 < 0.2 + 0.03

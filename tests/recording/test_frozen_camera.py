@@ -115,6 +115,6 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
     assert "Fatal" not in said
     recording = Recording(tmp_path / "r")
     assert recording.meta["complete"] is False
-    motor = [line.kind for line in recording.commands() if line.is_motor]
+    motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
     assert motor[-1] == "cut"
     assert motor.count("command") <= 3

@@ -62,7 +62,7 @@ def test_the_robot_stays_on_the_board_and_no_long_run_is_lost(tmp_path, seed):
             tmp_path / "r", rig.robot, None, RandomCommands(seed=seed), RecordSettings(150)
         )
         places = rig.lab.truth.poses
-    motor = [line for line in recording.commands() if line.is_motor]
+    motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert any(line.kind == "cut" for line in motor)
     done = {
         line.command

@@ -75,13 +75,13 @@ def kept(tmp_path_factory):
 
 def test_a_robot_without_light_sensors_stays_on_the_board(kept):
     recording, said, truth = kept
-    kinds = [line.kind for line in recording.commands()]
+    kinds = [line.kind for line in recording.commands().itertuples()]
     assert kinds.count("cut") >= 2
     half = np.array([BOARD["length"], BOARD["width"]]) / 2
     assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
     assert recording.meta["complete"] is True
     assert said == []
-    turns = {np.sign(line.right) for line in recording.commands()
+    turns = {np.sign(line.right) for line in recording.commands().itertuples()
              if line.kind == "manoeuvre" and line.left == -line.right != 0}  # fmt: skip
     assert turns == {-1.0, 1.0}
 
@@ -90,7 +90,7 @@ def test_light_sensors_that_see_no_line_do_not_let_it_leave(tmp_path):
     # The line that the lab's sensors could see lies well outside of this board's edge.
     recording, _, truth = make(tmp_path / "r", RandomCommands(seed=3), 10, sensors=True)
     assert recording.meta["robot"]["ports"]["light_left"] is not None
-    assert [line.kind for line in recording.commands()].count("cut") >= 1
+    assert [line.kind for line in recording.commands().itertuples()].count("cut") >= 1
     half = np.array([BOARD["length"], BOARD["width"]]) / 2
     assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.02).all()
     assert recording.is_tracked
@@ -174,22 +174,22 @@ def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp
     assert "the robot is not seen, and cannot drive unseen" in said[1]
     assert said[2].startswith("the robot is seen again, after 6.")
     assert len(said) == 3
-    cut = [line for line in recording.commands() if line.kind == "cut"]
+    cut = [line for line in recording.commands().itertuples() if line.kind == "cut"]
     assert len(cut) == 1
     assert 6.9 < cut[0].time < 7.2
     still = (truth.times > cut[0].time + 0.4) & (truth.times < 12.0)
     assert np.ptp(truth.poses[still, :2], axis=0).max() < 1e-3
     # All was sent in the end, the one that was cut once more.
-    sent = [line.command for line in recording.commands() if line.kind == "command"]
+    sent = [line.command for line in recording.commands().itertuples() if line.kind == "command"]
     assert sorted(set(sent)) == list(range(8))
     assert len(sent) == 9
 
 
 def test_with_light_sensors_it_drives_on(tmp_path):
     recording, said, _ = make(tmp_path / "r", STEADY, 4, sensors=True, prepare=taken_away(5.0, 7.0))
-    assert [line.kind for line in recording.commands() if line.is_motor] == ["command"] * 4 + [
-        "stop"
-    ]
+    assert [line.kind for line in recording.commands().itertuples() if line.is_motor] == [
+        "command"
+    ] * 4 + ["stop"]
     # It drove on unseen for more than 2 s, and what was seen then is too short to tell it by.
     lost, again, doubt = said
     assert "lost from sight" in lost
@@ -209,7 +209,7 @@ def test_a_robot_that_stays_away_ends_the_session_which_resumes(tmp_path):
     broken = Recording(folder)
     assert broken.meta["complete"] is False
     assert not broken.is_tracked
-    assert broken.commands()[-1].kind == "stop"
+    assert broken.commands()["kind"].iloc[-1] == "stop"
     recording, _, _ = make(folder, STEADY, 8, resume=True, seed=6)
     assert recording.meta["complete"] is True
     poses = recording.poses()
@@ -220,7 +220,9 @@ def test_a_robot_that_stays_away_ends_the_session_which_resumes(tmp_path):
 def test_a_robot_that_was_never_in_sight_does_not_drive(tmp_path):
     with pytest.raises(UserError, match="neurosim watch"):
         make(tmp_path / "r", STEADY, 8, prepare=taken_away(0.0, np.inf))
-    assert not any(line.kind == "command" for line in Recording(tmp_path / "r").commands())
+    assert not any(
+        line.kind == "command" for line in Recording(tmp_path / "r").commands().itertuples()
+    )
 
 
 def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
@@ -282,7 +284,9 @@ def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
 
     with pytest.raises(UserError, match=r"the camera stopped.*--resume"):
         make(tmp_path / "r", STEADY, 8, sensors=True, prepare=dying)
-    sent = [line for line in Recording(tmp_path / "r").commands() if line.kind == "command"]
+    sent = [
+        line for line in Recording(tmp_path / "r").commands().itertuples() if line.kind == "command"
+    ]
     assert 1 <= len(sent) <= 3
 
 
@@ -374,7 +378,7 @@ def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
 
 def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
     recording, said, truth = make(tmp_path / "edge", ToTheEdge(5.0), 30)
-    motor = [line.kind for line in recording.commands() if line.is_motor]
+    motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
     assert motor[-3:] == ["command", "cut", "stop"]
     assert np.abs(truth.poses[:, 0]).max() < BOARD["length"] / 2 - Guard().margin + 0.02
     assert "was stopped before the end" in said[0]
@@ -391,7 +395,7 @@ def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
         tmp_path / "lost", source, source.steps, prepare=covered, sensors=True,
         settings={"board": BOARD, "guard": Guard("ignore")},
     )  # fmt: skip
-    motor = [line for line in recording.commands() if line.is_motor]
+    motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-2:]] == ["cut", "stop"]
     assert motor[-2].time == pytest.approx(4.0 + Guard().unseen, abs=0.3)
     assert any("or unseen" in words for words in said)

@@ -85,7 +85,7 @@ def test_what_asks_a_recording_to_end_stops_the_motors_first(tmp_path, lab, name
     assert said.count("\n") <= 3
     assert "interrupted" in said
     assert "Traceback" not in said
-    assert Recording(tmp_path / "r").commands()[-1].kind == "command"
+    assert Recording(tmp_path / "r").commands()["kind"].iloc[-1] == "command"
 
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP", "SIGSEGV", "SIGABRT"])

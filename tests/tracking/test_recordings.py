@@ -24,7 +24,7 @@ def test_a_recording_is_read_as_it_was_written(recording):
         log.append(1, 0, "command", 1.5, 20, -30, 2.0)
         log.append(1, None, "stop", 3.5, 0, 0, None)
     again = Recording(recording.path)
-    lamp, command, stop = again.commands()
+    lamp, command, stop = again.commands().itertuples()
     assert (lamp.kind, lamp.is_motor, lamp.time) == ("lamp-on", False, 0.1)
     assert (command.command, command.left, command.right, command.duration) == (0, 20, -30, 2)
     assert command.is_motor
@@ -35,7 +35,7 @@ def test_a_recording_is_read_as_it_was_written(recording):
 
 def test_a_line_that_a_kill_tore_is_passed_over(recording):
     write_commands(recording, "1,0,command,1.5,20,-30,2.0\n1,1,command,3.5,2")
-    assert [line.command for line in recording.commands()] == [0]
+    assert [line.command for line in recording.commands().itertuples()] == [0]
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,7 @@ def test_a_command_log_that_is_wrong_is_refused_with_its_line(recording, text, s
 
 def test_each_session_has_clocks_of_its_own(recording):
     write_commands(recording, "1,0,command,90,1,1,1\n2,1,command,1,1,1,1\n")
-    assert [line.session for line in recording.commands()] == [1, 2]
+    assert [line.session for line in recording.commands().itertuples()] == [1, 2]
 
 
 def test_a_camera_clock_that_goes_backwards_is_refused(recording):

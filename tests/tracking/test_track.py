@@ -232,7 +232,7 @@ def test_bare_video_in_pixels(frames, tmp_path):
     np.testing.assert_allclose(np.transpose([table["u"], table["v"]]), pixels, atol=0.2)
     # The camera is turned and tilted by a few hundredths of a radian.
     np.testing.assert_allclose(table["theta"], theta, atol=0.1)
-    assert table["time"][30] == pytest.approx(1.0, abs=1e-3)
+    assert table["time"].iloc[30] == pytest.approx(1.0, abs=1e-3)
     document = json.loads((tmp_path / "out" / "tracking.json").read_text())
     assert document["markers"]["front"]["colour"] == "pink"
     with pytest.raises(UserError, match="not empty"):

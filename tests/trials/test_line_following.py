@@ -54,9 +54,11 @@ def test_readings_are_kept_all_the_time(made):
     assert recording.meta["settings"]["readings"] is True
     assert recording.meta["settings"]["guard"]["by"] == "position"
     # A pair of readings takes two round trips of 40 ms.
-    driven = sum(line.duration for line in recording.commands() if line.kind == "command")
+    driven = sum(
+        line.duration for line in recording.commands().itertuples() if line.kind == "command"
+    )
     assert len(seen.time) > 5 * driven * 0.8
-    sent = {line.command for line in recording.commands() if line.kind == "command"}
+    sent = {line.command for line in recording.commands().itertuples() if line.kind == "command"}
     assert set(seen.command) - {-1} <= sent
     # It drives over the line and is not stopped by it.
     assert (seen.readings.min(axis=0) < 0.3).all()

@@ -239,7 +239,7 @@ def read_points(points: str | Path | ArrayLike) -> NDArray:
     """
     if isinstance(points, str | Path):
         table = read_csv(points, dict.fromkeys(("u", "v", "x", "y"), number))
-        rows, where = np.column_stack([table[name] for name in ("u", "v", "x", "y")]), f"{points}: "
+        rows, where = table.to_numpy(), f"{points}: "
     else:
         rows, where = np.asarray(points, float), ""
         if rows.ndim != 2 or rows.shape[1] != 4 or not np.isfinite(rows).all():

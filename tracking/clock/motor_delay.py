@@ -39,7 +39,8 @@ SYSTEMATIC = 0.002
 
 
 class MotorLine(Protocol):
-    """A line of a command log that changes the motors' speeds (percent); see ``CommandLine``."""
+    """A line of a command log that changes the motors' speeds (percent); see
+    ``Recording.commands``."""
 
     time: float
     left: float

@@ -39,7 +39,7 @@ _SHARE_NOISE = 0.08
 
 
 class LampLine(Protocol):
-    """A line of a command log; see ``recordings.CommandLine``."""
+    """A line of a command log; see ``Recording.commands``."""
 
     kind: str
     time: float

@@ -12,11 +12,10 @@ forward, y left, heading counter-clockwise); commands stay in the units that the
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -61,7 +60,6 @@ ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not 
 _LARGEST = 1e30
 
 _ABSENT = {"", "nan", "na", "n/a", "null", "none"}
-_DECIMAL_COMMA = re.compile(r"[-+]?\d*,\d+(e[-+]?\d+)?", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -446,9 +444,11 @@ class _Table:
             raise FileError(path, "is empty; expected a line with the names of the columns", line=1)
         first = _header_place([line for _, line in lines])
         self.header_line, header = lines[first]
-        header = header[1:].lstrip() if header.startswith("#") else header
-        self._split, self._decimal_comma = _splitter(header)
-        self._header = [name.strip() for name in self._split(header)]
+        header = header.removeprefix("#").strip()
+        delimiter = next((mark for mark in ("\t", ";", ",") if mark in header), " ")
+        kept = {place: line for place, line in lines[first + 1 :] if not line.startswith("#")}
+        self._fields = files.table_of_lines(path, header, kept, delimiter)
+        self._header = list(self._fields.columns)
         if all(_is_number(name) for name in self._header if name):
             raise FileError(
                 path,
@@ -456,23 +456,7 @@ class _Table:
                 "them, such as time,x,y,heading,v,w",
                 line=self.header_line,
             )
-        self._lines: list[int] = []
-        self._fields: list[list[str]] = []
-        for place, line in lines[first + 1 :]:
-            if line.startswith("#"):
-                continue
-            try:
-                row = self._split(line)
-            except csv.Error as error:
-                raise FileError(path, f"is not CSV ({error})", line=place) from None
-            if len(row) != len(self._header):
-                what = f"expected {len(self._header)} fields ({self.found()}), found {len(row)}"
-                if not self._decimal_comma and len(row) > len(self._header):
-                    what += "; write numbers with a decimal point, should they have commas"
-                raise FileError(path, what, line=place)
-            self._lines.append(place)
-            self._fields.append(row)
-        if not self._fields:
+        if self._fields.empty:
             raise FileError(path, "holds the names of columns and no line of numbers")
 
     def found(self) -> str:
@@ -511,35 +495,13 @@ class _Table:
             raise FileError(
                 self.path, "there are two such columns", line=self.header_line, field=theirs
             )
-        place = self._header.index(theirs)
-        parse = _optional if optional else files.number
-        found = np.empty(len(self._fields))
-        for row, values in enumerate(self._fields):
-            text = values[place].strip()
-            try:
-                found[row] = parse(text)
-                if abs(found[row]) > _LARGEST:
-                    raise ValueError
-            except ValueError:
-                raise FileError(
-                    self.path,
-                    self._no_number(text, optional),
-                    line=self._lines[row],
-                    field=theirs,
-                ) from None
-        return found
-
-    def _no_number(self, text: str, optional: bool) -> str:
-        if _DECIMAL_COMMA.fullmatch(text):
-            return f"a number needs a decimal point, not a comma, found {text!r}"
-        nothing = " or nothing" if optional else ""
-        return f"expected a finite number{nothing}, found {text!r:.60}"
+        parse, nothing = (_optional, " or nothing") if optional else (_number, "")
+        expected = f"a finite number with a decimal point{nothing}"
+        return np.array(files.parsed(self.path, self._fields[theirs], parse, expected))
 
     def refuse(self, wrong: NDArray, name: str, what: str) -> None:
         """Raise a FileError at the first line that is wrong (N,), if any is."""
-        if wrong.any():
-            line = self._lines[int(np.argmax(wrong))]
-            raise FileError(self.path, what, line=line, field=self.columns.get(name, name))
+        files.refuse_lines(self.path, self._fields, wrong, what, self.columns.get(name, name))
 
     def check_increasing(self, name: str, times: NDArray) -> None:
         """Refuse times (N,) that stand still or go backwards."""
@@ -568,22 +530,15 @@ def _header_place(lines: Sequence[str]) -> int:
     return place
 
 
-def _splitter(header: str) -> tuple[Callable[[str], list[str]], bool]:
-    """Return what splits a line into its fields, and whether commas may stand in these."""
-    delimiter = next((mark for mark in ("\t", ";", ",") if mark in header), None)
-    if delimiter is None:
-        return str.split, True
-
-    def split(line: str) -> list[str]:
-        if '"' not in line:
-            return line.split(delimiter)
-        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True))
-
-    return split, delimiter != ","
+def _number(text: str) -> float:
+    value = float(text)
+    if not abs(value) <= _LARGEST:
+        raise ValueError
+    return value
 
 
 def _optional(text: str) -> float:
-    return math.nan if text.lower() in _ABSENT else files.number(text)
+    return math.nan if text.strip().lower() in _ABSENT else _number(text)
 
 
 def _is_number(text: str) -> bool:

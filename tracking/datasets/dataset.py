@@ -166,7 +166,7 @@ class Dataset:
             raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")
         columns = {"recording": str, "command": files.integer}
         columns |= dict.fromkeys((*inputs, *outputs, "quality"), files.number)
-        table = pd.DataFrame(files.read_csv(csv_path, columns))
+        table = files.read_csv(csv_path, columns)
         if len(table) == 0:
             raise FileError(csv_path, "holds no rows")
         if len(table) != meta["rows"]:
@@ -175,9 +175,10 @@ class Dataset:
                 f"holds {len(table)} rows where dataset.json says {meta['rows']}; "
                 "it may have been cut short",
             )
-        if "duration" in inputs and (table["duration"] <= 0).any():
-            line = int(np.argmax(table["duration"] <= 0)) + 2
-            raise FileError(csv_path, "expected a number above 0", line=line, field="duration")
+        if "duration" in inputs:
+            wrong = table["duration"] <= 0
+            files.refuse_lines(csv_path, table, wrong, "expected a number above 0", "duration")
+        table = table.reset_index(drop=True)
         meta = {key: value for key, value in meta.items() if key not in ("format", "version")}
         expected = meta.get("within")
         within = within_commands.read(folder / "within.csv", expected, table)

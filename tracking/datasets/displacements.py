@@ -14,7 +14,7 @@ as much as those before, the bias is 0.1 to 0.4 mm.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Any
 
 import numpy as np
@@ -204,7 +204,7 @@ def displacements(
             backwards.
     """
     settings = settings or Settings()
-    lines = [line for line in recording.commands() if line.is_motor]
+    lines = [line for line in recording.commands().itertuples() if line.is_motor]
     every = recording.poses()
     poses = every if doubtful else every.certain()
     tracks = {
@@ -235,7 +235,7 @@ def displacements(
         found.sent.append({**planned, "fate": fate, "attempt": attempts[line.command]})
         if reason is None:
             shown = (
-                None if x is None else replace(x, time=x.time + late.get(line.session, 0.0))
+                None if x is None else x._replace(time=x.time + late.get(line.session, 0.0))
                 for x in (before, line, after)
             )
             taken = _displacement(tracks.get(line.session), *shown, settings)

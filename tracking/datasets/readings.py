@@ -141,7 +141,7 @@ def read(path: Path, expected: Any) -> pd.DataFrame:
     if names[: len(COLUMNS)] != COLUMNS or not all(sensors) or not sensors:
         raise FileError(path, f"expected the columns {', '.join(COLUMNS)} and sensors", line=1)
     columns = {"recording": str} | dict.fromkeys(names[1:], files.number)
-    readings = pd.DataFrame(files.read_csv(path, columns))
+    readings = files.read_csv(path, columns)
     if expected is not None and len(readings) != expected:
         raise FileError(
             path,
@@ -149,9 +149,6 @@ def read(path: Path, expected: Any) -> pd.DataFrame:
             "it may have been cut short",
         )
     for name in sensors:
-        values = readings[name].to_numpy()
-        wrong = (values < 0) | (values > 1)
-        if wrong.any():
-            line = int(np.argmax(wrong)) + 2
-            raise FileError(path, "expected a reading from 0 to 1", line=line, field=name)
-    return readings
+        wrong = ~readings[name].between(0, 1)
+        files.refuse_lines(path, readings, wrong, "expected a reading from 0 to 1", name)
+    return readings.reset_index(drop=True)

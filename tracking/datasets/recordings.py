@@ -14,14 +14,15 @@ Each session has a video part of its own and clocks of its own, which begin anyw
 from __future__ import annotations
 
 import datetime
-import math
 import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.base import formats
@@ -37,6 +38,7 @@ from neurosim.base.files import (
     read_csv,
     read_header,
     read_json,
+    refuse_lines,
     write_csv,
     write_json,
 )
@@ -91,24 +93,8 @@ KHEPERA_MARKERS: dict[str, Any] = {
 DEFAULT_BOARD = {"length": 2.76, "width": 1.84}
 
 
-@dataclass(frozen=True)
-class CommandLine:
-    """One line of commands.csv; ``time`` in seconds on the session's robot clock."""
-
-    session: int
-    command: int | None
-    kind: str
-    time: float
-    left: float
-    right: float
-    duration: float
-    #: Where it stands in the file, for messages.
-    line: int = field(default=0, compare=False)
-
-    @property
-    def is_motor(self) -> bool:
-        """Whether the line changes what the motors do."""
-        return self.kind in MOTOR_KINDS
+#: A row of :meth:`Recording.commands`, as ``itertuples`` gives it.
+CommandLine = Any
 
 
 @dataclass(frozen=True)
@@ -287,46 +273,36 @@ class Recording:
 
     # Reading
 
-    def commands(self) -> list[CommandLine]:
+    def commands(self) -> pd.DataFrame:
         """Read commands.csv.
+
+        Returns:
+            A row for each line, indexed by the number of the line in the file: session, command
+            (its number, -1 where there is none), kind (one of :data:`KINDS`), time (s on the
+            session's robot clock), left and right (percent), duration (s), and is_motor, whether
+            it changes the motors' speeds.
 
         Raises:
             FileError: naming line and field: a column that is missing, a word where a number
                 belongs, an unknown kind, a clock that goes backwards.
         """
         path = self.path / "commands.csv"
-        table = read_csv(
-            path,
-            {
-                "session": integer,
-                "command": _optional_integer,
-                "kind": _kind,
-                "time": number,
-                "left": optional_number,
-                "right": optional_number,
-                "duration": optional_number,
-            },
-            drop_torn_line=True,
+        parsers = {"session": integer, "command": _optional_integer, "kind": _kind, "time": number}
+        parsers |= dict.fromkeys(("left", "right", "duration"), optional_number)
+        table = read_csv(path, parsers, drop_torn_line=True)
+        table = table.astype({"command": int}).assign(is_motor=table["kind"].isin(MOTOR_KINDS))
+        refuse = partial(refuse_lines, path, table)
+        speeds = table[["left", "right"]].notna().all(axis=1)
+        refuse(table["is_motor"] & ~speeds, "a motor command needs both speeds")
+        lasts = table["duration"].between(0, LONGEST, inclusive="right")
+        refuse(
+            (table["kind"] == "command") & ((table["command"] == -1) | ~lasts),
+            f"a command needs a number and a duration above 0 and up to {LONGEST:g} s",
         )
-        lines = [
-            CommandLine(*values, line=place)
-            for place, values in enumerate(zip(*table.values(), strict=True), start=2)
-        ]
-        before: CommandLine | None = None
-        for entry in lines:
-            if entry.is_motor and (math.isnan(entry.left) or math.isnan(entry.right)):
-                raise FileError(path, "a motor command needs both speeds", line=entry.line)
-            lasts = 0 < entry.duration <= LONGEST
-            if entry.kind == "command" and (entry.command is None or not lasts):
-                raise FileError(
-                    path,
-                    f"a command needs a number and a duration above 0 and up to {LONGEST:g} s",
-                    line=entry.line,
-                )
-            if before is not None:
-                _check_order(path, before, entry)
-            before = entry
-        return lines
+        refuse(table["session"].diff() < 0, "sessions are out of order", "session")
+        backwards = (table["session"].diff() == 0) & (table["time"].diff() < 0)
+        refuse(backwards, "the clock goes backwards", "time")
+        return table
 
     def observations(self) -> Observations | None:
         """Read observations.csv; None where no controller saw anything.
@@ -346,14 +322,13 @@ class Recording:
         poses, readings = ("x", "y", "theta"), dict.fromkeys(sensors, number)
         parsers |= dict.fromkeys(poses, optional_number) | readings
         table = read_csv(path, parsers, drop_torn_line=True)
-        count = len(table["time"])
         return Observations(
-            np.array(table["session"], int),
-            np.array([-1 if c is None else c for c in table["command"]], int),
-            np.array(table["time"], float),
-            np.array([table[name] for name in poses], float).T.reshape(count, 3),
+            table["session"].to_numpy(),
+            table["command"].to_numpy(int),
+            table["time"].to_numpy(),
+            table[[*poses]].to_numpy(),
             sensors,
-            np.array([table[name] for name in sensors], float).T.reshape(count, len(sensors)),
+            table[[*sensors]].to_numpy(float),
         )
 
     def frame_times(self, session: int) -> NDArray | None:
@@ -364,15 +339,10 @@ class Recording:
         table = read_csv(
             path, {"session": integer, "frame": integer, "time": number}, drop_torn_line=True
         )
-        rows = np.array(table["session"], int) == session
-        if not rows.any():
-            return None
-        times = np.array(table["time"], float)[rows]
-        backwards = np.flatnonzero(np.diff(times) <= 0)
-        if backwards.size:
-            line = int(np.flatnonzero(rows)[backwards[0] + 1]) + 2
-            raise FileError(path, "the camera's clock goes backwards", line=line, field="time")
-        return times
+        table = table[table["session"] == session]
+        backwards = table["time"].diff() <= 0
+        refuse_lines(path, table, backwards, "the camera's clock goes backwards", "time")
+        return None if table.empty else table["time"].to_numpy()
 
     def lost_film(self, session: int) -> float:
         """Return for how many seconds the last frames of a session are nowhere to be seen.
@@ -386,7 +356,7 @@ class Recording:
         sightings = self.path / "sightings.csv"
         if sightings.exists():
             table = read_csv(sightings, {"session": integer}, drop_torn_line=True)
-            if session in table["session"]:
+            if (table["session"] == session).any():
                 return 0.0
         try:
             with Video(path) as video:
@@ -427,20 +397,14 @@ class Recording:
         if "doubtful" in read_header(path):  # not in those of earlier versions
             parsers["doubtful"] = flag
         table = read_csv(path, parsers)
-        session = np.array(table["session"], int)
-        time = np.array(table["time"], float)
-        backwards = np.flatnonzero((np.diff(time) <= 0) & (np.diff(session) == 0))
-        if backwards.size:
-            raise FileError(
-                path, "the clock goes backwards", line=int(backwards[0]) + 3, field="time"
-            )
-        pose = np.stack([np.array(table[name], float) for name in ("x", "y", "theta")], axis=-1)
+        backwards = (table["time"].diff() <= 0) & (table["session"].diff() == 0)
+        refuse_lines(path, table, backwards, "the clock goes backwards", "time")
         return Poses(
-            session,
-            np.array(table["frame"], int),
-            time,
-            pose,
-            np.array(table["quality"], float),
+            table["session"].to_numpy(),
+            table["frame"].to_numpy(),
+            table["time"].to_numpy(),
+            table[["x", "y", "theta"]].to_numpy(),
+            table["quality"].to_numpy(),
             np.array(table.get("doubtful", ()), bool),
         )
 
@@ -474,26 +438,14 @@ def _wall_clock() -> str:
     return datetime.datetime.now().astimezone().isoformat(timespec="seconds")
 
 
-def _optional_integer(text: str) -> int | None:
-    return None if text == "" else int(text)
+def _optional_integer(text: str) -> int:
+    return -1 if text == "" else integer(text)
 
 
 def _kind(text: str) -> str:
     if text not in KINDS:
         raise ValueError
     return text
-
-
-def _check_order(path: Path, before: CommandLine, entry: CommandLine) -> None:
-    if entry.session < before.session:
-        raise FileError(path, "sessions are out of order", line=entry.line, field="session")
-    if entry.session == before.session and entry.time < before.time:
-        raise FileError(
-            path,
-            f"the clock goes backwards, from {before.time:g} s to {entry.time:g} s",
-            line=entry.line,
-            field="time",
-        )
 
 
 def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:

@@ -15,6 +15,7 @@ these poses for each command, with the columns ``row, time, dx, dy, dtheta``:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -132,10 +133,7 @@ def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
     if not path.exists() and not expected:
         return none_within()
     columns = {"row": files.integer} | dict.fromkeys(COLUMNS[1:], files.number)
-    found = files.read_csv(path, columns)
-    # A number too large for an array is as far out as the one after the last row.
-    found["row"] = [min(max(row, -1), len(table)) for row in found["row"]]
-    within = _table(found)
+    within = files.read_csv(path, columns)
     if expected is not None and len(within) != expected:
         raise FileError(
             path,
@@ -145,20 +143,16 @@ def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
     row, time = within["row"].to_numpy(), within["time"].to_numpy()
     same = np.diff(row, prepend=-1) == 0
     outside = (row < 0) | (row >= len(table))
-    _refuse(path, outside, "row", f"expected a row of dataset.csv, 0 to {len(table) - 1}")
-    _refuse(path, np.diff(row, prepend=0) < 0, "row", "expected rows in order")
-    _refuse(path, time <= 0, "time", "expected a number above 0")
+    refuse = partial(files.refuse_lines, path, within)
+    refuse(outside, f"expected a row of dataset.csv, 0 to {len(table) - 1}", "row")
+    refuse(np.diff(row, prepend=0) < 0, "expected rows in order", "row")
+    refuse(time <= 0, "expected a number above 0", "time")
     if "duration" in table:
         late = time > table["duration"].to_numpy()[row]
-        _refuse(path, late, "time", "expected at most the duration of the command")
+        refuse(late, "expected at most the duration of the command", "time")
     backwards = same & (np.diff(time, prepend=0.0) <= 0)
-    _refuse(path, backwards, "time", "expected times that increase within a row")
-    return within
-
-
-def _refuse(path: Path, wrong: NDArray, field: str, what: str) -> None:
-    if wrong.any():
-        raise FileError(path, what, line=int(np.argmax(wrong)) + 2, field=field)
+    refuse(backwards, "expected times that increase within a row", "time")
+    return within.reset_index(drop=True)
 
 
 def _table(columns: dict[str, list]) -> pd.DataFrame:

@@ -221,7 +221,7 @@ def read_truth(folder: str | Path, session: int = 1) -> Truth:
     """
     path = Path(folder) / "truth" / f"truth-{session:03d}.csv"
     table = read_csv(path, dict.fromkeys(_TRUTH_COLUMNS, number), drop_torn_line=True)
-    rows = np.array([table[name] for name in _TRUTH_COLUMNS]).T.reshape(-1, len(_TRUTH_COLUMNS))
+    rows = table.to_numpy()
     return Truth(rows[:, 0], rows[:, 1:4], rows[:, 4])
 
 

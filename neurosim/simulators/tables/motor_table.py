@@ -133,12 +133,11 @@ class MotorTable:
         """
         path = Path(path) / "dataset.csv" if Path(path).is_dir() else Path(path)
         table = files.read_csv(path, dict.fromkeys(_COLUMNS, files.number))
-        if not table["left"]:
+        if table.empty:
             raise FileError(path, "has no rows; expected a command in each")
-        for line, duration in enumerate(table["duration"], start=2):
-            if duration <= 0:
-                raise FileError(path, "expected a duration above 0 s", line=line, field="duration")
-        displacement = np.column_stack([table[name] for name in ("dx", "dy", "dtheta")])
+        wrong = table["duration"] <= 0
+        files.refuse_lines(path, table, wrong, "expected a duration above 0 s", "duration")
+        displacement = table[["dx", "dy", "dtheta"]].to_numpy()
         try:
             return cls.from_samples(
                 table["left"],
