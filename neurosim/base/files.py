@@ -644,6 +644,8 @@ def table_of_lines(
             count = _count(line, delimiter)
             if count != len(names):
                 what = f"expected {len(names)} fields ({', '.join(names)}), found {count}"
+                if count > len(names) and delimiter == ",":
+                    what += "; a number has a decimal point, not a comma"
                 raise FileError(path, what, line=place)
         if not lines:
             return pd.DataFrame(columns=names, dtype=object)

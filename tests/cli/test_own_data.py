@@ -112,14 +112,38 @@ def refused(refused):
     [
         ("1.0,0.10", "0.9,0.10", "line 12, field 'time': the same time stands in two lines"),
         ("1.0,0.10", "0.85,0.10", "line 12, field 'time': the clock goes backwards"),
-        ("1.0,0.10", "one,0.10", "line 12, field 'time': expected a finite number, found 'one'"),
-        ("1.0,0.10", ",0.10", "line 12, field 'time': expected a finite number, found ''"),
-        ("1.0,0.10", "1.0,far", "field 'x': expected a finite number or nothing, found 'far'"),
-        ("1.0,0.10", "1.0,inf", "field 'x': expected a finite number or nothing, found 'inf'"),
-        ("1.0,0.10", "1.0,1e308", "field 'x': expected a finite number or nothing, found '1e308'"),
-        (",0.2,0\n", ",nan,0\n", "line 12, field 'v': expected a finite number, found 'nan'"),
+        (
+            "1.0,0.10",
+            "one,0.10",
+            "line 12, field 'time': expected a finite number with a decimal point, found 'one'",
+        ),
+        (
+            "1.0,0.10",
+            ",0.10",
+            "line 12, field 'time': expected a finite number with a decimal point, found ''",
+        ),
+        (
+            "1.0,0.10",
+            "1.0,far",
+            "field 'x': expected a finite number with a decimal point or nothing, found 'far'",
+        ),
+        (
+            "1.0,0.10",
+            "1.0,inf",
+            "field 'x': expected a finite number with a decimal point or nothing, found 'inf'",
+        ),
+        (
+            "1.0,0.10",
+            "1.0,1e308",
+            "field 'x': expected a finite number with a decimal point or nothing, found '1e308'",
+        ),
+        (
+            ",0.2,0\n",
+            ",nan,0\n",
+            "line 12, field 'v': expected a finite number with a decimal point, found 'nan'",
+        ),
         ("1.0,0.10", "1.0", "line 12: expected 6 fields (time, x, y, heading, v, w), found 5"),
-        ("1.0,0.10", "1,0,0,10", "found 8; write numbers with a decimal point, should"),
+        ("1.0,0.10", "1,0,0,10", "found 8; a number has a decimal point, not a comma"),
         ("heading", "yaw", "line 1, field 'heading': there is no such column; found time, x, y, "),
         (",v,w", ",x,w", "line 1: which columns are the command? found time, x, y, heading, x, w"),
         ("time,x,", "time,y,", "line 1, field 'x': there is no such column"),
@@ -145,7 +169,10 @@ def test_what_is_wrong_in_a_log_is_named(refused, old, new, says):
         (b"\xff\xfet\0i\0m\0e\0", "is not text; save it as CSV in UTF-8"),
         (b"PK\3\4\0\0time,x", "is not text; save it as CSV in UTF-8"),
         ("time,x,y,heading,v,w\n" + "0,,,,0,0\n1,,,,0,0\n", "no line has a pose"),
-        (LOG.replace(",", ";").replace(".", ","), "line 2, field 'time': a number needs a decimal"),
+        (
+            LOG.replace(",", ";").replace(".", ","),
+            "line 2, field 'time': expected a finite number with a decimal point",
+        ),
     ],
 )
 def test_files_that_are_none(refused, text, says):
