@@ -31,6 +31,7 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -39,7 +40,7 @@ from neurosim.base import files
 from neurosim.training.evaluate import errors
 from neurosim.training.train import learn, training_data
 from neurosim.training.trainers.combined import MECHANISMS
-from neurosim.training.trainers.registry import TRAINERS, trainer_settings
+from neurosim.training.trainers.registry import TRAINERS
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
 from tracking.datasets.mrclam import import_mrclam
@@ -63,13 +64,11 @@ def read(path: Path) -> tuple[Dataset, Dataset]:
 
 def trainer(name: str, generations: int | None = None, without: str = "") -> Learner:
     def fitted(rows: Dataset, seed: int) -> Callable[[np.ndarray], np.ndarray]:
-        options = {"whole_commands": without == "parts"}
-        options["without"] = (without,) if without not in ("", "parts") else ()
-        settings = trainer_settings(name, options) if without else None
-        simulator = learn(
-            training_data(rows), seed, trainer=name, settings=settings, generations=generations,
-            members=1, noise=False,
-        )  # fmt: skip
+        settings: dict[str, Any] = {"generations": generations} if generations else {}
+        if name == "combined":
+            settings = {"members": 1, "noise": False, "whole_commands": without == "parts"}
+            settings["without"] = (without,) if without not in ("", "parts") else ()
+        simulator = learn(training_data(rows), seed, trainer=name, **settings)
         return lambda x: simulator.displacement_of(simulator.chained(torch.tensor(x))).numpy()
 
     return fitted

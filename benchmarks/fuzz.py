@@ -67,15 +67,13 @@ TARGETS = (
     Target("dataset --from csv rows.csv -o out --rows", ("rows.csv",)),
     Target("dataset --from mrclam R_Odometry.dat R_Groundtruth.dat -o out",
            ("R_Odometry.dat", "R_Groundtruth.dat")),
-    Target("train dataset -o out --trainer gradient --generations 1 --members 1 --no-noise",
-           ("dataset",)),
-    Target("train dataset -o left --resume", ("left.checkpoint",), ("dataset",)),
+    Target("train dataset -o out --trainer ga --generations 1 --population 20", ("dataset",)),
     Target("evaluate simulator dataset", ("simulator", "dataset"), weight=2),
-    Target("evaluate perceptron dataset", ("perceptron",), ("dataset",)),
+    Target("evaluate paper dataset", ("paper",), ("dataset",)),
     Target("plan-check plan simulator --draws 20", ("plan", "simulator"), weight=2),
     Target("evolve simulator -o out --generations 1 --runs 1 --population 40 --commands 3 "
            "--final-draws 4 --robust --robust-generations 1 --draws 2", ("simulator",)),
-    Target("plan-check plan perceptron --draws 20", ("perceptron",), ("plan",)),
+    Target("plan-check plan paper --draws 20", ("paper",), ("plan",)),
     Target("evolve simulator --task task.json -o out --generations 1 --runs 1 --population 4 "
            "--final-draws 4", ("task.json",), ("simulator",)),
     Target("evolve tables --task obstacle-avoidance -o out --generations 1 --population 4 "
@@ -388,19 +386,18 @@ def make(folder: Path, lab: bool = True) -> None:
 
     do("dataset --from csv rows.csv -o dataset --rows")
     do("train dataset -o simulator --members 2")
-    do("train dataset -o perceptron --trainer gradient --generations 2 --members 2")
+    do("train dataset -o paper --trainer ga --generations 2")
     do("evolve simulator -o plan --generations 3 --runs 1 --population 50 --commands 3 "
        "--final-draws 8")  # fmt: skip
     do("build-tables wall.sample cylinder.sample -o tables")
     do("evolve tables --task obstacle-avoidance -o net --generations 2 --population 10 --steps 20")
     with _kept_checkpoints():
-        do("train dataset -o left --trainer gradient --generations 2 --members 1 --no-noise")
         do("evolve tables --task obstacle-avoidance -o begun --generations 2 --population 6 "
            "--steps 6 --starts 2")  # fmt: skip
         if lab:
             do("back-to-reality -o walked --settings paper --seconds 1 --budget 2 --generations 2 "
                "--candidates 1")  # fmt: skip
-    for name in ("left", "begun", "walked"):
+    for name in ("begun", "walked"):
         shutil.rmtree(folder / name, ignore_errors=True)
     if not lab:
         return

@@ -300,7 +300,7 @@ def whole(dataset: Path, generations: int, device: str) -> dict[str, object]:
     from tracking.datasets.dataset import Dataset
 
     earlier, later = Dataset.read(dataset).split(0.2)
-    trainer = GaTrainer(training_data(earlier), NETWORK, SETTINGS, 0, device)
+    trainer = GaTrainer(training_data(earlier), SETTINGS, 0, device)
     began = time.perf_counter()
     for number in range(generations):
         trainer.advance()

@@ -47,7 +47,6 @@ def main() -> None:
     parser.add_argument("--lengths", default="10,13", help="commands in a plan")
     parser.add_argument("--runs", type=int, default=1, help="plans of each kind a seed")
     parser.add_argument("--paper", action="store_true", help="train and evolve as the paper did")
-    parser.add_argument("--generations", type=int, help="of training; default: the trainer's own")
     parser.add_argument("--lab-seed", type=int, default=0, help="the robot that was recorded")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
@@ -84,7 +83,7 @@ def make_calibration(folder: Path) -> Path:
 def one_seed(folder: Path, calibration: Path, seed: int, options: argparse.Namespace) -> list[dict]:
     simulator = folder / f"simulator-{seed}"
     trainer = {"trainer": "ga"} if options.paper else {}
-    train(options.dataset, simulator, seed=seed, generations=options.generations, **trainer)
+    train(options.dataset, simulator, seed=seed, **trainer)
     drives = []
     for length, kind in product(map(int, options.lengths.split(",")), kinds(options)):
         settings = EvolveSettings(runs=options.runs)

@@ -64,7 +64,7 @@ from neurosim.base.errors import UserError
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.evaluate import errors
 from neurosim.training.train import learn
-from neurosim.training.trainers.combined import MECHANISMS, CombinedSettings
+from neurosim.training.trainers.combined import MECHANISMS
 from tracking.datasets.mrclam import import_mrclam
 from tracking.datasets.within import WITHIN
 
@@ -84,14 +84,13 @@ REPEATS = 5
 
 def ours(inputs: list[dict[str, str]], drives: Drives, seed: int, without: str = "") -> Predict:
     """Learn from drives with the learner that is measured here, or without a part of it."""
-    settings = CombinedSettings(
-        whole_commands=without == "parts",
-        without=(without,) if without not in ("", "parts") else (),
-    )
+    left_out = (without,) if without not in ("", "parts") else ()
     data = TrainingData(
         inputs, torch.tensor(drives.x), torch.tensor(drives.y), poses_within(drives)
     )
-    simulator = learn(data, seed, settings=settings, members=1, noise=False)
+    simulator = learn(
+        data, seed, members=1, noise=False, whole_commands=without == "parts", without=left_out
+    )
     return lambda x: simulator.displacement_of(simulator.chained(torch.tensor(x))).numpy()
 
 

@@ -78,9 +78,9 @@ def made(tmp_path_factory):
     train(
         ROOT / "data" / "reference",
         folder / "simulator",
-        trainer="ga",
-        generations=100,
-        noise=True,
+        hidden=4,
+        centres=20,
+        most_parts=4000,
         progress=False,
     )
     (folder / "tables").mkdir()

@@ -9,7 +9,7 @@ from fuzz import TARGETS, case, make
 from mutations import damage
 
 #: What learns, evolves or compiles takes seconds, and is left to the benchmark.
-QUICK = ("dataset", "build-tables", "report dataset", "view arena.json", "evaluate perceptron")
+QUICK = ("dataset", "build-tables", "report dataset", "view arena.json", "evaluate paper")
 
 
 @pytest.fixture(scope="module")

@@ -367,12 +367,6 @@ class Simulator(Format):
     virtual: bool | None = None
 
 
-class Network(Format):
-    """Which network it is; its sizes stand beside the kind."""
-
-    kind: Literal["product-summation", "perceptron"] | None = None
-
-
 class Swing(Format, forbid_unknown_fields=True):
     """Inputs that are computed of others; one that is not known would be of consequence."""
 
@@ -409,7 +403,7 @@ class MotionNetwork(Simulator, kw_only=True):
 
     kind: Literal["motion-network"]
     inputs: list[Column]
-    network: Network
+    network: dict[str, Any]
     coordinates: Literal["displacement", "residual-twist"]
     members: Annotated[int, Meta(ge=1, le=10**6)]
     derived: Swing | None = None

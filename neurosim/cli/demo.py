@@ -71,8 +71,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
     if not dataset.exists():
         yield ["dataset", recording, "-o", dataset]
     if not simulator.exists():
-        resume = ["--resume"] if simulator.with_name("simulator.checkpoint").exists() else []
-        yield ["train", dataset, "-o", simulator, *seeded, *resume]
+        yield ["train", dataset, "-o", simulator, *seeded]
     yield ["evaluate", simulator, dataset]
     if not controller.exists():
         words = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]

@@ -7,22 +7,12 @@ from typing import Any
 
 import click
 
-from neurosim.base.checkpoint import Checkpoint
-from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
-from neurosim.cli._options import (
-    SettingsCommand,
-    choice_options,
-    given_options,
-    settings_options,
-)
+from neurosim.cli._common import emit, json_option, next_step, seed_option
+from neurosim.cli._options import SettingsCommand, choice_options, settings_options
 from neurosim.cli._types import PATH
 
-_ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
 
-
-@click.command(
-    cls=SettingsCommand, begun=lambda values: Checkpoint(values["out"], "training").options()
-)
+@click.command(cls=SettingsCommand)
 @click.argument("dataset", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new simulator.")
 @choice_options(
@@ -31,16 +21,10 @@ _ACTIVATION = click.Choice(["linear", "tanh", "sigmoid"])
     default="combined",
     help="How it is trained. combined fits a model of the drive, and product units and a Gaussian "
     "process to what that leaves, weighed by cross-validation; in ga, the paper's, every weight of "
-    "three networks of whole commands is a gene; gradient trains perceptrons, to compare with.",
+    "three networks of whole commands is a gene.",
     of=lambda trainer: trainer.settings_type,
 )
-@settings_options(
-    "options",
-    "neurosim.training.train:train",
-    only=("members", "noise", "generations", "hidden", "activations", "device", "sensors"),
-    kinds={"activations": click.Tuple([_ACTIVATION, _ACTIVATION])},
-)
-@resume_option
+@settings_options("options", "neurosim.training.train:train", only=("device", "sensors"))
 @seed_option
 @json_option
 def train(
@@ -49,23 +33,13 @@ def train(
     trainer: str,
     trainer_options: dict[str, Any],
     options: dict[str, Any],
-    resume: bool,
     seed: int,
     as_json: bool,
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
     from neurosim.training.train import train as train_
 
-    simulator = train_(
-        dataset,
-        out,
-        trainer=trainer,
-        settings=trainer_options,
-        **options,
-        seed=seed,
-        resume=resume,
-        options=given_options(),
-    )
+    simulator = train_(dataset, out, trainer=trainer, seed=seed, **options, **trainer_options)
     errors = simulator.meta["test_errors"]
     coverage = simulator.meta["test_coverage"]
     repeated = simulator.meta["training"]["repeated_rows"]

@@ -1,7 +1,6 @@
 """Networks, above all of product and summation units; they know only tensors."""
 
 from neurosim.networks.expanded import Expanded
-from neurosim.networks.perceptron import Perceptron
 from neurosim.networks.population_error import PopulationError
 from neurosim.networks.prediction import Prediction
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork, Weights
@@ -9,7 +8,6 @@ from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork, 
 __all__ = [
     "Expanded",
     "LOG_LIMIT",
-    "Perceptron",
     "PopulationError",
     "Prediction",
     "ProductSummationNetwork",

@@ -1,4 +1,4 @@
-"""Networks with linear activations as plain sums: what all fast forms of them compute with."""
+"""Networks as plain sums: what all fast forms of them compute with."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from torch import Tensor
 
 
 class Expanded(NamedTuple):
-    r"""Networks with linear activations: sums of product units, a linear map and a constant.
+    r"""Networks as sums of product units, a linear map and a constant.
 
     .. math:: \sum_p w_p \min\Bigl(\prod_i |x_i|^{e_{pi}}, e^{c_p}\Bigr)
               \cos\Bigl(\pi \sum_{i: x_i < 0} \phi_{pi}\Bigr) + \sum_i a_i x_i + b

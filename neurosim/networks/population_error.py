@@ -1,6 +1,6 @@
 """The mean squared error of a whole population of networks, fast.
 
-With linear activations (as in the paper) three things make it cheap, none of which changes what
+Three things make it cheap, none of which changes what
 is computed (:meth:`ProductSummationNetwork.forward` is the plain form):
 
 - all summation units of a network amount to one linear map;
@@ -42,16 +42,16 @@ class PopulationError:
             network: the shape of all networks.
             x: scaled inputs, [N, I].
             targets: scaled targets of each group of networks, [O, N].
-            kernel: use the compiled kernel; by default where it can be (CPU, linear activations,
-                no ceilings).
+            kernel: use the compiled kernel; by default on a CPU.
+
+        Raises:
+            ValueError: if the networks have ceilings, or the kernel is to run elsewhere.
         """
         self.network = network
-        self._plain = not network.linear or network.ceilings
-        can = not self._plain and x.device.type == "cpu"
-        if kernel and not can:
-            raise ValueError("the kernel needs linear activations, no ceilings, and the CPU")
-        self.kernel = can if kernel is None else kernel
-
+        on_cpu = x.device.type == "cpu"
+        if network.ceilings or (kernel and not on_cpu):
+            raise ValueError("expected networks without ceilings and, for the kernel, the CPU")
+        self.kernel = on_cpu if kernel is None else kernel
         self._rows = SortedRows(network, x)
         self._log2 = self._rows.log2() if self.kernel else None
         self._targets = targets[:, self._rows.order].float().contiguous()  # [O, N]
@@ -62,8 +62,6 @@ class PopulationError:
         What overflows single precision is infinite.
         """
         genes = genes.float()
-        if self._plain:
-            return self._general(genes)
         return self._compiled(genes) if self.kernel else self._tensors(genes)
 
     def _pieces(self, genes: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -100,14 +98,4 @@ class PopulationError:
                 outputs = products + weights @ self._rows.x[:, a:b] + bias.unsqueeze(-1)
                 residual = outputs - self._targets[:, None, a:b]
                 total += residual.square().sum(-1)
-        return total / self._targets.shape[1]
-
-    def _general(self, genes: Tensor) -> Tensor:
-        total = torch.zeros(genes.shape[:2], dtype=torch.float64, device=genes.device)
-        hidden = self.network.products + self.network.summations
-        for a, b in self._rows.blocks(0, self._targets.shape[1], len(genes[0]) * hidden):
-            x = self._rows.x[:, a:b].T
-            for group, target in enumerate(self._targets):
-                residual = self.network.forward(genes[group], x) - target[a:b]
-                total[group] += residual.square().sum(-1)
         return total / self._targets.shape[1]

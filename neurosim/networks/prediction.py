@@ -6,7 +6,6 @@ import torch
 from torch import Tensor
 
 from neurosim.networks.expanded import sign_patterns
-from neurosim.networks.perceptron import Perceptron
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork
 
 #: With more inputs than this a table by sign pattern would be larger than what it saves.
@@ -16,19 +15,18 @@ _MOST_INPUTS = 8
 class Prediction:
     """The outputs of given networks; called with scaled inputs [N, I], it returns [N, O].
 
-    With linear activations the summation units are one linear map, and the cosines of the product
-    units stand in a table by sign pattern. :meth:`ProductSummationNetwork.forward` is the plain
-    form, and what is used for other activations.
+    The summation units are one linear map, and the cosines of the product units are in a table by
+    sign pattern. :meth:`ProductSummationNetwork.forward` is the plain form, and the one that is
+    used for many inputs.
     """
 
-    def __init__(self, network: ProductSummationNetwork | Perceptron, genes: Tensor):
+    def __init__(self, network: ProductSummationNetwork, genes: Tensor):
         """Prepare networks with ``genes`` [O, G]."""
         self._network = network
         self._genes = genes
-        self._fast = network.linear and network.inputs <= _MOST_INPUTS
+        self._fast = network.inputs <= _MOST_INPUTS
         if not self._fast:
             return
-        assert isinstance(network, ProductSummationNetwork)
         self._log_magnitude = network.log_magnitude
         parts = network.expand(genes)
         self._exponents = parts.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]

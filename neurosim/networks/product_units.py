@@ -26,7 +26,7 @@ may therefore have *ceilings*: no unit is much larger than it was on the rows it
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Literal, NamedTuple
+from typing import Annotated, NamedTuple
 
 import torch
 from msgspec import Meta
@@ -41,8 +41,6 @@ LOG_LIMIT = 20.0
 
 #: Units of a kind.
 Units = Annotated[int, Meta(ge=0, le=1_000_000)]
-Activation = Literal["linear", "tanh", "sigmoid"]
-ACTIVATIONS = {"linear": lambda net: net, "tanh": torch.tanh, "sigmoid": torch.sigmoid}
 
 
 class Weights(NamedTuple):
@@ -66,7 +64,8 @@ class Weights(NamedTuple):
 class ProductSummationNetwork(Checked):
     """The shape of a network with one output; its weights are one row of genes.
 
-    Genes are laid out as the fields of :class:`Weights` in order, each row by row; phases and
+    All activations are linear, as in the paper. Genes are laid out as the fields of
+    :class:`Weights` in order, each row by row; phases and
     ceilings only where there are any. Product units have no bias: it would be a factor, which
     their weight to the output is already.
 
@@ -74,8 +73,6 @@ class ProductSummationNetwork(Checked):
         inputs: number of inputs I, scaled to about [-1, 1].
         products: number of product units P.
         summations: number of summation units S.
-        hidden_activation: of both kinds of hidden units: linear, tanh or sigmoid.
-        output_activation: likewise.
         floor: the smallest magnitude of an input in a product unit.
         phases: a negative input turns a product unit not by its exponent times pi but by a
             number of its own, which stands in the cosine in the exponent's place. So a unit may
@@ -86,8 +83,6 @@ class ProductSummationNetwork(Checked):
     inputs: Count
     products: Units = 10
     summations: Units = 10
-    hidden_activation: Activation = "linear"
-    output_activation: Activation = "linear"
     floor: Annotated[float, Meta(gt=0, lt=1)] = 0.01
     phases: bool = False
     ceilings: bool = False
@@ -96,11 +91,6 @@ class ProductSummationNetwork(Checked):
         super().__post_init__()
         if self.products + self.summations == 0:
             raise ValueError("a network has at least one hidden unit")
-
-    @property
-    def linear(self) -> bool:
-        """Whether all activations are linear, as in the paper."""
-        return self.hidden_activation == self.output_activation == "linear"
 
     @property
     def genes(self) -> int:
@@ -185,18 +175,16 @@ class ProductSummationNetwork(Checked):
             [P, N].
         """
         w = self.split(genes)
-        hidden = ACTIVATIONS[self.hidden_activation]
-        products = hidden(self.product_units(w.exponents, x, w.phases, w.ceilings))
-        sums = hidden(w.summation @ x.T + w.summation_bias.unsqueeze(-1))
-        net = (
+        products = self.product_units(w.exponents, x, w.phases, w.ceilings)
+        sums = w.summation @ x.T + w.summation_bias.unsqueeze(-1)
+        return (
             (w.product_weights.unsqueeze(-1) * products).sum(-2)
             + (w.summation_weights.unsqueeze(-1) * sums).sum(-2)
             + w.bias.unsqueeze(-1)
         )
-        return ACTIVATIONS[self.output_activation](net)
 
     def expand(self, genes: Tensor) -> Expanded:
-        """Return networks [..., G] with linear activations as plain sums.
+        """Return networks [..., G] as plain sums.
 
         The summation units and the output's bias amount to one linear map and a constant.
         """

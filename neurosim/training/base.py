@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Annotated, NamedTuple, Protocol
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 import torch
@@ -13,7 +12,6 @@ from torch import Tensor
 
 from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
-from neurosim.networks import Perceptron, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.network import follows
 
@@ -103,6 +101,8 @@ def _not_zero(scale: Tensor) -> Tensor:
     return torch.where(scale > 0, scale, 1.0)
 
 
+#: Numbers of units of a kind.
+Units = Annotated[int, Meta(ge=1, le=4096)]
 #: An exponent of an input in a product unit.
 Exponent = Annotated[float, Meta(ge=-20, le=20)]
 
@@ -146,47 +146,19 @@ class PursuitSettings(Checked):
 
 
 class Trainer(Protocol):
-    """Learns a motion network, a generation (or an epoch) at a time.
-
-    Made with (data, network, settings, seed, device); the settings are a frozen dataclass, the
-    trainer's ``settings_type``. All that the next generation depends on is in its state.
+    """Learns a motion network, a generation at a time.
 
     Attributes:
         source: where the method was published.
-        settings_type: class of its settings.
-        default_generations: generations that it needs.
-        default_hidden: units of both kinds that its networks have if nobody says otherwise.
+        settings_type: class of its settings, a frozen dataclass.
+        generations: how often :meth:`advance` is to be called.
     """
 
     source: str
     settings_type: type
-    default_generations: int
-    default_hidden: tuple[int, int]
+    generations: int
 
-    def __init__(
-        self,
-        data: TrainingData,
-        network: ProductSummationNetwork | Perceptron,
-        settings: object,
-        seed: int,
-        device: str,
-    ) -> None: ...
-
-    @staticmethod
-    def make_network(
-        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
-    ) -> ProductSummationNetwork | Perceptron:
-        """Return the shape of the networks that it trains.
-
-        Args:
-            inputs: of a network.
-            hidden: units of both kinds, or of both layers.
-            activations: of the hidden units and of the output.
-
-        Raises:
-            ValueError: if there is no such network.
-        """
-        ...
+    def __init__(self, data: TrainingData, settings: Any, seed: int, device: str) -> None: ...
 
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""
@@ -194,12 +166,4 @@ class Trainer(Protocol):
 
     def result(self) -> MotionNetwork:
         """Return the best simulator so far."""
-        ...
-
-    def state(self) -> dict[str, Tensor]:
-        """Return the state as tensors on the CPU."""
-        ...
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state, bit for bit."""
         ...

@@ -13,7 +13,7 @@ from neurosim.cli.main import cli, main
 from tracking.datasets.dataset import Dataset
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "own-data.md"
-QUICK = ("--trainer", "combined", "--generations", "4", "--members", "2")
+QUICK = ("--trainer", "combined", "--hidden", "4", "--members", "2")
 
 
 def block(language, place=0):

@@ -431,7 +431,7 @@ def test_a_dataset_too_small_to_split(refused, copy, tmp_path):
     whole = Dataset.read(copy("dataset"))
     shutil.rmtree(tmp_path / "dataset")
     whole.part(slice(5)).write(tmp_path / "dataset")
-    assert "record more commands" in refused("train", "dataset", "-o", "s", "--generations", 2)
+    assert "record more commands" in refused("train", "dataset", "-o", "s", "--hidden", 2)
 
 
 @pytest.mark.parametrize("word", ["nan", "fast", ""])
@@ -442,7 +442,7 @@ def test_a_word_where_a_number_belongs(refused, copy, word):
     fields[lines[0].split(",").index("dx")] = word
     lines[7] = ",".join(fields)
     path.write_text("\n".join(lines) + "\n")
-    said = refused("train", "dataset", "-o", "s", "--generations", 2)
+    said = refused("train", "dataset", "-o", "s", "--hidden", 2)
     assert "line 8, field 'dx'" in said
 
 

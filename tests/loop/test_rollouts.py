@@ -8,11 +8,8 @@ import torch
 from given_plans import EPISODE, RUN_DOWN, GivenPlans, by_protocol, drawn, expected
 from motion_networks import NAMES, random_motion_network
 
-from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.stepped import SteppedRollouts
-from neurosim.simulators import MotionNetwork
 from neurosim.simulators.engine import CompiledRollouts
-from neurosim.tasks.nine_rectangles import NineRectangles
 
 START = (-0.8, 0.0, 1.5)
 
@@ -154,17 +151,3 @@ def test_draws_are_the_same_for_the_same_seed_and_use_all_members_alike():
         still = driver.draw(starts[:5], 1, (0.0, 0.0))
         assert np.array_equal(still.starts, starts[:5])
         assert np.array_equal(driver.draw(starts[:5], 1, None).starts, starts[:5])
-
-
-def test_other_activations_go_through_the_protocol():
-    plain = {"members": 1, "central": False, "noise": False}
-    sim, family = random_motion_network(**plain, **DISPLACEMENT), plans(4, 3)
-    curved = replace(sim.network, hidden_activation="tanh")
-    sim = MotionNetwork(
-        sim.inputs, curved, sim.genes, sim.input_scale, sim.output_scale, sim.coordinates
-    )
-    assert sim.rollouts(family, EPISODE) is None
-    drives = Evaluator(sim, NineRectangles(), family).rollouts
-    assert isinstance(drives, SteppedRollouts)
-    found = expected(drives, family, START)
-    assert found == pytest.approx(by_protocol(sim, [START] * 4, family))

@@ -5,7 +5,7 @@ import json
 import pytest
 import torch
 from click.testing import CliRunner
-from exported import drive, given, ours, perceptrons, printed_by_page, random_plans
+from exported import drive, given, ours, printed_by_page, random_plans
 from motion_networks import noise_model, random_motion_network
 from simulators_of_tests import tables
 
@@ -64,7 +64,8 @@ def test_the_page_runs_without_neurosim(exported):
 
 
 def test_one_network_of_whole_commands(tmp_path):
-    simulator = perceptrons()
+    plain = {"units": 0, "swing": None, "noise": False}
+    simulator = random_motion_network(4, drives=False, members=1, central=False, **plain)
     export(simulator, tmp_path / "program", "torch")
     program = torch.export.load(tmp_path / "program" / "step.pt2").module()
     commands = random_plans(simulator, 7)
@@ -82,9 +83,8 @@ def test_one_network_of_whole_commands(tmp_path):
         random_motion_network(2, central=False, swing=None, noise=noise_model(2, size=-6.0)),
         random_motion_network(3, drives=False, members=1, central=False, noise=False),
         random_motion_network(5, products=10, units=40, noise=False),
-        perceptrons(),
     ],
-    ids=["all", "average", "whole commands", "large", "perceptrons"],
+    ids=["all", "average", "whole commands", "large"],
 )
 @torch.no_grad()
 def test_float32_is_near(simulator):

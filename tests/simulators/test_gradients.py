@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 import torch
-from exported import drive, given, ours, perceptrons, random_plans
+from exported import drive, given, ours, random_plans
 from motion_networks import noise_model, random_motion_network
 
 from neurosim.training.train import train
@@ -22,9 +22,8 @@ ROOT = Path(__file__).resolve().parents[2]
         random_motion_network(1, products=6),
         random_motion_network(2, central=False, swing=None, noise=noise_model(2, size=-6.0)),
         random_motion_network(3, drives=False, members=1, central=False, noise=False),
-        perceptrons(),
     ],
-    ids=["all", "average", "whole commands", "perceptrons"],
+    ids=["all", "average", "whole commands"],
 )
 def test_they_are_those_of_finite_differences(simulator):
     commands = random_plans(simulator, 6, steps=3, seed=8, like=0.0)

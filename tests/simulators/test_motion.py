@@ -152,7 +152,6 @@ def edit(folder, **changes):
             "'coordinates': expected .*'twist-offset'",
         ),
         ({"network": {"neurons": 3}}, "network"),
-        ({"network": {"hidden_activation": "relu"}}, "relu"),
         ({"network": {"products": 2, "summations": 3}}, "expected shape"),
     ],
 )

@@ -48,7 +48,7 @@ def pipeline(tmp_path_factory) -> Pipeline:
         "record": "record recording --commands 60 --calibration calibration.json --seed 4",
         "track": "track recording",
         "dataset": "dataset recording -o dataset",
-        "train": "train dataset -o simulator --generations 60 --seed 1",
+        "train": "train dataset -o simulator --seed 1",
         "evaluate": "evaluate simulator dataset",
         "evolve": "evolve simulator -o controller --generations 40 --runs 2 --seed 1",
         "run": "run controller -o trial --calibration calibration.json --seed 9",

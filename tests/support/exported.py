@@ -7,21 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neurosim.networks import Perceptron
 from neurosim.simulators import MotionNetwork
-
-
-def perceptrons():
-    """Return one perceptron of each output, of whole commands, without noise."""
-    network = Perceptron(5, 6, 4)
-    names = ("prev_left", "prev_right", "left", "right", "duration")
-    return MotionNetwork(
-        [{"name": name, "unit": "%"} for name in names],
-        network,
-        network.initial(3, torch.Generator().manual_seed(2)),
-        torch.tensor([50.0, 50.0, 50.0, 50.0, 3.0]),
-        torch.tensor([0.3, 0.2, 2.0]),
-    )
 
 
 def given(simulator, commands, seed=3):

@@ -15,10 +15,13 @@ from tracking.datasets.dataset import Dataset
 REFERENCE = Path(__file__).resolve().parents[2] / "data" / "reference"
 
 
-@pytest.mark.parametrize("trainer", ["ga", "gradient", "combined"])
+QUICK = {"ga": {"generations": 2}, "combined": {"members": 1, "noise": False, "hidden": 2}}
+
+
+@pytest.mark.parametrize("trainer", QUICK)
 def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
     out = tmp_path / "s"
-    train(dataset, out, trainer=trainer, members=1, noise=False, generations=2, progress=False)
+    train(dataset, out, trainer=trainer, progress=False, **QUICK[trainer])
     earlier, _ = Dataset.read(dataset).split(HELD_OUT)
     found, said = read_simulator(out), json.loads((out / "simulator.json").read_text())["domain"]
     names = list(found.command_names)

@@ -15,7 +15,8 @@ QUICK = {
     "trainer": "ga",
     "hidden": (3, 2),
     "progress": False,
-    "settings": {"population": 20, "tournament": 4},
+    "population": 20,
+    "tournament": 4,
 }
 VELOCITIES = {"prev_v": "m/s", "prev_w": "rad/s", "v": "m/s", "w": "rad/s", "duration": "s"}
 

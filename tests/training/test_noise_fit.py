@@ -16,7 +16,7 @@ from neurosim.simulators.motion.noise import (
     in_motion,
 )
 from neurosim.training.base import TrainingData
-from neurosim.training.uncertainty.noise import fit_noise
+from neurosim.training.noise import fit_noise
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 

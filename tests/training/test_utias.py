@@ -7,10 +7,10 @@ from tracking.datasets.mrclam import import_mrclam
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("trainer", "generations"), [("ga", 200), ("combined", 10)])
-def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, trainer, generations):
+@pytest.mark.parametrize("settings", [{"trainer": "ga", "generations": 200}, {"hidden": 10}])
+def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, settings):
     import_mrclam(shared_data / "utias", tmp_path / "d")
-    train(tmp_path / "d", tmp_path / "s", trainer=trainer, generations=generations, progress=False)
+    train(tmp_path / "d", tmp_path / "s", progress=False, **settings)
     table = evaluate(tmp_path / "s", tmp_path / "d")
     assert table["rows"] == 113
     ours, ideal = (

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError
-from neurosim.networks import Perceptron, ProductSummationNetwork
+from neurosim.networks import ProductSummationNetwork
 from neurosim.networks.control import NOT_READINGS
 from neurosim.simulators.base import FORMAT, VERSION
 from neurosim.simulators.motion.correction import Correction
@@ -42,8 +42,6 @@ NOISE = {
     "scale_features": list(SCALE_FEATURES),
     "tail_features": list(TAIL_FEATURES),
 }
-#: Networks by the name of their kind.
-NETWORKS = {"product-summation": ProductSummationNetwork, "perceptron": Perceptron}
 
 
 def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
@@ -58,10 +56,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
             {"name": name, "unit": unit}
             for name, unit in zip(OUTPUTS, ("m", "m", "rad"), strict=True)
         ],
-        "network": {
-            **({"kind": "perceptron"} if isinstance(simulator.network, Perceptron) else {}),
-            **{k: v for k, v in asdict(simulator.network).items() if k != "inputs"},
-        },
+        "network": {k: v for k, v in asdict(simulator.network).items() if k != "inputs"},
         "coordinates": simulator.coordinates,
         "drive": None if simulator.drive is None else list(DriveModel.NAMES),
         "derived": asdict(simulator.derived),
@@ -116,7 +111,8 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     content = files.read_json(path, FORMAT, VERSION, formats.MotionNetwork)
     inputs = content["inputs"]
     derived = Derived(content.get("derived", {}).get("swing"))
-    network = _network(path, content["network"], len(inputs) + len(derived))
+    shape = partial(ProductSummationNetwork, len(inputs) + len(derived))
+    network = files.made(path, "network", shape, content["network"])
     members, noisy = content["members"], "noise" in content
     if noisy and content["noise"] != NOISE:
         raise FileError(
@@ -183,14 +179,6 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         raise FileError(path, f"is no motion network ({error})") from None
 
 
-def _network(
-    path: Path, about: Mapping[str, Any], inputs: int
-) -> ProductSummationNetwork | Perceptron:
-    kind = about.get("kind", "product-summation")
-    shape = {name: value for name, value in about.items() if name != "kind"}
-    return files.made(path, "network", partial(NETWORKS[kind], inputs), shape)
-
-
 def _sensors(
     path: Path, content: Mapping[str, Any], loaded: Mapping[str, torch.Tensor]
 ) -> Sensors | None:
@@ -230,7 +218,7 @@ def _noise(tensors: Mapping[str, torch.Tensor]) -> NoiseModel:
 
 
 def _tensors(
-    network: ProductSummationNetwork | Perceptron, inputs: int, members: int
+    network: ProductSummationNetwork, inputs: int, members: int
 ) -> dict[str, tuple[int, ...]]:
     return {
         "genes": (members, len(OUTPUTS), network.genes),

@@ -25,7 +25,7 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks import Perceptron, Prediction, ProductSummationNetwork
+from neurosim.networks import Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
 from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.base import Simulator
@@ -88,7 +88,7 @@ class MotionNetwork(Simulator):
     def __init__(
         self,
         inputs: Sequence[Mapping[str, str]],
-        network: ProductSummationNetwork | Perceptron,
+        network: ProductSummationNetwork,
         genes: Tensor,
         input_scale: Tensor,
         output_scale: Tensor,
@@ -523,15 +523,12 @@ class MotionNetwork(Simulator):
             )
         return _in(dtype, self)
 
-    def compiled(self) -> MotionModel | None:
-        """Return what the compiled functions take; None where the activations are not linear."""
+    def compiled(self) -> MotionModel:
+        """Return what the compiled functions take."""
         return self._model
 
     @cached_property
-    def _model(self) -> MotionModel | None:
-        if not self.network.linear:
-            return None
-        assert isinstance(self.network, ProductSummationNetwork)
+    def _model(self) -> MotionModel:
         names, states = self.command_names, self.state_names
         remembered = [name for name in self.input_names if name.startswith("prev_")]
         following = [names.index(name.removeprefix("prev_")) for name in remembered]
@@ -578,7 +575,6 @@ class MotionNetwork(Simulator):
 
     def _laid_out(self) -> dict[str, Any]:
         """Return the networks as :class:`MotionModel` has them: the mean, then the members."""
-        assert isinstance(self.network, ProductSummationNetwork)
         parts = self.network.expand(self.genes.cpu()).times(self.output_scale.cpu())
         units = self.kernel_units or KernelUnits(
             torch.zeros(0, self.network.inputs),

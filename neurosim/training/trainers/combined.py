@@ -17,9 +17,7 @@ these weights, and lean to one of the two or to the other.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import chain
 from typing import Annotated, Any, NamedTuple
 
 import torch
@@ -36,13 +34,13 @@ from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive
 from neurosim.simulators.motion.noise import CommandFeatures
-from neurosim.training.base import PursuitSettings, TrainingData, Within
+from neurosim.training.base import PursuitSettings, TrainingData, Units, Within
+from neurosim.training.noise import fit_noise
 from neurosim.training.trainers.dead_zone import find_dead_zone
 from neurosim.training.trainers.drive_fit import Motion, fit_drive
 from neurosim.training.trainers.gaussian_process import Process, learn_process
 from neurosim.training.trainers.pursuit import Pursuit, row_weights
 from neurosim.training.trainers.swing import find_swing
-from neurosim.training.uncertainty.noise import fit_noise
 
 OUTPUTS = 3
 #: What can be left out, to see what it is good for.
@@ -66,6 +64,9 @@ class CombinedSettings(PursuitSettings):
     """Settings of the trainer.
 
     Attributes:
+        members: Networks of each output in the ensemble; with 1 there is none.
+        noise: Fit a noise model.
+        hidden: product units of a network at most; one is added in each generation.
         floor: the smallest magnitude of an input in a product unit.
         dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
@@ -83,6 +84,9 @@ class CombinedSettings(PursuitSettings):
             ``product_units``, ``process``, ``row_weights``.
     """
 
+    members: Annotated[int, Meta(ge=1, le=1000)] = 8
+    noise: bool = True
+    hidden: Units = 24
     floor: Annotated[float, Meta(ge=1e-6, lt=1)] = 0.02
     dead_zone: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
     swing_rows: Count = 300
@@ -132,43 +136,28 @@ class CombinedTrainer:
         "2006), on the residuals of a drive model"
     )
     settings_type = CombinedSettings
-    default_generations = 24
-    default_hidden = (24, 1)
-    #: It makes members and noise itself.
-    makes_ensembles = True
 
     def __init__(
-        self,
-        data: TrainingData,
-        network: ProductSummationNetwork,
-        settings: CombinedSettings,
-        seed: int,
-        device: str = "cpu",
-        *,
-        members: int = 1,
-        noise: bool = False,
-        generations: int | None = None,
+        self, data: TrainingData, settings: CombinedSettings, seed: int, device: str = "cpu"
     ):
         names = tuple(entry["name"] for entry in data.inputs)
         if not can_drive(names):
             raise ValueError(
                 "it needs a duration and, of each input, the value before; use the trainer ga"
             )
-        if not network.linear or network.summations < 1 or network.products < 1:
-            raise ValueError("it takes linear activations and units of both kinds")
         self._data, self._settings, self._seed = data.once(), settings, seed
-        self._members, self._noise = members, noise
-        self.generations = generations or self.default_generations
+        self.generations = settings.hidden
         self._device = device
         self._columns = CommandFeatures.of(names)
         with one_thread(device):
             self._begin(names)
-        self._network = replace(
-            network,
-            inputs=self._rows.given.shape[1],
+        self._network = ProductSummationNetwork(
+            self._rows.given.shape[1],
+            settings.hidden,
+            1,
+            floor=settings.floor,
             phases=True,
             ceilings=True,
-            floor=settings.floor,
         )
         #: In all rows and in each half of them: see :meth:`_by_halves`.
         self._searches = [
@@ -287,13 +276,6 @@ class CombinedTrainer:
             found.append(part._replace(weight=part.weight * (len(kept) / max(few, 1))))
         return Residuals(*(torch.cat(pair) for pair in zip(*found, strict=True)))
 
-    @staticmethod
-    def make_network(
-        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
-    ) -> ProductSummationNetwork:
-        """Return the shape of the networks that it trains."""
-        return ProductSummationNetwork(inputs, *hidden, *activations)
-
     def advance(self) -> Tensor:
         """Give the turn one unit more and the translation two; return mean squared errors [3]."""
         if "product_units" not in self._settings.without:
@@ -304,19 +286,6 @@ class CombinedTrainer:
                         shift.grow()
         turn, shift = (search.mean_squared_error for search in self._searches[0])
         return torch.cat([shift, turn]).cpu()
-
-    def state(self) -> dict[str, Tensor]:
-        """Return the state of the searches; what came before follows from the rows."""
-        state: dict[str, Tensor] = {}
-        for number, search in enumerate(chain.from_iterable(self._searches)):
-            state |= {f"{number}.{key}": value for key, value in search.state().items()}
-        return state
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state, bit for bit."""
-        for number, search in enumerate(chain.from_iterable(self._searches)):
-            begin = f"{number}."
-            search.load({k.removeprefix(begin): v for k, v in state.items() if k.startswith(begin)})
 
     # All together
 
@@ -451,7 +420,8 @@ class CombinedTrainer:
         said: Tensor,
     ) -> MotionNetwork:
         generator, rows = torch.Generator().manual_seed(self._seed), self._rows
-        count = 1 + (self._members if self._members > 1 else 0)
+        members = self._settings.members
+        count = 1 + (members if members > 1 else 0)
         products = max(1, *(learner.count for learner in learners))
         network = replace(self._network, products=products)
         genes = torch.zeros(count, OUTPUTS, network.genes, dtype=torch.float64)
@@ -482,7 +452,7 @@ class CombinedTrainer:
             kernel_units=KernelUnits(process.centres, process.lengths, units),
         )
         simulator.meta = {"composition": self._composition(learners, process, shares)}
-        if self._noise:
+        if self._settings.noise:
             unseen = (self._unseen(said) * shares.unsqueeze(2)).sum(1).T
             # Noise of the parts of a command is the same noise again.
             weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)

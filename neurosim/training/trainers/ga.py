@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Annotated
@@ -11,11 +10,12 @@ import torch
 from msgspec import Meta
 from torch import Tensor
 
+from neurosim.base.declared import Count
 from neurosim.base.threads import one_thread
 from neurosim.evolution import GeneticAlgorithm, GeneticSettings
 from neurosim.networks import PopulationError, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
-from neurosim.training.base import TrainingData, root_mean_square
+from neurosim.training.base import TrainingData, Units, root_mean_square
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,13 @@ class GaSettings(GeneticSettings):
     """Table 1, and what the paper does not say.
 
     Attributes:
+        generations: Generations of the search.
+        hidden: Numbers of product units and of summation units of a network.
         initial: first weights are drawn between minus and plus this.
     """
 
+    generations: Count = 15_000
+    hidden: tuple[Units, Units] = (10, 10)
     initial: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.5
 
 
@@ -38,20 +42,12 @@ class GaTrainer:
 
     source = "Pretorius, du Plessis, Cilliers 2009, section 5.3 and Table 1"
     settings_type = GaSettings
-    default_generations = 15_000
-    default_hidden = (10, 10)
 
-    def __init__(
-        self,
-        data: TrainingData,
-        network: ProductSummationNetwork,
-        settings: GaSettings,
-        seed: int,
-        device: str = "cpu",
-    ):
+    def __init__(self, data: TrainingData, settings: GaSettings, seed: int, device: str = "cpu"):
+        self.generations = settings.generations
         self._data = data
         self._device = device
-        self._network = network
+        self._network = network = ProductSummationNetwork(len(data.inputs), *settings.hidden)
         self._scale = root_mean_square(data.y)
         self._error = PopulationError(
             network, data.scaled_inputs.to(device), (data.y / self._scale).T.to(device)
@@ -60,13 +56,6 @@ class GaTrainer:
         shape = (data.y.shape[1], settings.population, network.genes)
         first = torch.rand(shape, generator=generator, device=device) * 2.0 - 1.0
         self._ga = GeneticAlgorithm(settings.initial * first, settings, generator)
-
-    @staticmethod
-    def make_network(
-        inputs: int, hidden: tuple[int, int], activations: tuple[str, str]
-    ) -> ProductSummationNetwork:
-        """Return the shape of the networks that it trains."""
-        return ProductSummationNetwork(inputs, *hidden, *activations)
 
     def advance(self) -> Tensor:
         """Work one generation; return the least mean squared error so far, [3], in SI units."""
@@ -83,11 +72,3 @@ class GaTrainer:
             self._data.input_scale,
             self._scale,
         )
-
-    def state(self) -> dict[str, Tensor]:
-        """Return the genetic algorithm's state."""
-        return self._ga.state()
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from a state, bit for bit."""
-        self._ga.load(state)

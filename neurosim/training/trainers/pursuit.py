@@ -11,7 +11,6 @@ Pereyra 1973), a Gauss-Newton method on the residual of the best linear read-out
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
 import torch
 from torch import Tensor
@@ -148,35 +147,6 @@ class Pursuit:
         if cost >= 0.9 * rows:
             return math.inf
         return self._residual.square().mean().item() / (1.0 - cost / rows) ** 2
-
-    def state(self) -> dict[str, Tensor]:
-        """Return all that the next steps depend on but for the generator."""
-        state = {"weights": self._weights, "generator": self._generator.get_state()}
-        for name, (exponents, phases) in {
-            "now": (self.exponents, self.phases),
-            "best": self._best,
-        }.items():
-            for o, (e, p) in enumerate(zip(exponents, phases, strict=True)):
-                state |= {f"{name}.exponents.{o}": e, f"{name}.phases.{o}": p}
-        numbers = [self._damping, self._best_score, self._since_best, self.finished]
-        state["numbers"] = torch.tensor(numbers, dtype=torch.float64)
-        return {name: value.cpu().clone() for name, value in state.items()}
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from what :meth:`state` returned."""
-
-        def units(name: str) -> list[Tensor]:
-            functions = range(len(self.exponents))
-            return [state[f"{name}.{o}"].to(self._x).view(-1, self._x.shape[1]) for o in functions]
-
-        self.exponents, self.phases = units("now.exponents"), units("now.phases")
-        self._best = (units("best.exponents"), units("best.phases"))
-        self._generator.set_state(state["generator"])
-        self._weights = state["weights"].to(self._x).view(self._targets.shape)
-        damping, score, since, finished = state["numbers"].tolist()
-        self._damping, self._best_score = damping, score
-        self._since_best, self.finished = int(since), bool(finished)
-        self._solve()
 
     # The linear part
 

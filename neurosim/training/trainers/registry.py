@@ -16,7 +16,6 @@ TRAINERS = Registry(
     {
         "combined": "neurosim.training.trainers.combined:CombinedTrainer",
         "ga": "neurosim.training.trainers.ga:GaTrainer",
-        "gradient": "neurosim.training.trainers.gradient:GradientTrainer",
     },
 )
 
