@@ -145,10 +145,27 @@ def test_a_motor_stops_at_its_limit(power):
     lab.advance_to(4.0)
     output = lab.body.output(1)
     assert output.run_state == 0
-    # It turns 360 degrees and then what braking takes: the speed times the brake's lag.
-    beyond = math.degrees(0.6 * IDEAL.full_speed * IDEAL.brake_lag)
+    # It turns 360 degrees and then coasts: the speed times the lag.
+    beyond = math.degrees(0.6 * IDEAL.full_speed * IDEAL.coast_lag)
     assert abs(output.tacho_count) == pytest.approx(360 + beyond, abs=3)
     assert lab.body.output(2).tacho_count == 0
+
+
+def test_a_limit_counts_from_the_last_ones_end_unless_the_motor_ran_without_one():
+    """As dOutputSetTachoLimit and dOutputTachoLimitControl of LEGO's d_output.c count."""
+    lab = Lab(0, params=IDEAL, camera=None)
+    run_motor(lab.body, 1, 60, limit=3600)
+    lab.advance_to(0.5)
+    run_motor(lab.body, 1, -60, limit=3600)  # back to 0, not to -3600 from here
+    lab.advance_to(10.0)
+    coasted = math.degrees(0.6 * IDEAL.full_speed * IDEAL.coast_lag)
+    assert lab.body.output(1).tacho_count == pytest.approx(-coasted, abs=5)
+    run_motor(lab.body, 1, 1, mode=ON)
+    lab.advance_to(10.1)
+    begun = lab.body.output(1).tacho_count
+    run_motor(lab.body, 1, 60, limit=720)
+    lab.advance_to(20.0)
+    assert lab.body.output(1).tacho_count - begun == pytest.approx(720 + coasted, abs=3)
 
 
 def test_a_motor_coasts_further_than_it_brakes():

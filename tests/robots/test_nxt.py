@@ -22,7 +22,7 @@ from neurosim.robots.nxt.driver import NXT
 
 needs_pty = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
 
-BRAKED = (7, 1, 0, 0x20, 0)  # on, brake, regulated; speed regulation; no turn; running; no limit
+BRAKED = (7, 1, 0, 0x20)  # on, brake, regulated; speed regulation; no turn; running
 SHORT = 0.3  # where no reply comes
 
 
@@ -79,7 +79,7 @@ def one_sentence(error):
     return text
 
 
-def test_drive_sets_both_motors_regulated_and_for_ever(rig):
+def test_drive_sets_both_motors_regulated_and_for_a_minute(rig):
     with rig.robot() as robot:
         assert isinstance(robot, Robot)
         assert isinstance(robot, Battery)
@@ -90,7 +90,8 @@ def test_drive_sets_both_motors_regulated_and_for_ever(rig):
         for output, power in ((left, 40), (right, -100)):
             assert output.power == power
             got = output.mode, output.regulation, output.turn_ratio, output.run_state
-            assert (*got, output.tacho_limit) == BRAKED
+            assert got == BRAKED
+            assert output.tacho_limit == 12 * abs(power) * 61
         robot.stop()
         assert [output.power for output in rig.body.outputs] == [0, 0, 0]
         assert rig.body.outputs[1].mode == 7
@@ -98,10 +99,13 @@ def test_drive_sets_both_motors_regulated_and_for_ever(rig):
 
 def test_drive_returns_when_the_lab_has_taken_it(one):
     with one.robot() as robot:
-        before = one.clock.now()
-        robot.drive(10, 20)
-        # Two telegrams and the question leave together; the answer takes another 20 ms.
-        assert one.clock.now() - before == pytest.approx(0.0425, abs=1e-6)
+        for alone, took in ((False, 0.0425), (True, 0.0850)):
+            robot.alone = alone
+            before = one.clock.now()
+            robot.drive(10, 20)
+            # Two telegrams, or four, and a question leave together; the answer takes another
+            # 20 ms, and so does a second question, and its answer.
+            assert one.clock.now() - before == pytest.approx(took, abs=1e-6)
 
 
 def test_the_brick_is_kept_awake(one):
@@ -307,7 +311,7 @@ def test_replies_that_are_none_lose_the_link(rig, reply):
 def test_what_the_brick_refuses_is_no_lost_link(one):
     with one.robot() as robot:
         one.radio.brick.hardware.set_output = lambda *settings: None
-        with pytest.raises(RobotError, match="motor port C is at 0 % instead of 20 %") as error:
+        with pytest.raises(RobotError, match="motor port B is at 0 % instead of 10 %") as error:
             robot.drive(10, 20)
         assert not isinstance(error.value, LinkLost)
         one.radio.deliver = lambda telegram: bytes([2, telegram[1], 0xFB]) + bytes(22)
@@ -583,8 +587,6 @@ def test_a_command_that_lasts_ends_by_itself(rig):
         assert [output.power for output in rig.body.outputs] == [0, 40, -100]
         robot.drive_for(0, 10, 0.1)
         assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 132]
-        robot.drive(10, 10)
-        assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 0]
     assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 0]
 
 
@@ -601,7 +603,8 @@ def test_a_limit_counts_from_where_the_motor_is(one):
     with one.robot() as robot:
         heard.clear()
         robot.drive_for(50, -50, 1.0)
-        assert heard == [(1, 50, 0), (2, -50, 0), (1, 50, 1200), (2, -50, 1200)]
+        # At 1 %, and without regulation, no motor turns.
+        assert heard == [(1, 1, 0), (2, 1, 0), (1, 50, 1200), (2, -50, 1200)]
 
 
 def test_motors_that_an_earlier_program_left_running_are_stopped(rig):

@@ -93,6 +93,7 @@ class NxtBody:
         self._rng = np.random.default_rng([seed, 0x5E45])
         self._outputs = [Output() for _ in range(3)]
         self._zeros = [[0.0, 0.0] for _ in range(3)]  # block and rotation, degrees
+        self._ends = [0.0, 0.0]  # where the last limit of a wheel would have ended, degrees
         self._types = [(0, 0)] * 4
         self._lamp = _Lamp(params.lamp_lag)
         #: When a wheel was first told to turn, s; None: none was.
@@ -138,9 +139,10 @@ class NxtBody:
             if wheel < 0:
                 return
             output = self._outputs[self._port_of(wheel)]
+            # As in the firmware (dOutputMotorIdleControl), what has turned as far as it was to
+            # coasts.
             output.run_state = RUN_STATE_IDLE
-            brakes = bool(output.mode & MODE_BRAKE)
-            self._inputs[U.MODE + wheel] = physics.BRAKE if brakes else physics.COAST
+            self._inputs[U.MODE + wheel] = physics.COAST
             self._inputs[U.POWER + wheel] = 0.0
             self._inputs[U.LIMIT + wheel] = np.nan
 
@@ -163,14 +165,13 @@ class NxtBody:
             regulation: 0 idle, 1 speed, 2 synchronised.
             turn_ratio: kept, without effect.
             run_state: 0 idle; anything else runs.
-            tacho_limit: degrees to turn before the output goes idle; 0 for ever.
+            tacho_limit: degrees to turn before the output goes idle; 0 for ever. As in LEGO's
+                firmware (dOutputSetTachoLimit of d_output.c) they count from where the last limit
+                would have ended; what runs without a limit takes that place along.
         """
         output = self._outputs[port]
-        # As in LEGO's firmware, what only adds a limit does not start the motor anew.
-        same = (output.power, output.mode, output.regulation, output.run_state) == (
-            max(-100, min(100, power)), mode, regulation, run_state
-        )  # fmt: skip
-        adds_limit = same and tacho_limit > 0 and output.tacho_limit == 0
+        ran = output.run_state != RUN_STATE_IDLE and bool(output.mode & MODE_ON)
+        ran_free = ran and output.power != 0 and output.tacho_limit == 0
         output.power = max(-100, min(100, power))
         output.mode, output.regulation, output.turn_ratio = mode, regulation, turn_ratio
         output.run_state, output.tacho_limit = run_state, tacho_limit
@@ -195,11 +196,13 @@ class NxtBody:
         self._inputs[U.MODE + wheel] = drive
         self._inputs[U.POWER + wheel] = output.power if moves else 0.0
         self._inputs[U.LIMIT + wheel] = np.nan
-        if moves and tacho_limit > 0:
-            turn = math.copysign(math.radians(tacho_limit), output.power)
-            self._inputs[U.LIMIT + wheel] = self.state[S.ANGLE + wheel] + turn
-        if not adds_limit:
-            physics.begin_command(self.state, wheel, self._coefficients)
+        if ran_free:
+            self._ends[wheel] = self._degrees(port)
+        if tacho_limit > 0:
+            self._ends[wheel] += tacho_limit if output.power > 0 else -tacho_limit
+            if moves:
+                self._inputs[U.LIMIT + wheel] = math.radians(self._ends[wheel])
+        physics.begin_command(self.state, wheel, self._coefficients)
 
     def output(self, port: int) -> Output:
         """Return an output's settings and counters now, to look at."""

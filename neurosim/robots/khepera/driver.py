@@ -40,7 +40,8 @@ class Khepera:
         full_speed: Speed at 100 % in the robot's own units; by default the dialect's, which for a
             Khepera is 10, 100 mm/s.
         pulses_per_metre: Pulses of the position counters per metre; by default the dialect's.
-        timeout: Wall-clock seconds that an answer may take.
+        timeout: Wall-clock seconds that an answer may take, each time it is asked for; a robot that
+            is lost later drives unguarded meanwhile.
         clock: the robot's clock; the virtual lab hands in its own.
 
     Attributes:
@@ -64,7 +65,7 @@ class Khepera:
         baud: Baud | None = None,
         full_speed: Count | None = None,
         pulses_per_metre: Annotated[float, Meta(ge=1, le=1e9)] | None = None,
-        timeout: Seconds = 1.0,
+        timeout: Seconds = 0.35,
         clock: Clock | None = None,
     ):
         self.dialect: Dialect = dialect_named(dialect)

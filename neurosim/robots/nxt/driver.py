@@ -40,6 +40,11 @@ STOPS, STOP_EVERY = 4, 0.03
 #: A command's limit: degrees that a motor turns in a second at 1 %, more than it ever does, and
 #: seconds that the next command may be late.
 DEGREES, LATE = 12.0, 1.0
+#: A command without a duration lasts so long, s, unless another one follows.
+LONGEST = 60.0
+#: Both motors are asked whether they took a command that lasts so long, s; of shorter ones, which
+#: the next one soon replaces, one motor in turn.
+ASK_BOTH = 0.5
 #: Stands for all motor ports.
 ALL_PORTS = 0xFF
 
@@ -53,6 +58,8 @@ _LINKS = {
     "server_port": "nxt-server",
 }
 _HELD = Mode.ON | Mode.BRAKE | Mode.REGULATED
+#: Percent, without regulation, at which no motor turns.
+_IDLING = 1
 _LAMP_ON, _LAMP_OFF = SensorType.COLOR_RED, SensorType.COLOR_NONE
 
 
@@ -64,8 +71,9 @@ class NXT:
     :class:`neurosim.robots.base.Robot`, ``SelfStopping``, ``Battery``, ``Sensors`` and, with a
     lamp, ``Lamp``.
 
-    When the brick's replies fail, motors are told to stop, several times, without waiting for
-    an answer. Commands of :meth:`drive_for` end by themselves.
+    When the brick's replies fail, are late or say that a command was not taken, motors are told
+    to stop, several times, without waiting for an answer. All commands end by themselves, wherever
+    the line is cut: each motor has a limit, or stands, after every telegram.
 
     Args:
         host: Bluetooth address, such as ``00:16:53:01:02:03``.
@@ -80,12 +88,14 @@ class NXT:
         light_right: Port of the right light sensor, 1 to 4, or none.
         invert: The motors are mounted the other way round: forward turns them backward.
         clock: the robot's clock; the virtual lab hands in its own.
-        deadline: Wall-clock seconds after which a silent brick counts as lost.
+        deadline: Wall-clock seconds after which a silent brick counts as lost; a robot that answers
+            later drives unguarded meanwhile.
 
     Attributes:
         alone: whether the brick may have to do without this program, and may have been left
-            running by an earlier one: it is stopped when it is connected, and commands have
-            limits. The virtual lab's, which lives and dies with the program, sets it to False.
+            running by an earlier one: it is stopped when it is connected, commands have limits, and
+            both motors are asked. The virtual lab's, which lives and dies with the program, sets it
+            to False.
 
     Raises:
         UserError: if a port does not exist or is given twice.
@@ -106,7 +116,7 @@ class NXT:
         light_right: int | str | None = 2,
         invert: bool = False,
         clock: Clock | None = None,
-        deadline: Seconds = 3.0,
+        deadline: Seconds = LATE,
     ):
         self.clock: Clock = SystemClock() if clock is None else clock
         self._way = {
@@ -130,6 +140,7 @@ class NXT:
         self._brick: nxt.brick.Brick | None = None
         self._about: dict[str, Any] = {}
         self._kept_awake = 0.0
+        self._asked_left = False
         self.alone = True
 
     def connect(self) -> None:
@@ -185,13 +196,14 @@ class NXT:
         """Set both motors, in percent of full speed, and return when the brick has taken it.
 
         The motors turn with the firmware's speed regulation and hold a speed, also that of
-        zero, until the next call. Percentages are rounded to whole ones.
+        zero, until the next call, at most for a minute. Percentages are rounded to whole ones.
 
         Raises:
             UserError: for a speed that is not within -100 to 100.
             LinkLost: if the brick does not acknowledge it.
+            RobotError: if a motor did not take it; both were told to stop.
         """
-        self._drive(left, right, None)
+        self._drive(left, right, LONGEST)
 
     def drive_for(self, left: float, right: float, seconds: float) -> None:
         """Set both motors as :meth:`drive` does, for a command that is to last so long (s).
@@ -201,23 +213,29 @@ class NXT:
         where it is slower than it should be.
 
         Raises:
-            UserError: for a speed that is not within -100 to 100.
-            LinkLost: if the brick does not acknowledge it.
+            UserError, LinkLost, RobotError: as :meth:`drive` does.
         """
-        self._drive(left, right, seconds if self.alone else None)
+        self._drive(left, right, seconds)
 
-    def _drive(self, left: float, right: float, seconds: float | None) -> None:
+    def _drive(self, left: float, right: float, seconds: float) -> None:
         speeds = [self._sign * _percent(left, "left"), self._sign * _percent(right, "right")]
-        ports = (self._left, self._right)
-        for port, power in zip(ports, speeds, strict=True):
-            self._set_motor(port, power)
-        if seconds is not None:
+        wheels = list(zip((self._left, self._right), speeds, strict=True))
+        limits = [0, 0]
+        if self.alone:
+            limits = [math.ceil(DEGREES * abs(power) * (seconds + LATE)) for power in speeds]
             # The firmware counts a limit from where the last one would have ended, unless the
-            # motor ran without one in between (dOutputTachoLimitControl of LEGO's d_output.c).
-            for port, power in zip(ports, speeds, strict=True):
+            # motor ran without one in between (dOutputTachoLimitControl of LEGO's d_output.c):
+            # without one it runs at a power that does not move it, should the line be cut here.
+            for port, power in wheels:
                 if power:
-                    self._set_motor(port, power, math.ceil(DEGREES * abs(power) * (seconds + LATE)))
-        self._acknowledge(self._right, speeds[1])
+                    self._set_motor(port, _IDLING, mode=Mode.ON)
+        for (port, power), limit in zip(wheels, limits, strict=True):
+            self._set_motor(port, power, limit)
+        taken = [(*wheel, limit) for wheel, limit in zip(wheels, limits, strict=True)]
+        if self.alone and seconds < ASK_BOTH:
+            self._asked_left = not self._asked_left
+            taken = taken[:1] if self._asked_left else taken[1:]
+        self._acknowledge(taken if self.alone else taken[1:])
 
     def stop(self) -> None:
         """Stop both motors; the regulation holds them where they are.
@@ -325,27 +343,37 @@ class NXT:
     def _refused(self, why: str) -> RobotError:
         return RobotError(f"the brick {self._guard.place} did not take a command: {why}")
 
-    def _set_motor(self, port: MotorPort, power: int, limit: int = 0) -> None:
+    def _set_motor(self, port: MotorPort, power: int, limit: int = 0, mode: Mode = _HELD) -> None:
+        regulation = RegulationMode.SPEED if mode is _HELD else RegulationMode.IDLE
         self._ask(
             self._connected().set_output_state,
             port,
             power,
-            _HELD,
-            RegulationMode.SPEED,
+            mode,
+            regulation,
             0,
             RunState.RUNNING,
             limit,
         )
 
-    def _acknowledge(self, port: MotorPort, power: int) -> None:
-        """Ask for a reply, after which everything sent before has been carried out."""
+    def _acknowledge(self, commands: list[tuple[MotorPort, int, int]]) -> None:
+        """Ask motors for the power and the limit that they took, after all that was sent before.
+
+        Raises:
+            RobotError: if they are others; the motors were told to stop.
+        """
         if self.clock.now() - self._kept_awake > KEEP_AWAKE_EVERY:
             telegram = Telegram(Opcode.DIRECT_KEEP_ALIVE, reply_req=False)
             self._ask(self._connected()._cmd_noreply, telegram)
             self._kept_awake = self.clock.now()
-        taken = self._ask(self._connected().get_output_state, port)[1]
-        if taken != power:
-            raise self._refused(f"motor port {port.name} is at {taken} % instead of {power} %")
+        for port, power, limit in commands:
+            state = self._ask(self._connected().get_output_state, port)
+            if (state[1], state[6]) != (power, limit):
+                self._halt()
+                wrong = f"is at {state[1]} % instead of {power} %"
+                if state[1] == power:
+                    wrong = f"stops after {state[6]} degrees instead of {limit}"
+                raise self._refused(f"motor port {port.name} {wrong}; it was told to stop")
 
     def _set_sensor(self, port: SensorPort, type_: SensorType) -> None:
         self._ask(self._connected().set_input_mode, port, type_, SensorMode.RAW)
@@ -380,7 +408,7 @@ class NXT:
                 RunState.RUNNING if on else RunState.IDLE,
                 0,
             )
-            self._acknowledge(self._lamp, power)
+            self._acknowledge([(self._lamp, power, 0)])
         else:
             wanted = _LAMP_ON if on else _LAMP_OFF
             self._ask(brick.set_input_mode, self._lamp, wanted, SensorMode.RAW)
