@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from neurosim.base.declared import Coordinate, Fraction
+from neurosim.base.declared import Coordinate, Fraction, MetresOrNone
 
 #: Poses of results are no farther away, m, and turn no more, rad: pictures of them are drawn.
 FARTHEST = 1e5
@@ -70,6 +70,7 @@ class Source(Format):
     dataset: str | None = None
     sha256: str | None = None
     virtual: bool | None = None
+    perimeter: Perimeter | None = None
 
 
 class Board(Format):
@@ -77,6 +78,28 @@ class Board(Format):
 
     length: float
     width: float
+    line_inset: MetresOrNone | None = None
+    line_width: MetresOrNone | None = None
+
+
+class Perimeter(Format):
+    """Where a guard ends drives: the board, the robot's light sensors, the margin, m."""
+
+    board: Board
+    sensors: Annotated[list[tuple[Coordinate, Coordinate]], Meta(max_length=100)]
+    margin: MetresOrNone | None = None
+
+
+class Stopped(Format):
+    """What made the guard stop the robot."""
+
+    code: Annotated[int, Meta(ge=1, le=3)]
+    time: float
+    command: int | None = None
+    into: float = 0.0
+    sensor: str | None = None
+    pose: FarPose | None = None
+    unseen_since: float | None = None
 
 
 class Named(Format):
@@ -112,6 +135,7 @@ class Recording(Format):
     camera: dict[str, Any] | None = None
     settings: RecordedWith | None = None
     complete: bool | None = None
+    stopped: Stopped | None = None
 
 
 class Clock(Format):
@@ -248,6 +272,7 @@ class Dataset(Format):
     motor_delays: list[MotorDelay] | None = None
     markers: list[SessionMarkers] | None = None
     cutting: Cutting | None = None
+    perimeter: Perimeter | None = None
     settings: dict[str, Any] | None = None
 
 
@@ -365,6 +390,7 @@ class Simulator(Format):
     readings: ReadingsLearned | None = None
     robots: list[Robot] | None = None
     virtual: bool | None = None
+    perimeter: Perimeter | None = None
 
 
 class Swing(Format, forbid_unknown_fields=True):
@@ -613,6 +639,7 @@ class Actual(Outcome):
 
     path: list[tuple[Far, Far, Far, Far]] | None = None
     cut: FarPose | None = None
+    cut_error: TrialError | None = None
     reason: str | None = None
     seen_by: str | None = None
 
@@ -632,6 +659,13 @@ class Deadlines(Format):
     worst_late_s: float
 
 
+class Guarded(Format):
+    """Whether a guard ended drives where the trial was predicted, and where it was driven."""
+
+    predicted: bool
+    driven: bool
+
+
 class Trial(Format):
     """trial.json."""
 
@@ -647,6 +681,8 @@ class Trial(Format):
     plan_length: int | None = None
     start: Start | None = None
     ended_early: bool | None = None
+    stopped: Stopped | None = None
+    guard: Guarded | None = None
     deadlines: Deadlines | None = None
 
 

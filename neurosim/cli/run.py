@@ -108,6 +108,9 @@ def run(
         )
     saved = read_controller(controller)
     again = _replanning(saved, replan, simulator, replanning)
+    if again is not None and again[0].perimeter is not None:
+        by, known = guard.get("by", "both"), again[0].perimeter
+        again[0].perimeter = None if at_line == "ignore" else known.guarded(by)
     setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved))
     marked = marker_settings(markers, robot)
     with open_rig(robot, robot_options, setup) as rig:
@@ -129,6 +132,8 @@ def run(
     result = {
         "trial": str(out),
         "kind": report["kind"],
+        "stopped": report["stopped"],
+        "guard": report["guard"],
         "completes": report["actual"]["completes"],
         "fitness": {
             "predicted": report["predicted"]["fitness"],
@@ -192,6 +197,15 @@ def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
     predicted = report["predicted"].get("fitness")
     expected = "" if predicted is None else f", predicted {predicted:.4g}"
     text = f"{out}: the robot {done} the task (fitness {report['actual']['fitness']:.4g}{expected})"
+    if not report["actual"]["completes"] and report["actual"]["reason"]:
+        text += f": it {report['actual']['reason']}"
+    if report["guard"]["predicted"] != report["guard"]["driven"]:
+        which = (
+            "without the guard, driven with it"
+            if report["guard"]["driven"]
+            else ("with the guard, driven without it")
+        )
+        text += f"; it was predicted {which}"
     seen = [error for error in report["errors"] if error is not None]
     if seen:
         end = seen[-1]

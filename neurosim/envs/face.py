@@ -69,6 +69,7 @@ class Face:
             UserError: if something is to be observed that there is not, or the task needs sensors
                 and there are none.
         """
+        task = task.within_perimeter(simulator.perimeter)
         self.simulator, self.task, self.episode = simulator, task, task.episode
         check_readings(simulator, task)
         self.names = tuple(names or usual_inputs(simulator, task)) or (*POSE_INPUTS, *TIME_INPUTS)
@@ -85,7 +86,7 @@ class Face:
         seen = any(name not in NOT_READINGS for name in self.names)
         self.reads = bool(simulator.reading_names) and (seen or self.episode.readings)
         self.action_space, self.observation_space = self._actions(), self._observations()
-        self.record = task.first_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
+        self.record = task.new_record(np.tile(np.asarray(task.start, np.float64), (count, 1)))
         self.judged: Judgement = task.score(self.record)
         sources = input_sources(self.names, simulator.reading_names)
         # Of the network that this is of, nothing is used but its inputs.
@@ -116,7 +117,7 @@ class Face:
 
     def begin(self, rows: NDArray[np.int64], poses: NDArray[np.float64]) -> None:
         """Begin trials in rows [K] at poses [K, 3]."""
-        self.record[rows] = self.task.first_record(poses)
+        self.record[rows] = self.task.new_record(poses)
         self.judged = self.task.score(self.record)
         self._goal[rows] = 0
 
@@ -189,9 +190,7 @@ class Face:
         """Add an interval to K trials; commands may have a duration behind them."""
         assert interval.commands is not None
         record = self.record[rows]
-        self.task.advance(
-            record, interval._replace(commands=interval.commands[:, : len(self.outputs)])
-        )
+        self.task.add(record, interval._replace(commands=interval.commands[:, : len(self.outputs)]))
         self.record[rows] = record
         self.judged = self.task.score(self.record)
 

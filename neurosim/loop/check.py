@@ -148,7 +148,7 @@ def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
         np.stack([judged.segment[0], judged.reason[0]])[:, failed], axis=1, return_counts=True
     )
     found = [
-        Failure(int(segment) + 1, task.reasons[reason], float(count / failed.size))
+        Failure(int(segment) + 1, task.why(reason), float(count / failed.size))
         for (segment, reason), count in zip(ways.T, counts, strict=True)
     ]
     return tuple(sorted(found, key=lambda failure: -failure.share))

@@ -42,7 +42,7 @@ class Evaluator:
     """Judges individuals of a controller, in a simulator, at a task.
 
     Attributes:
-        simulator, task, controller: the three.
+        simulator, task, controller: the three; the task ends trials at the simulator's perimeter.
         placing: how exactly the robot is put down where a trial starts at a mark: standard
             deviations in x and y (m) and in heading (rad); for drawn outcomes alone.
         rollouts: what drives them: the simulator's own compiled ones, or step by step.
@@ -70,6 +70,7 @@ class Evaluator:
             UserError: if one needs what another does not offer: commands, sensors, goals; or
                 there are no such workers.
         """
+        task = task.within_perimeter(simulator.perimeter)
         self.simulator, self.task, self.controller = simulator, task, controller
         self.placing, self.episode = placing, task.episode
         _check_columns(simulator, controller)

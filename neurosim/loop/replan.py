@@ -277,9 +277,9 @@ class _Onward(Evaluator):
         """Be in a state [S], after poses [K + 1, 3] and commands [K, 3]."""
         self._state, self._record = state, None
         if len(commands):
-            record = self.task.first_record(poses[:1])
+            record = self.task.new_record(poses[:1])
             for pose, command in zip(poses[1:, None], commands[:, None], strict=True):
-                self.task.advance(record, Interval(pose, command[:, 2], commands=command))
+                self.task.add(record, Interval(pose, command[:, 2], commands=command))
             self._record = record[0]
 
     def scored(self, trajectory: Trajectory) -> Judgement:

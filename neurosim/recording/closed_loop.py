@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.perimeter import UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Observation, SeeingSource
 from neurosim.recording.session import LINES, Session
@@ -210,6 +211,7 @@ class ClosedLoopSession(Session):
     def _may_go_on(self, seen: Observation) -> bool:
         self._check_camera()
         if self._seeing.needs_pose and seen.pose is None:
+            self._note_stop(UNSEEN)
             return False
         return self._guard.at_line == "ignore" or not self._must_stop(seen.readings)
 
@@ -217,7 +219,7 @@ class ClosedLoopSession(Session):
         """Stop at once and look where that was; the drive is then over: return True."""
         if self.deadlines.steps:
             self._write("cut", 0, 0, number=self.deadlines.steps - 1)
-        self._say("the robot was stopped before the end: at a line, the board's edge, or unseen")
+        self._end_early()
         self._look(self._clock.now())
         return True
 

@@ -5,24 +5,71 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
+from neurosim.base.perimeter import DOUBT, EDGE, ENDS, LINE, STOPPING
 
 #: A picture is this old when it arrives, at most, s.
 LATENCY = 0.1
-#: From seeing that the robot leaves until it stands: a look, the line to it, its motors, s.
-STOPPING = 0.25
-#: What is not known of a way that was only commanded, as a share of it.
-DOUBT = 0.15
 #: Commands are remembered for so long, s.
 MEMORY = 5.0
 
 
-class Perimeter:
-    """The part of the board that the middle of the robot's axle may be in.
+@dataclass(frozen=True)
+class Stop:
+    """What made the guard stop the robot.
+
+    Attributes:
+        code: of :data:`neurosim.base.perimeter.ENDS`.
+        time: when, s on the robot's clock.
+        command: the number of the command, from 0; None: a manoeuvre.
+        into: how long the command had run, s.
+        sensor: the light sensor that met the line or the edge; None: the position was guarded.
+        pose: [3] where the robot was, as far as that was known.
+        unseen_since: a robot that was lost was seen last at this time, s; None: never.
+    """
+
+    code: int
+    time: float
+    command: int | None = None
+    into: float = 0.0
+    sensor: str | None = None
+    pose: tuple[float, ...] | None = None
+    unseen_since: float | None = None
+
+    def describe(self) -> dict[str, Any]:
+        """Return it for recording.json."""
+        return asdict(self)
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any]) -> Stop:
+        """Return what :meth:`describe` described."""
+        pose = content.get("pose")
+        return cls(**{**content, "pose": None if pose is None else tuple(pose)})
+
+    def __str__(self) -> str:
+        """Return it as a sentence without its end."""
+        words = f"the robot {ENDS[self.code - 1]}"
+        if self.sensor is not None:
+            words += f" by its light sensor {self.sensor}"
+        if self.pose is not None:
+            x, y, heading = self.pose
+            place = f"x = {x:.2f} m, y = {y:.2f} m, heading {math.degrees(heading):.0f} degrees"
+            words += f", {'last seen ' if self.code not in (LINE, EDGE) else ''}at {place}"
+        if self.unseen_since is not None:
+            words += f" {self.time - self.unseen_since:.1f} s before"
+        if self.command is not None:
+            words += f", {self.into:.1f} s into command {self.command + 1}"
+        return words
+
+
+class PositionGuard:
+    """Keeps the middle of the robot's axle inside the edge of a board, by its position.
 
     Args:
         board: ``length`` and ``width`` in metres, the frame at its centre.

@@ -145,7 +145,9 @@ def record(
                         camera.stop()
                     if isinstance(driven, ClosedLoopSession):
                         recording.meta["deadlines"] = asdict(driven.deadlines)
-                        recording.save_meta()
+                    if driven.stopped is not None:
+                        recording.meta["stopped"] = driven.stopped.describe()
+                    recording.save_meta()
         finally:
             if finish is not None:
                 finish(out, session)

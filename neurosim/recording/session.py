@@ -22,10 +22,11 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
+from neurosim.base.perimeter import EDGE, LINE, UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Command, CommandSource, SeeingSource
 from neurosim.recording.homing import Homing, bearing
-from neurosim.recording.perimeter import Perimeter
+from neurosim.recording.perimeter import PositionGuard, Stop
 from neurosim.recording.settings import RecordSettings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Battery, Lamp, Robot, Sensors, drive_for
@@ -66,7 +67,11 @@ class _Todo:
 
 
 class Session:
-    """One session: from the flash at its start to the flash at its end."""
+    """One session: from the flash at its start to the flash at its end.
+
+    Attributes:
+        stopped: what made the guard end the drive; None: nothing did.
+    """
 
     #: What a user does next where a session was interrupted.
     go_on = "in the middle of the board and go on with --resume"
@@ -88,9 +93,11 @@ class Session:
         self._may_fail = hasattr(camera, "failed") or hasattr(camera, "stalled")
         self._running: int | None = None
         self._spotter = spotter
-        self._perimeter = Perimeter(
+        self._perimeter = PositionGuard(
             settings.board, settings.guard.margin, settings.full_speed, settings.track
         )
+        self.stopped: Stop | None = None
+        self._stop: Stop | None = None
         self._session = session
         self._path = recording.path
         self._recording = recording
@@ -165,6 +172,7 @@ class Session:
                 self._write("cut", 0, 0, number=todo.index)
                 if self._guard.at_line == "end":
                     self._waiting.clear()
+                    self._end_early()
                     break
                 self._return_inside()
                 if todo.attempt < self._guard.attempts:
@@ -173,6 +181,11 @@ class Session:
                 else:
                     progress.advance()
         return not self._waiting
+
+    def _end_early(self) -> None:
+        """Keep and say what made the guard end the drive."""
+        self.stopped = self._stop
+        self._say(str(self.stopped))
 
     def _stopped(self) -> None:
         """Do what is to be done between the last command and the flash."""
@@ -267,12 +280,33 @@ class Session:
     # The perimeter
 
     def _must_stop(self, readings: Mapping[str, float]) -> bool:
-        """Return whether the robot is on a line, leaves the board, or is lost.
+        """Return whether the robot is on a line, leaves the board, or is lost; note what it is.
 
         Args:
             readings: of the sensors, by name; those that see no line are passed over.
         """
-        return self._on_line(readings) or self._leaves() or self._is_blind()
+        sensor = self._on_line(readings)
+        if sensor is not None:
+            code = LINE
+        elif self._leaves():
+            code = EDGE
+        elif self._is_blind():
+            code = UNSEEN
+        else:
+            return False
+        self._note_stop(code, sensor)
+        return True
+
+    def _note_stop(self, code: int, sensor: str | None = None) -> None:
+        """Note why the robot must stop now, and where it is as far as that is known."""
+        now = self._clock.now()
+        last = None if self._spotter is None else self._spotter.last
+        pose, since = None, None
+        if last is not None:
+            known = last[1] if code == UNSEEN else self._perimeter.predict(last[1], last[0], now)[0]
+            pose = tuple(float(value) for value in known)
+            since = float(last[0]) if code == UNSEEN else None
+        self._stop = Stop(code, now, self._running, now - self._sent, sensor, pose, since)
 
     def _lines(self) -> dict[str, float]:
         if not self._board and self._readings is None:
@@ -298,12 +332,12 @@ class Session:
         if not self._board and self._spotter is None:
             self._say("no light sensors: the perimeter is not guarded, stay with the robot")
 
-    def _on_line(self, readings: Mapping[str, float]) -> bool:
-        return any(
-            abs(readings[name] - bare) > self._guard.contrast
-            for name, bare in self._board.items()
-            if name in readings
-        )
+    def _on_line(self, readings: Mapping[str, float]) -> str | None:
+        """Return the first light sensor that does not see the bare board; None: all do."""
+        for name, bare in self._board.items():
+            if name in readings and abs(readings[name] - bare) > self._guard.contrast:
+                return name
+        return None
 
     def _leaves(self) -> bool:
         """Return whether the robot, by its position, must stop now to stay on the board."""

@@ -30,7 +30,8 @@ class Scene:
     Attributes:
         task: shapes of the task's outline, see :meth:`neurosim.tasks.base.Task.outline`.
         place: shapes of the place that a simulator knows, drawn below these.
-        board: ``length`` along x and ``width`` along y of the board, where it is known.
+        board: ``length`` along x and ``width`` along y of the board, where it is known, and
+            ``line_inset`` and ``line_width`` of its perimeter line.
         longest_arc: see :func:`planned_path`.
     """
 
@@ -67,6 +68,7 @@ class Paths:
         rest: predicted pose once the motors have run down after the last command, or None.
         actual: poses as they were tracked after each command, None where the robot was not seen.
         driven: [M, 4] time (s) and pose, of the whole drive.
+        stopped: pose at which the guard stopped the robot, or None.
     """
 
     predicted: ArrayLike = field(default_factory=lambda: np.empty((0, 3)))
@@ -74,6 +76,7 @@ class Paths:
     rest: Sequence[float] | None = None
     actual: Sequence[Sequence[float] | None] = ()
     driven: ArrayLike = field(default_factory=lambda: np.empty((0, 4)))
+    stopped: Sequence[float] | None = None
 
     def ideal(self, longest: float = LONGEST_ARC) -> NDArray[np.float64]:
         """Return the poses [N, 3] of the predicted path."""
@@ -151,6 +154,9 @@ def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:
             mec=INK["actual"], mfc=INK["paper"],
         )  # fmt: skip
         _numbers(axes, ends, scale)
+    if paths.stopped is not None:
+        x, y = scale * np.asarray(paths.stopped, float)[:2]
+        axes.plot(x, y, "X", ms=11, mew=0.8, mec=INK["paper"], color=INK["actual"], label="stopped")
     start = ends if len(ends) else driven[:, 1:]
     if len(start):
         _arrow(axes, start[0], scale, 0.06 * float(np.max(high - low)))
@@ -158,7 +164,7 @@ def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:
     axes.margins(0.015)
     axes.grid(visible=not len(scene.corners()))
     if len(ideal) or len(driven):
-        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=2, borderaxespad=0.2)
+        axes.legend(loc="lower right", bbox_to_anchor=(1, 1), ncols=3, borderaxespad=0.2)
 
 
 def unit_of(low: NDArray, high: NDArray) -> tuple[float, str]:
@@ -174,6 +180,9 @@ def draw_scene(axes: Axes, scene: Scene, scale: float = 1.0) -> None:
     """
     if scene.board is not None:
         _polygon(axes, scale * _box(scene.board), fc=INK["board"], ec=INK["muted"], lw=1.0)
+        if scene.board.get("line_width"):
+            inset = {k: scene.board[k] - 2 * scene.board["line_inset"] for k in ("length", "width")}
+            _polygon(axes, scale * _box(inset), fc="none", ec=INK["muted"], lw=2.2, alpha=0.6)
     walls: dict[str, Any] = {"ec": INK["ink"], "lw": 2.2, "joinstyle": "miter"}
     for shape in scene.place:
         _draw(axes, shape, scale, walls)

@@ -110,6 +110,7 @@ def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
     paths = Paths(
         trial.predicted, trial.by_command, meta["predicted"].get("rest"),
         actual.get("poses") or [], actual.get("path") or [],
+        _stopped(meta),
     )  # fmt: skip
     scene = Scene.of(trial.task, place, trial.board)
     svg = course(scene, paths, words, prefix, small=small)
@@ -122,6 +123,17 @@ def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
         caption += f" {offset}"
     if meta.get("ended_early"):
         caption += " The drive ended early: the robot was stopped before its last command."
+    if actual.get("cut_error") is not None:
+        away = actual["cut_error"]
+        caption += (
+            f" Where it was stopped it was {100 * away['position']:.1f} cm and "
+            f"{math.degrees(abs(away['heading'])):.1f} degrees from the prediction."
+        )
+    guard = meta.get("guard")
+    if guard is not None and guard["predicted"] != guard["driven"]:
+        caption += " The guard was on in " + (
+            "the drive, not in the prediction." if guard["driven"] else "the prediction alone."
+        )
     if actual.get("seen_by") == "counters":
         caption += " Its path is that of its own counters."
     if meta.get("deadlines") is not None:
@@ -133,6 +145,12 @@ def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
     if meta["virtual"]:
         caption += " Virtual lab."
     return Picture(svg, caption)
+
+
+def _stopped(meta: Any) -> Any:
+    """Return where the guard stopped the robot: as it was tracked, else as the guard knew it."""
+    stopped = meta.get("stopped")
+    return None if stopped is None else meta["actual"].get("cut") or stopped.get("pose")
 
 
 def _outcome(trial: Trial) -> str:
@@ -163,11 +181,13 @@ def _rates(trials: Sequence[Trial]) -> Table:
     rows = []
     for name, group in groups.items():
         done = sum(trial.completes for trial in group)
-        foreseen = sum(bool(trial.meta["predicted"].get("completes")) for trial in group)
+        chances = [trial.meta["predicted"].get("probability") for trial in group]
+        known = [chance for chance in chances if chance is not None]
+        foreseen = f"{sum(known) / len(known):.0%}" if known else "not known"
         low, high = wilson(done, len(group))
         rows.append(
             [
-                name, str(len(group)), str(foreseen), str(done), f"{done / len(group):.0%}",
+                name, str(len(group)), foreseen, str(done), f"{done / len(group):.0%}",
                 f"{low:.0%} to {high:.0%}", _mean(100 * pooled(group, 0), "cm"),
                 _median(100 * final(group, 0), "cm"), _median(np.degrees(final(group, 1)), "deg"),
             ]
@@ -175,7 +195,7 @@ def _rates(trials: Sequence[Trial]) -> Table:
     return Table(
         "How often the task was completed",
         [
-            "controllers", "trials", "predicted to complete", "completed", "rate", "95 % interval",
+            "controllers", "trials", "predicted probability", "completed", "rate", "95 % interval",
             "error, mean over commands", "error at the end, median",
             "heading error at the end, median",
         ],

@@ -108,7 +108,7 @@ def draw_view(
             result |= {
                 "fitness": float(judged.fitness[0, 0]),
                 "completes": completes,
-                "reason": None if completes else task.reasons[reason],
+                "reason": None if completes else task.why(reason),
             }
         touching = found.touching(path)
         if touching is not None:

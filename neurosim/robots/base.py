@@ -17,6 +17,10 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
+#: An NXT's light sensors are so far ahead of the axle and to either side of its middle, m, unless
+#: its driver is given other places.
+LIGHT_AHEAD, LIGHT_ASIDE = 0.06, 0.09
+
 
 class Clock(Protocol):
     """Seconds since some beginning; the virtual lab's runs as fast as it is asked to."""

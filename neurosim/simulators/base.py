@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Perimeter
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.engine import CompiledRollouts, CompiledStepper
 from neurosim.simulators.numbers import NORMAL, UNIFORM
@@ -77,6 +78,8 @@ class Simulator:
         slack: commands may leave the domain by this share of its width.
         knows_gaps: whether :meth:`supported` tells gaps within the domain.
         radius: of the robot, m; None: its size is not known.
+        perimeter: where the guard ends drives on the robot that it is a simulator of; None: nobody
+            knows of one, and no drive ends there.
         bearings: where each sensor looks, [S] rad to the left of straight ahead, NaN where one
             sees nothing; None: it is not known.
     """
@@ -90,6 +93,7 @@ class Simulator:
     noise_width: int = 0
     noise_kind: str = "normal"
     radius: float | None = None
+    perimeter: Perimeter | None = None
     slack: float = 0.05
     knows_gaps: bool = False
 

@@ -3,26 +3,33 @@
 A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a record of each
 trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what the trial is
 worth if it ends there. Environments advance records while trials run; :meth:`Task.judge` advances
-them over whole trajectories.
+them over whole trajectories. Where the place has a perimeter, :meth:`Task.new_record`,
+:meth:`Task.add` and :meth:`Task.score` also end a trial where the guard of a real drive ends it.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from copy import copy
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import ENDS, Perimeter
 from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
 
 if TYPE_CHECKING:
     from neurosim.simulators.base import Simulator
+
+
+#: Columns of a record that the guard adds; see :meth:`Task.new_record`.
+_GUARD = 4
 
 
 class Interval(NamedTuple):
@@ -114,6 +121,8 @@ class Task(Checked):
         start: x (m), y (m), heading (rad) where a trial starts, in the board's frame.
         trial_starts: a trial is made from so many starts.
         highest_fitness: no trial is worth more; None: nothing is known of that.
+        stop_penalty: taken off the fitness of a trial that the guard ends.
+        perimeter: where the guard ends trials; None: nowhere. See :meth:`within_perimeter`.
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
             said, because no blind one does the task.
@@ -127,6 +136,8 @@ class Task(Checked):
     start: tuple[float, float, float] = (0.0, 0.0, 0.0)
     trial_starts: int = 1
     highest_fitness: float | None = None
+    stop_penalty: float = 0.0
+    perimeter: Perimeter | None = None
     fitness_unit: ClassVar[str] = ""
     replanned: ClassVar[bool] = False
 
@@ -163,17 +174,95 @@ class Task(Checked):
         """
         raise NotImplementedError
 
+    def within_perimeter(self, perimeter: Perimeter | None) -> Self:
+        """Return the task where a guard ends drives at a perimeter, or where none does."""
+        task = copy(self)
+        object.__setattr__(task, "perimeter", perimeter)  # tasks are frozen dataclasses
+        return task
+
+    def why(self, reason: int) -> str:
+        """Return the words for a failure, by its index in a judgement; they follow "the robot"."""
+        return (*self.reasons, *ENDS)[reason]
+
+    def new_record(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return records of trials that begin at poses [K, 3], for :meth:`add` and :meth:`score`.
+
+        They are [K, W] as of :meth:`first_record`; with a perimeter four columns follow: the last
+        known pose (m, m, rad), and what ended the trial, a code of
+        :data:`neurosim.base.perimeter.ENDS` or 0.
+        """
+        own = self.first_record(poses)
+        if self.perimeter is None:
+            return own
+        return np.concatenate([own, poses, np.zeros((len(poses), 1))], axis=1)
+
+    def add(self, record: NDArray[np.float64], interval: Interval) -> None:
+        """Add an interval of K trials to records of :meth:`new_record`, in place."""
+        own, guard = self._parts(record)
+        self._add_guarded(own, guard, interval)
+        if guard is not None:
+            record[:, :-_GUARD] = own
+
     def score(self, record: NDArray[np.float64]) -> Judgement:
-        """Return :meth:`worth`, and which trials are ``over`` by column 0 of their records."""
-        return replace(self.worth(record), over=record[:, 0] > 0)
+        """Return :meth:`worth` of records of :meth:`new_record`, and which trials are ``over``.
+
+        Those are over whose column 0 is above 0, and those that the guard ended.
+        """
+        return self._score_guarded(*self._parts(record))
+
+    def ended(self, judged: Judgement, code: NDArray[np.int64] | int) -> Judgement:
+        """Return the judgement of trials that the guard ended where ``code`` is above 0: failures.
+
+        Args:
+            judged: as far as the robot came, [...].
+            code: [...] or one for all, of :data:`neurosim.base.perimeter.ENDS`.
+        """
+        stopped = np.broadcast_to(np.asarray(code) > 0, judged.success.shape)
+        penalty = np.where(stopped, self.stop_penalty, 0.0)
+        return replace(
+            judged,
+            success=judged.success & ~stopped,
+            reason=np.where(stopped, len(self.reasons) + np.asarray(code) - 1, judged.reason),
+            fitness=judged.fitness - penalty,
+            progress=judged.progress - penalty,
+            over=judged.over | stopped,
+        )
+
+    def _parts(self, record: NDArray) -> tuple[NDArray, NDArray | None]:
+        """Return a record without the guard's columns, and these, if there is a perimeter."""
+        if self.perimeter is None:
+            return record, None
+        return np.ascontiguousarray(record[:, :-_GUARD]), record[:, -_GUARD:]
+
+    def _add_guarded(self, own: NDArray, guard: NDArray | None, interval: Interval) -> None:
+        """Add an interval, up to where the guard ends it; nothing is added after that."""
+        if guard is None:
+            self.advance(own, interval)
+            return
+        assert self.perimeter is not None
+        running = (guard[:, 3] == 0) & (own[:, 0] == 0)
+        code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration)
+        stopped = guard[:, 3] > 0
+        if (hit := running & (code > 0)).any():
+            interval = interval._replace(poses=np.where(hit[:, None], poses, interval.poses))
+        kept = own[stopped]
+        self.advance(own, interval)
+        own[stopped] = kept
+        seen = running & np.isfinite(interval.poses).all(axis=1)
+        guard[seen, :3] = interval.poses[seen]
+        guard[hit, 3] = code[hit]
+
+    def _score_guarded(self, own: NDArray, guard: NDArray | None) -> Judgement:
+        judged = replace(self.worth(own), over=own[:, 0] > 0)
+        return judged if guard is None else self.ended(judged, guard[:, 3].astype(np.int64))
 
     def judge(self, trajectory: Trajectory, record: NDArray[np.float64] | None = None) -> Judgement:
         """Judge trajectories [...]; see :class:`Judgement`.
 
         Args:
             trajectory: simulated or driven.
-            record: [W] of what came before, where trajectories continue a trial; by default trials
-                begin at their first poses.
+            record: of :meth:`new_record` and :meth:`add`, of what came before where trajectories
+                continue a trial, one row; by default trials begin at their first poses.
 
         Raises:
             UserError: if the task is scored by poses or readings that the trajectory lacks.
@@ -185,16 +274,21 @@ class Task(Checked):
             poses = np.full((count, steps + 1, 3), np.nan)
         else:
             poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
-        own = self.first_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
-        settled = np.where(own[:, 0] > 0, 0, max(steps - 1, 0))
+        begun = self.new_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
+        own, guard = self._parts(begun)
+
+        def over() -> NDArray[np.bool_]:
+            return (own[:, 0] > 0) if guard is None else (own[:, 0] > 0) | (guard[:, 3] > 0)
+
+        settled = np.where(over(), 0, max(steps - 1, 0))
         with one_core(count < WORTH_SHARING):
             for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
-                running = own[:, 0] == 0
-                self.advance(own, interval)
-                settled[running & (own[:, 0] > 0)] = step
+                running = ~over()
+                self._add_guarded(own, guard, interval)
+                settled[running & over()] = step
         if trajectory.segment is not None:
             settled = trajectory.segment[settled]
-        judged = replace(self.score(own), segment=settled)
+        judged = replace(self._score_guarded(own, guard), segment=settled)
         return judged.mapped(lambda one: np.asarray(one).reshape(shape))
 
     def check_scored(self, poses: bool, readings: bool) -> None:

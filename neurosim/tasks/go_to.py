@@ -91,6 +91,9 @@ class GoTo(Task):
         """All goals passed and the last one hit exactly, with its heading where that counts."""
         return float(len(self.goals) + 1 + (self.heading_tolerance is not None))
 
+    #: A robot that is stopped at the last goal is worth no more than one that just reaches it.
+    stop_penalty: ClassVar[float] = 0.5  # type: ignore[misc]
+
     @property
     def episode(self) -> Episode:
         """Steps for ``seconds``, then the motors run down."""

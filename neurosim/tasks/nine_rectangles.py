@@ -133,6 +133,11 @@ class NineRectangles(Task):
         return float(self.last**2)
 
     @property
+    def stop_penalty(self) -> float:  # type: ignore[override]
+        """To be stopped by the guard is a breach, too."""
+        return self.penalty
+
+    @property
     def episode(self) -> Episode:
         """Steps for ``seconds``, then the motors run down; goals are the rectangles' centres."""
         places = [self.centre(number) for number in range(1, self.last + 1)]

@@ -99,6 +99,7 @@ def train(
     simulator.meta = {
         **simulator.meta,
         **readings,
+        "perimeter": rows.meta.get("perimeter"),
         "training": {
             "trainer": trainer,
             "source": learner.source,

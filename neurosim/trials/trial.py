@@ -11,21 +11,23 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import astuple, dataclass
+from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base import formats
+from neurosim.base import formats, se2
 from neurosim.base.errors import UserError
 from neurosim.base.files import read_json, sha256, write_json
+from neurosim.base.perimeter import Perimeter
 from neurosim.base.provenance import is_virtual
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
-from neurosim.controllers import read_controller
+from neurosim.controllers import SavedController, read_controller
 from neurosim.loop.replan import Foreseen, ReplanSettings
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
+from neurosim.recording.perimeter import Stop
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.robots.base import Counters, Robot, WholeSpeeds
 from neurosim.simulators.base import Simulator
@@ -112,12 +114,14 @@ def run_trial(
     else:
         source = Driver(saved, task.episode, _source(Path(controller)))
         count = source.steps
+    known = _perimeter_of(saved)
+    board = {} if known is None else {"board": asdict(known.board)}
     record(
         out,
         robot,
         camera,
         source,
-        RecordSettings(count, guard, **{**_size_of(robot), **(settings or {})}),
+        RecordSettings(count, guard, **{**_size_of(robot), **board, **(settings or {})}),
         calibration=calibration,
         finish=finish,
         lab=lab,
@@ -151,15 +155,20 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     task = make_task(saved.task)
     # A robot that is to stop is watched as it does; a plan's always was.
     trajectory = driven.trajectory(by_command, by_command or task.episode.rest > 0)
-    judged = task.judge(trajectory)
+    stopped = recording.meta.get("stopped")
+    stop = None if stopped is None else Stop.of(stopped)
+    judged = task.ended(task.judge(trajectory), 0 if stop is None else stop.code)
     ended_early = driven.cut or len(driven.sent) < (len(plan) or task.episode.steps)
     completes = bool(judged.success) and not ended_early
     predicted, actual = saved.predicted, driven.at
     # Where a command was cut short is not where it would have led.
     reached = actual[:-1] if driven.cut else actual
     if foreseen is not None:
-        # How probable success was said to be, was said of the plan driven blind.
+        # The probability is that of the plan in open loop, and a plan that was cut short was not
+        # expected to rest where its last search led.
         predicted = {**predicted, **foreseen, "probability": None}
+        if ended_early:
+            predicted["rest"] = None
     poses = predicted.get("poses")
     boundaries = len(plan or driven.sent) + 1
     report = {
@@ -181,11 +190,17 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
             "rest": driven.rest,
             "fitness": _whole(task, judged),
             "completes": completes,
-            "reason": _reason(task, judged, ended_early),
+            "reason": _reason(task, judged, stop, ended_early),
+            "cut_error": driven.cut_error(poses),
             "path": np.round(driven.path, 5).tolist(),
         },
         "errors": [],
         "ended_early": ended_early,
+        "stopped": stopped,
+        "guard": {
+            "predicted": _perimeter_of(saved) is not None,
+            "driven": _guard_of(recording) != "ignore",
+        },
         "replanned": foreseen is not None,
         "deadlines": recording.meta.get("deadlines"),
         "observations": driven.summary(),
@@ -303,6 +318,22 @@ class _Drive:
         segment = np.clip(segment, 0, len(commands) - 1)
         return Trajectory.of_track(path[:, 0], path[:, 1:], segment, commands, active, readings)
 
+    def cut_error(self, predicted: list[list[float]] | None) -> dict[str, Any] | None:
+        """Return how far a robot was from the prediction where its last command was cut short.
+
+        The predicted pose there is on the arc of constant twist to where the command led.
+
+        Args:
+            predicted: poses [K + 1, 3] before the first command and after each (m, m, rad).
+        """
+        last = len(self.sent) - 1
+        if not self.cut or predicted is None or len(predicted) < last + 2 or self.at[-1] is None:
+            return None
+        before, after = np.array(predicted[last : last + 2], float)
+        fraction = (self.boundaries[-1] - self.boundaries[-2]) / self.sent[-1].duration
+        part = se2.arc(se2.between(before, after), min(max(fraction, 0.0), 1.0))
+        return _error(last + 1, se2.compose(before, part).tolist(), self.at[-1])
+
     def summary(self) -> dict[str, Any] | None:
         """Return how often a controller looked, and what its sensors read; None if it did not."""
         if self.looks is None:
@@ -339,10 +370,23 @@ def _whole(task: Task, judged: Judgement) -> float:
     return float(task.whole(np.repeat(judged.fitness, task.trial_starts)))
 
 
-def _reason(task: Task, judged: Judgement, ended_early: bool) -> str | None:
+def _perimeter_of(saved: SavedController) -> Perimeter | None:
+    """Return the perimeter in the simulator that a controller was evolved in; None: it has none."""
+    return Perimeter.from_json(saved.simulator.get("perimeter"))
+
+
+def _guard_of(recording: Recording) -> str:
+    """Return what a recording's guard did at the perimeter."""
+    guard = recording.meta.get("settings", {}).get("guard") or {}
+    return str(guard.get("at_line", "end"))
+
+
+def _reason(task: Task, judged: Judgement, stop: Stop | None, ended_early: bool) -> str | None:
     """Return why the task is not done, in words that follow "the robot"; None if it is."""
+    if stop is not None:
+        return str(stop).removeprefix("the robot ")
     if judged.reason >= 0:
-        return task.reasons[int(judged.reason)]
+        return task.why(int(judged.reason))
     return "was stopped before the end" if ended_early else None
 
 

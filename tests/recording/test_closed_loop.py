@@ -180,7 +180,7 @@ def test_a_line_ends_the_drive(tmp_path, at_line):
     assert [line.kind for line in motor[-3:]] == ["command", "cut", "stop"]
     assert motor[-2].command == motor[-3].command < 30
     assert sum(robot.ways) / 2 < 0.2 + 0.03
-    assert "was stopped before the end" in said[0]
+    assert "was stopped at the perimeter line by its light sensor line_" in said[0]
     drive(tmp_path / "ignored", robot := Robot(line=0.2), Source(50))
     assert sum(robot.ways) / 2 > 0.3
 

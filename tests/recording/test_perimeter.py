@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from neurosim.recording.homing import bearing
-from neurosim.recording.perimeter import DOUBT, LATENCY, STOPPING, Perimeter
+from neurosim.recording.perimeter import DOUBT, LATENCY, STOPPING, PositionGuard
 
 BOARD = {"length": 2.0, "width": 1.0}
 
 
 def perimeter():
-    return Perimeter(BOARD, 0.1, full_speed=0.5, track=0.13)
+    return PositionGuard(BOARD, 0.1, full_speed=0.5, track=0.13)
 
 
 def test_straight_on_is_speed_times_time():

@@ -381,7 +381,7 @@ def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
     motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
     assert motor[-3:] == ["command", "cut", "stop"]
     assert np.abs(truth.poses[:, 0]).max() < BOARD["length"] / 2 - Guard().margin + 0.02
-    assert "was stopped before the end" in said[0]
+    assert "was stopped at the board's edge" in said[0]
 
     def covered(rig):
         render = rig.camera.render

@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
 from tracking.datasets import readings as sensor_readings
@@ -277,7 +278,7 @@ def build(
     clocks: list[dict[str, Any]] = []
     markers: list[dict[str, Any]] = []
     readings: list[pd.DataFrame] = []
-    sources, robots, virtual = [], [], False
+    sources, robots, perimeters, virtual = [], [], [], False
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
         found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
@@ -306,6 +307,7 @@ def build(
         virtual = virtual or bool(is_virtual(recording.meta))
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
+        perimeters.append(Perimeter.of(recording.meta["board"], recording.meta["robot"]))
     dataset = make(
         rows,
         MOTOR_INPUTS,
@@ -319,6 +321,8 @@ def build(
         markers=markers,
         robots=robots,
         virtual=virtual,
+        # Of several boards none is that of a drive to come.
+        perimeter=perimeters[0].describe() if len(set(perimeters)) == 1 else None,
     )
     dataset.readings = sensor_readings.joined(readings)
     dataset.write(out)

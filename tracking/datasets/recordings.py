@@ -16,7 +16,7 @@ from __future__ import annotations
 import datetime
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -42,6 +42,7 @@ from neurosim.base.files import (
     write_csv,
     write_json,
 )
+from neurosim.base.perimeter import Board
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
@@ -90,7 +91,7 @@ KHEPERA_MARKERS: dict[str, Any] = {
     "diameter": 0.012,
 }
 #: The paper's board (section 6.1), in metres.
-DEFAULT_BOARD = {"length": 2.76, "width": 1.84}
+DEFAULT_BOARD = asdict(Board())
 
 
 #: A row of :meth:`Recording.commands`, as ``itertuples`` gives it.

@@ -14,7 +14,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from neurosim.base import perimeter
 from neurosim.base.closed_line import ClosedLine, distance_to
+from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
+
+_PLAIN = perimeter.Board()
 
 
 class Board(NamedTuple):
@@ -23,11 +27,11 @@ class Board(NamedTuple):
     Compiled code takes these numbers in as constants.
     """
 
-    length: float = 2.76
-    width: float = 1.84
-    #: The perimeter line: its centre this far inside the edge, and its breadth.
-    line_inset: float = 0.12
-    line_width: float = 0.02
+    length: float = _PLAIN.length
+    width: float = _PLAIN.width
+    #: The perimeter line: its centre this far inside the edge, and its width.
+    line_inset: float = _PLAIN.line_inset
+    line_width: float = _PLAIN.line_width
     #: Reflected light, 0..1, as a light sensor close to it sees it.
     light: float = 0.55
     line_light: float = 0.25
@@ -144,8 +148,8 @@ class LabParams:
     room: float = 0.8
 
     #: Light sensors look down so far ahead of the axle and to either side (m).
-    light_ahead: float = 0.06
-    light_aside: float = 0.09
+    light_ahead: float = LIGHT_AHEAD
+    light_aside: float = LIGHT_ASIDE
     #: Light sensors: noise of a reading (0..1) and the radius of the spot they see (m).
     light_noise: float = 0.006
     light_spot: float = 0.008

@@ -106,7 +106,8 @@ class VirtualRig:
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
         # What takes long here is this computer (compiling the physics, once), not the brick.
-        self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **self.address)
+        lights = {} if line is None else FOLLOWING
+        self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **lights, **self.address)
         self.robot.alone = False
         self.camera: RoofCamera | None = self.lab.camera
 

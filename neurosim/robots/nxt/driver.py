@@ -18,9 +18,9 @@ from nxt.sensor import Port as SensorPort
 from nxt.sensor import Type as SensorType
 from nxt.telegram import Opcode, Telegram
 
-from neurosim.base.declared import Port, Seconds, checks
+from neurosim.base.declared import Coordinate, Port, Seconds, checks
 from neurosim.base.errors import LinkLost, RobotError, UserError
-from neurosim.robots.base import Clock, SystemClock
+from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE, Clock, SystemClock
 from neurosim.robots.nxt.link import GARBAGE, Guard, open_brick
 
 T = TypeVar("T")
@@ -86,6 +86,8 @@ class NXT:
             sensor port 3; or none.
         light_left: Port of the left light sensor, 1 to 4, or none.
         light_right: Port of the right light sensor, 1 to 4, or none.
+        light_ahead: The light sensors are so far ahead of the axle, m.
+        light_aside: The light sensors are so far to either side of the robot's middle, m.
         invert: The motors are mounted the other way round: forward turns them backward.
         clock: the robot's clock; the virtual lab hands in its own.
         deadline: Wall-clock seconds after which a silent brick counts as lost; a robot that answers
@@ -114,6 +116,8 @@ class NXT:
         lamp: str | None = "A",
         light_left: int | str | None = 1,
         light_right: int | str | None = 2,
+        light_ahead: Coordinate = LIGHT_AHEAD,
+        light_aside: Coordinate = LIGHT_ASIDE,
         invert: bool = False,
         clock: Clock | None = None,
         deadline: Seconds = LATE,
@@ -132,6 +136,10 @@ class NXT:
         self._lights = {
             "line_left": _sensor_port(light_left, "light_left"),
             "line_right": _sensor_port(light_right, "light_right"),
+        }
+        self._light_at = {
+            "line_left": [light_ahead, light_aside],
+            "line_right": [light_ahead, -light_aside],
         }
         _all_different([self._left, self._right, self._lamp, *self._lights.values()])
         if self._lamp is not None:
@@ -311,6 +319,7 @@ class NXT:
                 "light_left": _number(self._lights["line_left"]),
                 "light_right": _number(self._lights["line_right"]),
             },
+            "light_sensors": {n: self._light_at[n] for n, port in self._lights.items() if port},
             "invert": self._sign < 0,
             "regulation": "speed",
         }

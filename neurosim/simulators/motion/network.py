@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Perimeter
 from neurosim.base.se2 import tensors as se2
 from neurosim.networks import Prediction, ProductSummationNetwork
 from neurosim.networks.expanded import sign_patterns
@@ -153,6 +154,7 @@ class MotionNetwork(Simulator):
         self.coordinates = coordinates
         self.noise = noise
         self.meta = dict(meta or {})
+        self.perimeter = Perimeter.from_json(self.meta.get("perimeter"))
         self.derived = derived
         self.drive = drive
         self.kernel_units = kernel_units

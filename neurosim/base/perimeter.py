@@ -1,0 +1,194 @@
+"""Where a guard ends a drive: at the line around a board, and at the board's edge.
+
+A recording carries the board and the robot's light sensors; the dataset and the simulator carry
+them on. The guard of a session, the virtual lab, tasks and pictures read them here, so that a
+drive ends in a simulator where it ends on the robot.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta
+from numba import njit, prange
+from numpy.typing import NDArray
+
+from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
+from neurosim.base.se2 import compiled as se2
+
+#: What ended a drive, by code from 1; 0: nothing. Words that follow "the robot".
+ENDS = (
+    "was stopped at the perimeter line",
+    "was stopped at the board's edge",
+    "was stopped because it was not seen",
+)
+LINE, EDGE, UNSEEN = 1, 2, 3
+
+#: From the moment at which the guard finds that the robot leaves until the robot stands, s.
+STOPPING = 0.25
+#: Error of a distance that was only commanded, as a fraction of it.
+DOUBT = 0.15
+#: Sensors are checked at least this often along a path, m.
+SPACING = 0.01
+#: A robot drives no longer arc than this in one interval, m; see :meth:`Perimeter.ends`.
+LONGEST_ARC = 1.5
+
+
+@dataclass(frozen=True)
+class Board(Checked):
+    """A board; its frame is at its centre, x along its length.
+
+    Attributes:
+        length: Length of the board, along x, m.
+        width: Width of the board, m.
+        line_inset: The middle of the perimeter line is so far inside the edge, m.
+        line_width: Width of the perimeter line, m; 0 for a board without one.
+    """
+
+    length: Metres = 2.76
+    width: Metres = 1.84
+    line_inset: MetresOrNone = 0.12
+    line_width: MetresOrNone = 0.02
+
+
+@dataclass(frozen=True)
+class Perimeter(Checked):
+    """A board and what of a robot the guard goes by.
+
+    Attributes:
+        board: the board.
+        sensors: x (forward) and y (left) of each light sensor in the robot's frame, m.
+        margin: the middle of the axle stays so far inside the edge, m; None: the robot's position
+            is not guarded.
+    """
+
+    board: Board = Board()
+    sensors: tuple[tuple[Coordinate, Coordinate], ...] = ()
+    margin: Annotated[float, Meta(ge=0, le=1000)] | None = 0.05
+
+    @classmethod
+    def of(cls, board: Mapping[str, float], robot: Mapping[str, Any]) -> Perimeter:
+        """Return the perimeter of a recording.
+
+        Args:
+            board: as in recording.json.
+            robot: as its driver describes it; ``light_sensors`` has the place of each.
+        """
+        known = {"line_width": 0.0, **board}  # nobody wrote down a line: there is none to model
+        sensors = (robot.get("light_sensors") or {}).values()
+        return cls(Board(**known), tuple((float(x), float(y)) for x, y in sensors))
+
+    @classmethod
+    def from_json(cls, content: Mapping[str, Any] | None) -> Perimeter | None:
+        """Return the perimeter that :meth:`describe` described; None of None."""
+        if content is None:
+            return None
+        sensors = tuple((x, y) for x, y in content["sensors"])
+        return cls(Board(**content["board"]), sensors, content["margin"])
+
+    def describe(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        content = asdict(self)
+        return {**content, "sensors": [list(place) for place in self.sensors]}
+
+    def guarded(self, by: str) -> Perimeter:
+        """Return the perimeter as a guard goes by it: ``both``, or ``position`` alone."""
+        return self if by == "both" else replace(self, sensors=())
+
+    def ends(
+        self,
+        before: NDArray[np.float64],
+        after: NDArray[np.float64],
+        duration: NDArray[np.float64] | float,
+    ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Return where the guard ends intervals of K drives.
+
+        A robot moves on the arc of constant twist between two poses, or straight where that arc is
+        longer than :data:`LONGEST_ARC`. It is stopped where a light sensor is on the line or beyond
+        the board's edge, or where the middle of its axle, :data:`STOPPING` later, would be less
+        than ``margin`` inside the edge and farther out than it is now.
+
+        Args:
+            before: [K, 3] poses at the beginning (m, m, rad, board frame).
+            after: [K, 3] at the end; an interval with a pose that is not known does not end.
+            duration: [K] or one for all, s.
+
+        Returns:
+            Codes [K] of :data:`ENDS`, 0 where the drive goes on, and poses [K, 3] at the end of
+            each interval, or where the robot was stopped.
+        """
+        codes, poses = np.zeros(len(after), np.int64), np.array(after, np.float64)
+        seconds = np.ascontiguousarray(np.broadcast_to(np.asarray(duration, float), len(after)))
+        board = self.board
+        sensors = np.array(self.sensors, np.float64).reshape(-1, 2)
+        margin = math.nan if self.margin is None else self.margin
+        line = board.line_inset, board.line_width
+        half = board.length / 2, board.width / 2
+        _ends(np.ascontiguousarray(before), poses, seconds, half, line, sensors, margin, codes)
+        return codes, poses
+
+
+@njit(cache=True, nogil=True)
+def _inside(x: float, y: float, half: tuple[float, float]) -> float:
+    """Return how far a point is inside the board's edge, m; below 0 outside."""
+    return min(half[0] - abs(x), half[1] - abs(y))
+
+
+@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+def _ends(
+    before: NDArray,
+    poses: NDArray,
+    seconds: NDArray,
+    half: tuple[float, float],
+    line: tuple[float, float],
+    sensors: NDArray,
+    margin: float,
+    codes: NDArray,
+) -> None:
+    """Write codes [K], and into ``poses`` [K, 3] where robots were stopped; see Perimeter.ends."""
+    reach = 0.0
+    for i in range(len(sensors)):
+        reach = max(reach, math.hypot(sensors[i, 0], sensors[i, 1]))
+    inner, outer = line[0] + 0.5 * line[1], line[0] - 0.5 * line[1]
+    marked = line[1] > 0.0
+    for k in prange(len(poses)):
+        x, y, heading = before[k, 0], before[k, 1], before[k, 2]
+        dx, dy, turn = poses[k, 0] - x, poses[k, 1] - y, poses[k, 2] - heading
+        if not (abs(x) + abs(y) + abs(dx) + abs(dy) < 1e3 and abs(heading) + abs(turn) < 1e6):
+            continue
+        length = se2.arc_length(dx, dy, turn)
+        if not length < LONGEST_ARC:
+            length, turn = math.hypot(dx, dy), 0.0
+        # The guard looks ahead along the same arc.
+        ahead = STOPPING / seconds[k] if seconds[k] > 1e-6 else 0.0
+        way = length * ahead
+        room = _inside(x, y, half) - length
+        if room > reach + inner and not room - (1.0 + DOUBT) * way < margin:
+            continue
+        count = max(math.ceil((length + reach * abs(turn)) / SPACING), 1)
+        for n in range(1, count + 1):
+            fraction = n / count
+            off_x, off_y = se2.arc(dx, dy, turn, fraction)
+            to_x, to_y, theta = x + off_x, y + off_y, heading + fraction * turn
+            cos, sin = math.cos(theta), math.sin(theta)
+            code = 0
+            for i in range(len(sensors)):
+                sx = to_x + cos * sensors[i, 0] - sin * sensors[i, 1]
+                sy = to_y + sin * sensors[i, 0] + cos * sensors[i, 1]
+                depth = _inside(sx, sy, half)
+                if depth < 0.0 or (marked and outer <= depth <= inner):
+                    code = LINE
+            if code == 0 and margin == margin:
+                off_x, off_y = se2.arc(dx, dy, turn, fraction + ahead)
+                there = _inside(x + off_x, y + off_y, half)
+                here = _inside(to_x, to_y, half)
+                if there - DOUBT * way < margin and there < here - 1e-4:
+                    code = EDGE
+            if code > 0:
+                codes[k] = code
+                poses[k, 0], poses[k, 1], poses[k, 2] = to_x, to_y, theta
+                break
