@@ -17,8 +17,9 @@ against what happened, Brier score against always saying the base rate.
 
 With --kept the work can be shared out: --first-plan 15 --plans 15 is another process's half.
 
-Drives are of the lab's physics itself; the first drive of every plan is made once more the long
-way, through brick, radio and driver (--brick 0 leaves that out).
+Drives are of the lab's physics itself, and end where the guard of a trial would end them; the
+first drive of every plan is made once more the long way, through brick, radio and driver
+(--brick 0 leaves that out).
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
+from neurosim.base.perimeter import Board, Perimeter
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import FixedPlan, Plan, SavedController
 from neurosim.lab import VirtualRig
@@ -45,6 +47,7 @@ from neurosim.loop.evolve import Result, evolve_in, improve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 from neurosim.simulators import read_simulator
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING
@@ -55,6 +58,8 @@ from tracking.datasets.recordings import Recording
 
 REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
 TASK = NineRectangles()
+#: The lab's board and its robots' light sensors: where the guard of a trial ends a drive.
+PERIMETER = Perimeter(Board(), ((LIGHT_AHEAD, LIGHT_ASIDE), (LIGHT_AHEAD, -LIGHT_ASIDE)))
 #: The lab's motors, caster and slip need no finer step for a plan's rollout.
 COARSE = 0.01
 #: Poses of a true path are judged this often, s.
@@ -274,13 +279,13 @@ def judged(path: np.ndarray, segment: np.ndarray, commands: int) -> bool:
     given = np.append(np.ones(commands, bool), False)
     sent = np.zeros((commands + 1, 3))
     track = Trajectory.of_track(np.arange(len(path)), path, segment, sent, given)
-    return bool(TASK.judge(track).success)
+    return bool(TASK.within_perimeter(PERIMETER).judge(track).success)
 
 
 class LabPhysics(Simulator):
     """The lab's own physics as a simulator: what no learner has."""
 
-    kind, has_noise = "lab-physics", True
+    kind, has_noise, perimeter = "lab-physics", True, PERIMETER
     state_names = ("x", "y", "theta", *(f"lab_{n}" for n in range(int(physics.S.SIZE))))
     command_names = ("left", "right", "duration")
 

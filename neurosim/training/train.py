@@ -15,6 +15,7 @@ import torch
 from neurosim.base import files
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import Progress
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.domain import Domain
@@ -96,6 +97,7 @@ def train(
         simulator.sensors, readings["readings"] = learn_sensors(
             rows.readings, HELD_OUT, progress=progress
         )
+    simulator.perimeter = Perimeter.from_json(rows.meta.get("perimeter"))
     simulator.meta = {
         **simulator.meta,
         **readings,

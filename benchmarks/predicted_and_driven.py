@@ -1,0 +1,224 @@
+"""Is what is predicted of a drive what happens to it, on the way that a user goes?
+
+Each robot of the virtual lab records commands (guided and random), a simulator is learned of each
+recording, controllers are evolved in it, and each is driven: through driver, radio, brick, camera,
+tracker and guard, by the commands of the command line. No constant was chosen on these robots;
+their seeds were drawn once, before the first run: :data:`ROBOTS`.
+
+A plan is driven in open loop and replanned after each command. Beside it, it is driven in the
+lab's bare physics, where the guard ends drives by geometry: the two may differ by chance alone.
+The oracle is the best plan of the robot, evolved on in the lab's physics itself, with the guard.
+
+Printed are the predicted probability and the fraction that completed the task, over all open-loop
+drives and in bins; the Brier skill over the base rate; and what replanning completes.
+
+    python benchmarks/predicted_and_driven.py KEPT                 go on where the folder KEPT ends
+    python benchmarks/predicted_and_driven.py KEPT --robots 2      the first two robots alone
+    python benchmarks/predicted_and_driven.py KEPT --show          the table of what there is
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+from robust_plans import bound, drive
+
+from neurosim.base.statistics import wilson
+from neurosim.controllers import read_controller
+
+#: Seeds of the lab's robots: drawn with numpy.random.default_rng(20261124).integers(1000, 10000).
+ROBOTS = (2953, 9646, 2279, 9667, 5822, 2132, 6743, 4096, 6966, 6173)
+#: How the commands of a recording are chosen.
+KINDS = {"guided": ["--guided"], "random": []}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("kept", type=Path, help="folder of everything; gone on with")
+    parser.add_argument("--robots", type=int, default=len(ROBOTS))
+    parser.add_argument("--kinds", default="guided,random")
+    parser.add_argument("--commands", type=int, default=400, help="of each recording")
+    parser.add_argument("--plans", type=int, default=2, help="evolved in each simulator")
+    parser.add_argument("--drives", type=int, default=8, help="of each plan, in open loop")
+    parser.add_argument("--replanned", type=int, default=2, help="of each plan")
+    parser.add_argument("--bare", type=int, default=200, help="of each plan, in bare physics")
+    parser.add_argument("--show", action="store_true", help="what there is; nothing is driven")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    options.kept.mkdir(parents=True, exist_ok=True)
+    if not options.show:
+        for robot in ROBOTS[: options.robots]:
+            for kind in options.kinds.split(","):
+                one_simulator(options, robot, kind)
+    found = summary(list(rows(options.kept)))
+    print(json.dumps(found, indent=2) if options.json else table(found))
+
+
+def neurosim(*words: object) -> dict:
+    """Run a command of neurosim; return what it prints for machines."""
+    text = [sys.executable, "-m", "neurosim", *map(str, words)]
+    done = subprocess.run(text, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise SystemExit(f"{' '.join(text)}\n{done.stderr}")
+    return json.loads(done.stdout) if "--json" in words else {}
+
+
+def one_simulator(options: argparse.Namespace, robot: int, kind: str) -> None:
+    """Record, learn, evolve and drive one robot with commands of one kind."""
+    folder = options.kept / f"{robot}-{kind}"
+    of_robot, camera = ["--lab-seed", robot], options.kept / "calibration.json"
+    if not camera.exists():
+        photographs = options.kept / "photographs"
+        neurosim("lab", "photographs", photographs)
+        points = ["--points", photographs / "points.csv"]
+        neurosim("calibrate", photographs, "--square", 40, *points, "-o", camera)
+    recording, dataset, simulator = (folder / n for n in ("recording", "dataset", "simulator"))
+    if not dataset.exists():
+        shutil.rmtree(recording, ignore_errors=True)
+        how = [*KINDS[kind], "--commands", options.commands, "--calibration", camera]
+        neurosim("record", recording, *how, *of_robot, "--seed", robot)
+        neurosim("dataset", recording, "-o", dataset)
+        shutil.rmtree(recording)  # 100 MB of video
+    if not simulator.exists():
+        neurosim("train", dataset, "-o", simulator, "--seed", robot)
+    for number in range(options.plans):
+        one_plan(options, folder, robot, robot + number)
+
+
+def one_plan(options: argparse.Namespace, folder: Path, robot: int, seed: int) -> None:
+    simulator, plan = folder / "simulator", folder / f"plan-{seed}"
+    if not plan.exists():
+        task = ["--task", "nine-rectangles", "--robust"]
+        neurosim("evolve", simulator, *task, "-o", plan, "--seed", seed)
+    checked = plan.with_name(f"{plan.name}.check.json")
+    if not checked.exists():
+        found = neurosim("plan-check", plan, simulator, "--seed", seed, "--json")
+        given = [tuple(c) for c in read_controller(plan).commands if c is not None]
+        found["bare"] = sum(drive(given, robot, 1000 * seed + n) for n in range(options.bare))
+        found["bare_drives"] = options.bare
+        best = oracle(given, robot, seed)
+        found["oracle"] = sum(drive(best, robot, 2000 * seed + n) for n in range(options.bare))
+        checked.write_text(json.dumps(found), encoding="utf-8")
+    for how, count in (("open-loop", options.drives), ("replanned", options.replanned)):
+        for number in range(count):
+            trial = folder / f"{plan.name}-{how}-{number}"
+            if (trial / "trial.json").exists():
+                continue
+            shutil.rmtree(trial, ignore_errors=True)
+            words = ["--replan"] if how == "replanned" else ["--no-replan"]
+            words += ["--calibration", options.kept / "calibration.json", "--lab-seed", robot]
+            neurosim("run", plan, *words, "-o", trial, "--seed", 100 * seed + number)
+            for video in trial.glob("*.avi"):
+                video.unlink()
+
+
+def oracle(given: list, robot: int, seed: int) -> list:
+    """Return the commands of a plan that was evolved on in the lab's physics, with the guard."""
+    options = argparse.Namespace(lab_seed=robot, bound_generations=30)
+    found = bound([SimpleNamespace(commands=given)], len(given), seed, options)
+    return [command for command in found[0].commands if command is not None]
+
+
+def rows(kept: Path) -> Iterator[dict]:
+    """Give what was predicted of each drive and what happened."""
+    for file in sorted(kept.glob("*/*.check.json")):
+        checked, plan = json.loads(file.read_text(encoding="utf-8")), file.name.split(".")[0]
+        robot, kind = file.parent.name.split("-")
+        for trial in sorted(file.parent.glob(f"{plan}-*-*/trial.json")):
+            report = json.loads(trial.read_text(encoding="utf-8"))
+            yield {
+                "robot": robot,
+                "kind": kind,
+                "plan": f"{file.parent.name}/{plan}",
+                "how": trial.parent.name.removeprefix(f"{plan}-").rsplit("-", 1)[0],
+                "predicted": checked["probability"],
+                "bare": checked["bare"] / checked["bare_drives"],
+                "oracle": checked["oracle"] / checked["bare_drives"],
+                "completed": bool(report["actual"]["completes"]),
+                "stopped": report["stopped"] is not None,
+            }
+
+
+def summary(drives: list[dict]) -> dict:
+    """Return what all drives say."""
+    found: dict = {}
+    for how in ("open-loop", "replanned"):
+        chosen = [row for row in drives if row["how"] == how]
+        if not chosen:
+            continue
+        done = np.array([row["completed"] for row in chosen], float)
+        predicted = np.array([row["predicted"] for row in chosen])
+        about = {
+            "drives": len(chosen),
+            "robots": len({row["robot"] for row in chosen}),
+            "completed": float(done.mean()),
+            "interval": wilson(int(done.sum()), len(done)),
+            "stopped by the guard": float(np.mean([row["stopped"] for row in chosen])),
+        }
+        if how == "open-loop":
+            base = float(done.mean() * (1 - done.mean()))
+            brier = float(((predicted - done) ** 2).mean())
+            about |= {
+                "predicted": float(predicted.mean()),
+                "in bare physics": float(np.mean([row["bare"] for row in chosen])),
+                "oracle": float(np.mean([row["oracle"] for row in chosen])),
+                "Brier score": brier,
+                "Brier skill": 1 - brier / base if base > 0 else None,
+                "bins": bins(predicted, done),
+            }
+        found[how] = about
+        for kind in KINDS:
+            part = [row for row in chosen if row["kind"] == kind]
+            if part:
+                found[f"{how}, {kind}"] = {
+                    "drives": len(part),
+                    "predicted": float(np.mean([row["predicted"] for row in part])),
+                    "completed": float(np.mean([row["completed"] for row in part])),
+                }
+    return found
+
+
+def bins(predicted: np.ndarray, done: np.ndarray) -> list[dict]:
+    place = np.minimum((predicted * 10).astype(int), 9)
+    return [
+        {
+            "from": low / 10,
+            "drives": int((place == low).sum()),
+            "predicted": float(predicted[place == low].mean()),
+            "completed": float(done[place == low].mean()),
+        }
+        for low in range(10)
+        if (place == low).any()
+    ]
+
+
+def table(found: dict) -> str:
+    lines = []
+    for name, about in found.items():
+        lines.append(name)
+        for key, value in about.items():
+            if key == "bins":
+                lines += [
+                    f"    predicted {b['predicted']:.0%}: completed {b['completed']:.0%} of "
+                    f"{b['drives']} drives"
+                    for b in value
+                ]
+            elif key == "interval":
+                lines.append(f"    95 % interval: {value[0]:.0%} to {value[1]:.0%}")
+            elif isinstance(value, float) and "Brier" not in key:
+                lines.append(f"    {key}: {value:.1%}")
+            else:
+                lines.append(f"    {key}: {value if value is None else round(value, 3)}")
+    return "\n".join(lines) or "no drives yet"
+
+
+if __name__ == "__main__":
+    main()
