@@ -8,7 +8,6 @@ that a crash leaves the old file or none.
 from __future__ import annotations
 
 import csv
-import errno
 import glob
 import hashlib
 import io
@@ -19,12 +18,14 @@ import shutil
 import socket
 import stat
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
+from filelock import FileLock, Timeout
 
 from neurosim.base.declared import Mismatch, SettingError, convert, without_nulls
 from neurosim.base.errors import FileError, UserError
@@ -32,28 +33,22 @@ from neurosim.base.errors import FileError, UserError
 if TYPE_CHECKING:
     import pandas as pd  # 0.4 s, needed where a table is read
 
-try:
-    import fcntl
-except ImportError:  # Windows
-    import msvcrt
-
-    fcntl = None  # type: ignore[assignment]
-
-
 Made = TypeVar("Made")
 
 #: No number in a CSV file is larger: what is computed of measured values stays finite.
 LARGEST = 1e150
 
-#: How much of a name stands in the name of what is written beside its place.
+#: Characters of the target's name that are kept in the name of a temporary file.
 _OF_NAME = 32
+#: A temporary file of this age, s, was left by a program that was killed.
+_STALE = 86_400
 
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
     """Give a path to write to beside ``path``; rename it into place when the block succeeds.
 
-    What a program that was killed left beside ``path`` is removed.
+    What a program that was killed left beside ``path`` is removed after a day.
 
     Raises:
         UserError: if something stands at ``path`` that is neither file nor folder, such as a
@@ -67,54 +62,24 @@ def atomic_path(path: str | Path) -> Iterator[Path]:
     prefix, suffix = f".{path.stem[:_OF_NAME]}.", f".partial{path.suffix}"
     _sweep(path.parent, prefix, suffix)
     number, name = tempfile.mkstemp(prefix=prefix, suffix=suffix, dir=path.parent)
+    os.close(number)
     partial = Path(name)
     try:
-        _lock(number)  # while this program lives, nobody takes it for left behind
         yield partial
         partial.chmod(0o666 & ~_umask())  # some writers make files that only their owner reads
         _to_disk(partial)
-        if os.name == "nt":
-            os.close(number)  # an open file is not renamed there
-            number = -1
         os.replace(partial, path)
         _to_disk(path.parent)
     finally:
-        if number >= 0:
-            os.close(number)
         partial.unlink(missing_ok=True)
 
 
 def _sweep(folder: Path, prefix: str, suffix: str = "") -> None:
-    """Remove what programs that were killed left in a folder: no living one holds its lock."""
+    """Remove what programs that were killed left in a folder."""
     for path in folder.glob(f"{glob.escape(prefix)}*{glob.escape(suffix)}"):
         with suppress(OSError):
-            if path.is_symlink():
-                continue
-            number = os.open(path, os.O_RDONLY)
-            try:
-                if _lock(number):
-                    shutil.rmtree(path) if path.is_dir() else path.unlink()
-            finally:
-                os.close(number)
-
-
-def _lock(number: int) -> bool | None:
-    """Lock an open file or folder for this program; return whether no other had it, if known."""
-    if fcntl is None:
-        try:
-            os.lseek(number, 1 << 20, os.SEEK_SET)  # beyond the text, which others may read
-            msvcrt.locking(number, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
-        finally:
-            os.lseek(number, 0, os.SEEK_SET)
-        return True
-    try:
-        fcntl.flock(number, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        # None on a file system that has no locks.
-        return False if error.errno in (errno.EWOULDBLOCK, errno.EAGAIN) else None
-    return True
+            if not path.is_symlink() and time.time() - path.stat().st_mtime > _STALE:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
 
 
 def _to_disk(path: Path) -> None:
@@ -152,7 +117,8 @@ def write_text(path: str | Path, text: str) -> None:
 def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill; it appears at ``path`` only if the block succeeds.
 
-    What a program that was killed left beside ``path`` is removed, or put back.
+    What a program that was killed had moved aside is put back; what it had begun to write beside
+    ``path`` is removed after a day.
 
     Raises:
         UserError: if ``path`` exists and is not an empty folder (and ``overwrite`` is not set).
@@ -164,10 +130,7 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     _put_back(path, aside)
     _sweep(path.parent, prefix)
     partial = Path(tempfile.mkdtemp(prefix=prefix, dir=path.parent))
-    number = os.open(partial, os.O_RDONLY) if fcntl is not None else -1
     try:
-        if number >= 0:
-            _lock(number)
         yield partial
         partial.chmod(0o777 & ~_umask())  # mkdtemp's 0700 is not what a shared folder wants
         for written in partial.rglob("*"):
@@ -183,8 +146,6 @@ def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
             os.replace(partial, path)
         _to_disk(path.parent)
     finally:
-        if number >= 0:
-            os.close(number)
         shutil.rmtree(partial, ignore_errors=True)
 
 
@@ -229,48 +190,34 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
     """Keep a folder for this process alone while the block runs.
 
     The file ``.lock`` in it says which process on which computer has it. One that a process left
-    that is no more does not count.
+    that has ended does not count.
 
     Args:
         folder: that is there.
         doing: what is done in it, for the message of another process: ``recorded into``.
 
     Raises:
-        UserError: if another process has it, here or on another computer.
+        UserError: if another process has it.
     """
-    path, host = Path(folder) / _LOCK, socket.gethostname()
-    file = _taken(path, host, folder, doing)
+    path = Path(folder) / _LOCK
+    lock = FileLock(path, timeout=0)
     try:
-        file.truncate(0)
-        file.write(f"{os.getpid()} on {host}\n")
-        file.flush()
+        lock.acquire()
+    except Timeout:
+        holder = ""
+        with suppress(OSError):  # Windows lets nobody else read it
+            holder = path.read_text(encoding="utf-8", errors="replace")[:512].strip()
+        raise UserError(
+            f"{folder} is being {doing} by {holder or 'another process'}: wait for that, or end it"
+        ) from None
+    try:
+        with suppress(PermissionError):
+            path.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
         yield
     finally:
-        if os.name == "nt":
-            file.close()  # an open file is not removed there
-        path.unlink(missing_ok=True)
-        file.close()
-
-
-def _taken(path: Path, host: str, folder: str | Path, doing: str) -> TextIO:
-    """Return the lock's file, open and locked."""
-    while True:
-        number = os.open(path, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o644)
-        file = open(number, "r+", encoding="utf-8", errors="replace")  # noqa: SIM115
-        free = _lock(number) is not False
-        holder, _, where = file.read(512).strip().partition(" on ")
-        if not free or (where and where != host):
-            file.close()
-            what = f"process {holder} on {where}" if where else "another process"
-            then = "wait for that, or end it"
-            if free:
-                then += f"; if it is no more, remove {path}"
-            raise UserError(f"{folder} is being {doing} by {what}: {then}")
-        # Whoever had it may have removed it just before it was locked here.
-        if path.exists() and os.path.samestat(os.fstat(number), path.stat()):
-            file.seek(0)
-            return file
-        file.close()
+        with suppress(PermissionError):  # Windows removes no open file
+            path.unlink(missing_ok=True)
+        lock.release()
 
 
 def check_new_folder(path: str | Path, *, overwrite: bool = False) -> None:

@@ -177,7 +177,6 @@ def changed(
 )
 @click.option(
     "--robot-generations",
-    "--then-on-robot",
     "real_generations",
     type=ranged(CountOrNone),
     default=0,

@@ -34,18 +34,12 @@ from neurosim.cli.train import evaluate, train
 from neurosim.cli.view import view
 from neurosim.cli.watch import watch
 
-#: Names that verbs had before; they work, and are not listed.
-FORMER = {"tables": "build-tables"}
-
 
 class _InOrder(click.Group):
     """Lists the verbs in the order of the pipeline, not of the alphabet."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
-
-    def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        return super().get_command(ctx, FORMER.get(name, name))
 
 
 @click.group(cls=_InOrder, context_settings={"help_option_names": ["-h", "--help"]})

@@ -11,7 +11,6 @@ given in a rectangle, and what mutation does.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.checkpoint import random_state, set_random_state
 from neurosim.base.errors import UserError
+from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.evolution.genetic import GeneticSettings
 
 GENES = 4
@@ -124,20 +124,13 @@ class PlanPopulation:
 
 @njit(cache=True)
 def _uniform(state):
-    """Draw from [0, 1): SplitMix64 (Steele, Lea, Flood 2014)."""
-    state[0] += np.uint64(0x9E3779B97F4A7C15)
-    z = state[0]
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return np.int64(z >> np.uint64(11)) * 2.0**-53
+    state[0] += GOLDEN
+    return uniform(state[0])
 
 
 @njit(cache=True)
 def _normal(state):
-    """Draw from the standard normal distribution (Box-Muller)."""
-    radius = math.sqrt(-2.0 * math.log(1.0 - _uniform(state)))
-    return radius * math.cos(2.0 * math.pi * _uniform(state))
+    return normal(_uniform(state), _uniform(state))
 
 
 @njit(cache=True)

@@ -12,19 +12,10 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
+from neurosim.base.random import GOLDEN, bits
+
 #: What numbers are: there are none; uniform in -1 to 1; standard normal.
 NONE, UNIFORM, NORMAL = 0, 1, 2
-
-_GOLDEN = np.uint64(0x9E3779B97F4A7C15)
-
-
-@njit(cache=True, inline="always")
-def _random(state):
-    """Return 64 random bits of a state, a counter times an odd number (SplitMix64)."""
-    z = state
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return z ^ (z >> np.uint64(31))
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -38,18 +29,19 @@ def draw(noise, state, out):
             Muller).
     """
     if noise == UNIFORM:
-        for word in range(len(out) // 4):
-            state += _GOLDEN
-            bits = _random(state)
+        for place in range(len(out) // 4):
+            state += GOLDEN
+            word = bits(state)
             for part in range(4):
-                low = np.int64((bits >> np.uint64(16 * part)) & np.uint64(0xFFFF))
-                out[4 * word + part] = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
+                low = np.int64((word >> np.uint64(16 * part)) & np.uint64(0xFFFF))
+                value = np.float32(low) * np.float32(2.0 / 65535.0) - np.float32(1.0)
+                out[4 * place + part] = value
     elif noise == NORMAL:
         for pair in range(len(out) // 2):
-            state += _GOLDEN
-            bits = _random(state)
-            u = (np.float64(bits >> np.uint64(32)) + 0.5) / 4294967296.0
-            angle = np.float64(bits & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
+            state += GOLDEN
+            word = bits(state)
+            u = (np.float64(word >> np.uint64(32)) + 0.5) / 4294967296.0
+            angle = np.float64(word & np.uint64(0xFFFFFFFF)) * (2.0 * math.pi / 4294967296.0)
             size = math.sqrt(-2.0 * math.log(u))
             out[2 * pair], out[2 * pair + 1] = size * math.cos(angle), size * math.sin(angle)
     return state
@@ -73,7 +65,7 @@ def numbers(
     out = np.empty((len(seeds), steps, width), np.float32)
     for row in prange(len(seeds)):
         drawn = np.empty(padded, np.float32)
-        state = seeds[row] + _GOLDEN * np.uint64(first[row] * words)
+        state = seeds[row] + GOLDEN * np.uint64(first[row] * words)
         for step in range(steps):
             state = draw(noise, state, drawn)
             out[row, step] = drawn[:width]
@@ -85,5 +77,5 @@ def words(seeds: NDArray[np.uint64], steps: NDArray[np.int64]) -> NDArray[np.uin
     """Return a word of 64 random bits [R] for each seed and step, [R] both."""
     out = np.empty(len(seeds), np.uint64)
     for row in range(len(seeds)):
-        out[row] = _random(seeds[row] + _GOLDEN * np.uint64(steps[row] + 1))
+        out[row] = bits(seeds[row] + GOLDEN * np.uint64(steps[row] + 1))
     return out

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from patience import PATIENCE
 
+from neurosim.base import files
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.recording.record import BatteryLow, Guard, RecordSettings, _wanted, record
@@ -364,7 +365,8 @@ def calibration_of(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
-def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path):
+def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path, monkeypatch):
+    monkeypatch.setattr(files, "_STALE", 0.0)
     calibration, resumed, steps = calibration_of(tmp_path), 0, 0
     while True:
         steps += 1

@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numba import njit
 
+from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.lab.nxt.params import BOARD, LabParams
 
 #: Longest integration step (s).
@@ -91,21 +92,10 @@ def new_inputs() -> np.ndarray:
 
 
 @njit(cache=True)
-def _uniform(state):
-    """Draw from (0, 1): SplitMix64 (Steele, Lea, Flood 2014) of the seed and a counter."""
-    state[S.DRAWS] += 1.0
-    z = np.uint64(state[S.SEED]) + np.uint64(state[S.DRAWS]) * np.uint64(0x9E3779B97F4A7C15)
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    z = z ^ (z >> np.uint64(31))
-    return (float(z >> np.uint64(12)) + 0.5) * 2.0**-52
-
-
-@njit(cache=True)
 def _normal(state):
-    """Draw from the standard normal distribution (Box-Muller)."""
-    radius = math.sqrt(-2.0 * math.log(_uniform(state)))
-    return radius * math.cos(2.0 * math.pi * _uniform(state))
+    state[S.DRAWS] += 2.0
+    last = np.uint64(state[S.SEED]) + np.uint64(state[S.DRAWS]) * GOLDEN
+    return normal(uniform(last - GOLDEN), uniform(last))
 
 
 @njit(cache=True)

@@ -1,0 +1,37 @@
+"""Random numbers in compiled code: SplitMix64 (Steele, Lea, Flood 2014) of a counter.
+
+A number depends on its seed and its place in the sequence alone, so that whoever counts can draw
+any of them.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from neurosim.base.kernels import kernel
+
+#: From one state of the generator to the next.
+GOLDEN = np.uint64(0x9E3779B97F4A7C15)
+
+
+@kernel(inline="always")
+def bits(state):
+    """Return 64 random bits of a state, uint64: a seed plus a multiple of :data:`GOLDEN`."""
+    z = state
+    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return z ^ (z >> np.uint64(31))
+
+
+@kernel(inline="always")
+def uniform(state):
+    """Return a number between 0 and 1, neither of which it is."""
+    return (np.float64(bits(state) >> np.uint64(12)) + 0.5) * 2.0**-52
+
+
+@kernel(inline="always")
+def normal(one, other):
+    """Return a standard normal number of two uniform ones (Box and Muller 1958)."""
+    return math.sqrt(-2.0 * math.log(one)) * math.cos(2.0 * math.pi * other)
