@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -21,8 +22,18 @@ _STILL = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
 _SLOW = np.array([0.25, 0.0, 0.5, 0.0, 0.25])
 _FAST = np.array([0.125, 0.25, 0.25, 0.25, 0.125])
 _NOISE_TILE = 256
-#: Pictures of the empty board with noise on, kept to start frames from: so many bytes of them.
-_BANK_BYTES = 32_000_000
+#: Pictures of the empty board with noise on, kept to start frames from.
+_BANK = 8
+
+
+@lru_cache(maxsize=2)
+def _seen_by(params: CameraParams) -> tuple[Optics, np.ndarray, np.ndarray]:
+    """Return the optics, and board coordinates of every pixel on the ground and at marker height.
+
+    One lab after the other has the same camera.
+    """
+    optics = Optics(params)
+    return optics, optics.plane_map(0.0), optics.plane_map(scene.MARKER_HEIGHT)
 
 
 class RoofCamera:
@@ -50,18 +61,15 @@ class RoofCamera:
         line: PrintedLine | None = None,
     ) -> None:
         self.params = params
-        self.optics = Optics(params)
+        self.optics, ground_plane, self._plane = _seen_by(params)
         self._now = now
         self._rng = np.random.default_rng([seed, 0xCA3E])
         texture = scene.grain(self._rng, room=1.5)
         self._ground, self._light = scene.paint_ground(
-            self.optics.plane_map(0.0), texture, params.gradient, params.vignetting
+            ground_plane, texture, params.gradient, params.vignetting
         )
         if line is not None:
-            scene.print_line(
-                self._ground, self._light, self.optics.plane_map(0.0), line.line.points, line.width
-            )
-        self._plane = self.optics.plane_map(scene.MARKER_HEIGHT)
+            scene.print_line(self._ground, self._light, ground_plane, line.line.points, line.width)
         shape = (_NOISE_TILE, _NOISE_TILE, 3)
         self._noise = params.noise * self._rng.standard_normal(shape, np.float32)
         self._bank = self._noisy_grounds()
@@ -186,10 +194,9 @@ class RoofCamera:
         return self._begun + self._frame * period + moment * self.params.exposure
 
     def _noisy_grounds(self) -> list[np.ndarray]:
-        count = max(4, min(24, _BANK_BYTES // self._ground.size))
         return [
             (self._ground + self._grain_over() + 0.5).clip(0, 255).astype(np.uint8)
-            for _ in range(count)
+            for _ in range(_BANK)
         ]
 
     def _grain_over(self) -> np.ndarray:

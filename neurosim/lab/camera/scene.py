@@ -3,6 +3,8 @@
 Colours are blue, green, red grey levels in full light. Everything of the robot that shows is
 painted in the plane of its markers. A pixel is the mean of 2 x 2 samples (3 x 3 for the ground),
 each with edges blurred over its own breadth, so that centres come out to hundredths of a pixel.
+Of a robot that moves during the exposure every pose has two of the four, on one diagonal of the
+pixel, and the next pose the other two.
 """
 
 from __future__ import annotations
@@ -179,6 +181,7 @@ def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise
     height, width = plane.shape[:2]
     size = noise.shape[0]
     cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+    still = len(poses) == 1
     for v in range(window[2], window[3]):
         v0 = min(max(v, 1), height - 2)
         for u in range(window[0], window[1]):
@@ -204,11 +207,12 @@ def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise
                 # The pixel's sides in the robot frame, a quarter of each.
                 ax, ay = 0.25 * (cos[k] * ux + sin[k] * uy), 0.25 * (cos[k] * uy - sin[k] * ux)
                 bx, by = 0.25 * (cos[k] * vx + sin[k] * vy), 0.25 * (cos[k] * vy - sin[k] * vx)
-                share = 0.25 * weights[k]
-                for a, b in ((-1, -1), (-1, 1), (1, -1), (1, 1)):
-                    seen = _robot_colour(
-                        x + a * ax + b * bx, y + a * ay + b * by, breadth, under, lit, lamp
-                    )
+                share = 0.25 * weights[k] if still else 0.5 * weights[k]
+                for sample in range(4 if still else 2):
+                    along = 1.0 if sample % 2 == 0 else -1.0
+                    down = along if (sample // 2 + k) % 2 == 0 else -along
+                    to_x, to_y = along * ax + down * bx, along * ay + down * by
+                    seen = _robot_colour(x + to_x, y + to_y, breadth, under, lit, lamp)
                     blue += share * seen[0]
                     green += share * seen[1]
                     red += share * seen[2]
@@ -256,15 +260,16 @@ def _robot_colour(x, y, breadth, under, light, lamp):
         front = x > LAMP[0]
         marker = FRONT_MARKER if front else REAR_MARKER
         rim = _PINK if front else _BLUE
-        r = math.sqrt((x - marker[0]) ** 2 + (y - marker[1]) ** 2)
+        r2 = (x - marker[0]) ** 2 + (y - marker[1]) ** 2
         radius = 0.5 * MARKER_DIAMETER
-        share = _edge(radius - r, breadth)
-        if share > 0.0:
+        if r2 < (radius + 0.5 * breadth) ** 2:
+            r = math.sqrt(r2)
+            share = _edge(radius - r, breadth)
             fade = min(max((radius - r) / (radius - _DOT_RADIUS), 0.0), 1.0)
             colour = _blend(colour, _lit(_blend(rim, _WHITE, fade), light), share)
     r2 = (x - LAMP[0]) ** 2 + (y - LAMP[1]) ** 2
-    share = _edge(LAMP_RADIUS - math.sqrt(r2), breadth)
-    if share > 0.0:
+    if r2 < (LAMP_RADIUS + 0.5 * breadth) ** 2:
+        share = _edge(LAMP_RADIUS - math.sqrt(r2), breadth)
         glass = _blend(_lit(_LAMP_GLASS, light), _LAMP_LIT, lamp)
         colour = _blend(colour, glass, share)
     if lamp > 0.0:
