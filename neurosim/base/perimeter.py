@@ -71,16 +71,18 @@ class Perimeter(Checked):
     margin: Annotated[float, Meta(ge=0, le=1000)] | None = 0.05
 
     @classmethod
-    def of(cls, board: Mapping[str, float], robot: Mapping[str, Any]) -> Perimeter:
-        """Return the perimeter of a recording.
+    def of_recording(cls, meta: Mapping[str, Any]) -> Perimeter:
+        """Return the perimeter of a recording, as its guard goes by it.
 
         Args:
-            board: as in recording.json.
-            robot: as its driver describes it; ``light_sensors`` has the place of each.
+            meta: of recording.json: ``board``; ``robot``, whose ``light_sensors`` has the place of
+                each; ``settings``, with the guard's.
         """
-        known = {"line_width": 0.0, **board}  # nobody wrote down a line: there is none to model
-        sensors = (robot.get("light_sensors") or {}).values()
-        return cls(Board(**known), tuple((float(x), float(y)) for x, y in sensors))
+        known = {"line_width": 0.0, **meta["board"]}  # a line that nobody wrote down is not known
+        sensors = (meta["robot"].get("light_sensors") or {}).values()
+        perimeter = cls(Board(**known), tuple((float(x), float(y)) for x, y in sensors))
+        guard = (meta.get("settings") or {}).get("guard") or {}
+        return perimeter.guarded(guard.get("by", "both"))
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any] | None) -> Perimeter | None:

@@ -1,6 +1,7 @@
 """Where the guard ends a drive: hand-worked places, and against a slow, plain version."""
 
 import math
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -101,7 +102,13 @@ def test_a_description_makes_the_same_perimeter_again():
     perimeter = Perimeter(BOARD, SENSORS, 0.03)
     assert Perimeter.from_json(perimeter.describe()) == perimeter
     assert Perimeter.from_json(None) is None
-    recorded = Perimeter.of({"length": 2.0, "width": 1.0}, {"kind": "other"})
+    recorded = Perimeter.of_recording(
+        {"board": {"length": 2.0, "width": 1.0}, "robot": {"kind": "other"}}
+    )
     assert recorded.sensors == ()
     assert recorded.board.line_width == 0
-    assert recorded.guarded("position") == recorded
+    robot = {"light_sensors": {"line_left": [0.06, 0.09], "line_right": [0.06, -0.09]}}
+    about = {"board": asdict(BOARD), "robot": robot}
+    assert Perimeter.of_recording(about).sensors == SENSORS
+    about["settings"] = {"guard": {"by": "position"}}
+    assert Perimeter.of_recording(about).sensors == ()

@@ -307,7 +307,7 @@ def build(
         virtual = virtual or bool(is_virtual(recording.meta))
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
-        perimeters.append(Perimeter.of(recording.meta["board"], recording.meta["robot"]))
+        perimeters.append(Perimeter.of_recording(recording.meta))
     dataset = make(
         rows,
         MOTOR_INPUTS,
