@@ -22,7 +22,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, BinaryIO, TypeVar
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -105,6 +105,45 @@ def _umask() -> int:
     mask = os.umask(0)
     os.umask(mask)
     return mask
+
+
+def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
+    """Open a file that grows in place, such as a log; make it where there is none.
+
+    Whoever made the folder may have put something else in its place: a link, of either kind, leads
+    to a file of somebody else, and a pipe never answers.
+
+    Args:
+        path: the file.
+        mode: ``ab`` to append, ``wb`` to begin anew, ``xb`` where there must be none yet.
+
+    Raises:
+        UserError: if a link or anything but a plain file is there, or, with ``xb``, anything.
+    """
+    path = Path(path)
+    flags = {"ab": os.O_APPEND, "wb": 0, "xb": os.O_EXCL}[mode] | os.O_WRONLY | os.O_CREAT
+    flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
+    flags |= getattr(os, "O_BINARY", 0)
+    stay = "what is written here must stay here: put a plain file in its place, or remove it"
+    if path.is_symlink():
+        raise UserError(f"{path} is a link to {os.readlink(path)}, and {stay}")
+    _refuse_device(path, "a file")
+    try:
+        number = os.open(path, flags, 0o666)
+    except FileExistsError:
+        raise UserError(f"{path} exists already; a recording is never overwritten") from None
+    try:
+        about = os.fstat(number)
+        if not stat.S_ISREG(about.st_mode):
+            raise UserError(f"{path} is not a plain file, and {stay}")
+        if about.st_nlink > 1:
+            raise UserError(f"{path} is a hard link to another file, and {stay}")
+        if mode == "wb":
+            os.ftruncate(number, 0)
+        return os.fdopen(number, "ab" if mode == "ab" else "wb")
+    except BaseException:
+        os.close(number)
+        raise
 
 
 def write_text(path: str | Path, text: str) -> None:
@@ -678,7 +717,7 @@ class LineLog:
     def __init__(self, path: str | Path, columns: Sequence[str]):
         self.path = Path(path)
         self.columns = tuple(columns)
-        header = ",".join(self.columns) + "\n"
+        header, whole = ",".join(self.columns) + "\n", b""
         if self.path.exists():
             check_file(self.path, "a CSV file")
             text = self.path.read_bytes()
@@ -687,10 +726,11 @@ class LineLog:
                 raise FileError(
                     self.path, f"expected the columns {', '.join(self.columns)}", line=1
                 )
-            if whole != text:
-                with open(self.path, "r+b") as file:
-                    file.truncate(len(whole))
-        self._file = open(self.path, "a", encoding="utf-8", newline="")  # noqa: SIM115
+        log = open_own(self.path)
+        if self.path.stat().st_size > len(whole):
+            log.truncate(len(whole))
+            log.seek(0, os.SEEK_END)
+        self._file = io.TextIOWrapper(log, encoding="utf-8", newline="")
         self._writer = csv.writer(self._file, lineterminator="\n")
         if self._file.tell() == 0:
             self._file.write(header)
@@ -858,7 +898,7 @@ class JsonLines:
                     field=wrong[0],
                 )
         self.rows = found[1:]
-        self._file = open(self.path, "ab")  # noqa: SIM115
+        self._file = open_own(self.path)
         self._file.truncate(length)
         if not found:
             self.append(head)

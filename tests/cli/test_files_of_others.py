@@ -1,21 +1,25 @@
 """Artefacts that came from somebody else, and were made to do harm."""
 
+import ast
 import json
 import os
 import re
 import socket
 import sys
+from pathlib import Path
 
 import pytest
 
+import neurosim
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import check_no_links, write_json
+from neurosim.base.files import JsonLines, LineLog, check_no_links, open_own, write_json
 from neurosim.cli.main import main
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import _wanted
 from neurosim.recording.settings import RecordSettings
 from neurosim.robots.khepera.driver import Khepera
+from tracking.camera.cameras import VideoSink
 from tracking.datasets.recordings import Recording
 
 links = pytest.mark.skipif(os.name == "nt", reason="links need a right on Windows")
@@ -158,6 +162,91 @@ def test_what_is_gone_on_with_holds_no_links(refused, precious, tmp_path, verb):
     said = refused(*words)
     assert f"{name} is a link to {precious}" in said
     assert precious.read_text() == "mine\n"
+
+
+def _as_link(path, target):
+    path.symlink_to(target)
+
+
+def _as_hard_link(path, target):
+    path.hardlink_to(target)
+
+
+def _as_pipe(path, target):
+    os.mkfifo(path)
+
+
+def _open_lines(path):
+    LineLog(path, ("time",)).append(1.0)
+
+
+def _open_objects(path):
+    JsonLines(path, "neurosim-trials", 1, {}).append({})
+
+
+@links
+@pytest.mark.parametrize("put", [_as_link, _as_hard_link, _as_pipe])
+@pytest.mark.parametrize(
+    "write", [open_own, lambda path: open_own(path, "wb"), _open_lines, _open_objects]
+)
+def test_what_grows_in_place_does_not_lead_elsewhere(precious, tmp_path, put, write):
+    precious.write_text("")  # so that nothing is wrong with what it says
+    put(tmp_path / "log", precious)
+    with pytest.raises(UserError, match="log"):
+        write(tmp_path / "log")
+    assert precious.read_text() == ""
+
+
+@links
+def test_a_new_video_does_not_lead_elsewhere(precious, tmp_path):
+    (tmp_path / "video-001.avi").symlink_to(precious)
+    with pytest.raises(UserError, match=r"video-001\.avi is a link to"):
+        VideoSink(tmp_path / "video-001.avi", None, 1, (64, 48), 30.0)
+    assert precious.read_text() == "mine\n"
+
+
+#: Functions that write where they are pointed to, and where they may be called: in a folder or at a
+#: path that ``atomic_path`` or ``new_folder`` made, or behind ``open_own``.
+_WRITERS = {
+    "neurosim/base/files.py": {"write_text", "write_bytes", "open"},
+    "neurosim/back_to_reality/run.py": {"copyfile"},
+    "neurosim/lab/camera/photographs.py": {"imwrite"},
+    "neurosim/recording/record.py": {"copyfile"},
+    "neurosim/robots/nxt/link.py": {"open"},  # the device of the line
+    "neurosim/simulators/export.py": {"write_bytes", "save"},
+    "neurosim/simulators/tables/samples.py": {"write_bytes"},
+    "tracking/camera/cameras.py": {"VideoWriter"},
+    "tracking/datasets/recordings.py": {"copyfile"},
+    "tracking/overlay.py": {"VideoWriter"},
+}
+_NAMES = {"write_bytes", "copyfile", "copytree", "move", "imwrite", "VideoWriter", "to_csv"}
+
+
+def _calls_that_write(path):
+    """Give the names of functions that a source calls and that write where they are pointed to."""
+    for call in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(call, ast.Call):
+            continue
+        method = isinstance(call.func, ast.Attribute)
+        name = call.func.attr if method else getattr(call.func, "id", "")
+        owner = getattr(call.func.value, "id", "") if method else ""
+        given = [*call.args[:2], *(k.value for k in call.keywords if k.arg == "mode")]
+        modes = {v.value for v in given if isinstance(v, ast.Constant) and isinstance(v.value, str)}
+        opens = name == "open" and any(re.fullmatch(r"[wax]b?\+?|r\+b?", mode) for mode in modes)
+        # Of a path, not ours of neurosim.base.files.
+        writes = method and name == "write_text" and owner != "files"
+        if name in _NAMES or opens or writes or (name, owner) == ("save", "export"):
+            yield name
+
+
+def test_every_place_that_opens_for_writing_is_known():
+    root = Path(neurosim.__file__).parents[1]
+    found = {}
+    for path in sorted([*root.glob("neurosim/**/*.py"), *root.glob("tracking/**/*.py")]):
+        if names := set(_calls_that_write(path)):
+            found[path.relative_to(root).as_posix()] = names
+    unknown = {file: names - _WRITERS.get(file, set()) for file, names in found.items()}
+    assert {file: names for file, names in unknown.items() if names} == {}
 
 
 @links

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from neurosim.base.errors import UserError
-from neurosim.base.files import LineLog, check_name
+from neurosim.base.files import LineLog, check_name, open_own
 from tracking.camera.video import Video
 
 #: A camera that delivers no frame for so many seconds, or for so many frames' time, has stalled.
@@ -226,8 +226,7 @@ class VideoSink:
         self, path: str | Path, log: LineLog | None, session: int, size: tuple[int, int], fps: float
     ):
         self._path = Path(path)
-        if self._path.exists():
-            raise UserError(f"{self._path} exists already; a recording is never overwritten")
+        open_own(self._path, "xb").close()
         fourcc, name = cv2.VideoWriter.fourcc(*"MJPG"), check_name(self._path)
         self._writer = cv2.VideoWriter(name, cv2.CAP_FFMPEG, fourcc, fps, size, _RAW)
         #: Whether the writer takes frames that are JPEG already, and only puts them in the file.
@@ -235,6 +234,7 @@ class VideoSink:
         if not self._takes_jpeg:
             self._writer = cv2.VideoWriter(name, fourcc, fps, size)
         if not self._writer.isOpened():
+            self._path.unlink()
             raise UserError(f"{self._path}: OpenCV cannot write this video here")
         self._log = log
         self._session = session

@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from neurosim.base.files import number, read_csv
+from neurosim.base.files import number, open_own, read_csv
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.body import NxtBody, Wiring
 from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams, PrintedLine
@@ -206,9 +206,9 @@ class Lab(LabTime):
             rows = self._truth[self._written : self._kept].copy()
             first = self._written == 0
             self._written = self._kept
-        with open(path, "w" if first else "a", encoding="utf-8", newline="\n") as file:
+        with open_own(path, "wb" if first else "ab") as file:
             if first:
-                file.write(",".join(_TRUTH_COLUMNS) + "\n")
+                file.write((",".join(_TRUTH_COLUMNS) + "\n").encode())
             np.savetxt(file, rows, fmt="%.6f", delimiter=",")
         return path
 
