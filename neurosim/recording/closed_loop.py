@@ -106,6 +106,7 @@ class ClosedLoopSession(Session):
         super().__init__(recording, session, robot, source, *others)
         self.deadlines = Deadlines()
         self._seeing = source
+        self._must_agree = self._must_agree or source.needs_pose
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
         self._sensors = robot if isinstance(robot, Sensors) else None

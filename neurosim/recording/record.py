@@ -16,6 +16,7 @@ import numpy as np
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import atomic_path, check_new_folder, check_no_links, locked
 from neurosim.base.provenance import robot_kind
+from neurosim.recording.agreement import Pictures
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
 from neurosim.recording.commands import CommandSource, SeeingSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
@@ -109,7 +110,7 @@ def record(
         try:
             with contextlib.ExitStack() as stack:
                 log = stack.enter_context(recording.command_log())
-                spotter = None
+                spotter, pictures = None, None
                 if camera is not None:
                     frames = stack.enter_context(recording.frame_log())
                     sink = VideoSink(out / str(video), frames, session, camera.size, camera.fps)
@@ -127,10 +128,12 @@ def record(
                             on_seen=on_seen,
                         )
                         stack.callback(spotter.close)
-                    camera.start(_to_both(sink, spotter))
+                    else:
+                        pictures = Pictures()
+                    camera.start(_to_both(sink, spotter or pictures))
                 kind = ClosedLoopSession if isinstance(source, SeeingSource) else Session
                 driven = kind(
-                    recording, session, robot, source, settings, log, say, camera, spotter
+                    recording, session, robot, source, settings, log, say, camera, spotter, pictures
                 )
                 try:
                     done = driven.run()
@@ -206,13 +209,10 @@ def _model(out: Path) -> CameraModel | None:
     return model if model is not None and model.has_board else None
 
 
-def _to_both(sink: VideoSink, spotter: Spotter | None) -> Callable[[float, np.ndarray], None]:
-    if spotter is None:
-        return sink.write
-
+def _to_both(sink: VideoSink, other: Spotter | Pictures) -> Callable[[float, np.ndarray], None]:
     def deliver(time: float, frame: np.ndarray) -> None:
         sink.write(time, frame)
-        spotter.take(time, frame)
+        other.take(time, frame)
 
     return deliver
 

@@ -24,6 +24,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from neurosim.base.perimeter import EDGE, LINE, UNSEEN
 from neurosim.base.progress import Progress
+from neurosim.recording.agreement import SLOWEST_GUARDED, Agreement, Pictures
 from neurosim.recording.commands import Command, CommandSource, SeeingSource
 from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import PositionGuard, Stop
@@ -52,6 +53,10 @@ NEAR = 0.25
 
 class CameraLost(UserError):
     """The camera delivers no more frames; the recording is readable and can be resumed."""
+
+
+class SeenToStand(CameraLost):
+    """The robot is commanded to move and seen to stand; what was recorded can be resumed."""
 
 
 class BatteryLow(UserError):
@@ -87,6 +92,7 @@ class Session:
         say: Callable[[str], None],
         camera: Camera | None,
         spotter: Spotter | None,
+        pictures: Pictures | None = None,
     ):
         self._camera = camera
         # One that cannot fail, as the virtual lab's, need not be looked after.
@@ -98,6 +104,10 @@ class Session:
         )
         self.stopped: Stop | None = None
         self._stop: Stop | None = None
+        self._agreement = Agreement(settings.full_speed, settings.track)
+        self._sights = spotter or pictures
+        # A robot that nothing keeps from walls may stand at one.
+        self._must_agree = spotter is None or settings.guard.at_line != "ignore"
         self._session = session
         self._path = recording.path
         self._recording = recording
@@ -138,6 +148,8 @@ class Session:
         try:
             self._flash()
             self._learn_board()
+            if self._board:
+                self._agreement.slowest = SLOWEST_GUARDED
             if self._is_blind():
                 self._wait_for_sight()
             done = self._drive()
@@ -205,6 +217,7 @@ class Session:
         if left is not None and right is not None:
             self._homing.moved(*self._speeds, now - self._since)
             self._perimeter.sent(now, left, right)
+            self._agreement.sent(now, left, right)
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
@@ -245,13 +258,26 @@ class Session:
         self._clock.sleep_until(time)
 
     def _check_camera(self) -> None:
-        """Raise CameraLost once the camera delivers no more frames: nobody sees the robot."""
+        """Raise CameraLost once the camera delivers no more frames, or always the same.
+
+        A robot that is held, or does not turn its wheels, looks like the latter.
+        """
         stalled = getattr(self._camera, "stalled", False)
         if stalled or getattr(self._camera, "failed", False):
             what = f"delivered no frame for {STALLED:g} s or more" if stalled else "stopped"
             raise CameraLost(
                 f"the camera {what}, and the robot was stopped; {self._path} keeps what was "
                 f"filmed: check the camera, put the robot {self.go_on}"
+            )
+        last = None if self._sights is None else self._sights.last
+        if last is None or not self._must_agree:
+            return
+        self._agreement.seen(*last)
+        if self._agreement.broken():
+            raise SeenToStand(
+                "the robot was commanded to move and is seen to stand, so it was stopped: the "
+                "camera shows old pictures, or the robot is held or switched off; "
+                f"{self._path} keeps what was filmed: put the robot {self.go_on}"
             )
 
     def _hold(self, command: Command, end: float, took: float = 0.0) -> bool:

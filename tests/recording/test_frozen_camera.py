@@ -1,4 +1,4 @@
-"""A camera that freezes while a robot is driven: a stream over HTTP, and a robot in real time."""
+"""A camera that freezes while a robot is driven: no frames come, or always the same one."""
 
 import http.server
 import os
@@ -14,8 +14,14 @@ import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
 
-from neurosim.lab import VirtualKheperaRig
+from neurosim.lab import VirtualKheperaRig, VirtualRig
 from neurosim.lab.nxt.world import Pacer
+from neurosim.recording.agreement import Agreement, Pictures
+from neurosim.recording.commands import Command, FixedCommands, RandomCommands
+from neurosim.recording.record import RecordSettings, record
+from neurosim.recording.session import SeenToStand
+from neurosim.robots.nxt.driver import NXT
+from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import OpenCVCamera
 from tracking.datasets.recordings import Recording
 
@@ -118,3 +124,181 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
     motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]
     assert motor[-1] == "cut"
     assert motor.count("command") <= 3
+
+
+# The same picture again and again
+
+
+class Still:
+    """The lab's camera, whose picture stays as it is from some time of the lab on."""
+
+    waits, failed, stalled = True, False, False
+
+    def __init__(self, rig, since, noise=0.0):
+        self._rig, self._since, self._noise = rig, since, noise
+        self._rng = np.random.default_rng(0)
+        self.size, self.fps = rig.camera.size, rig.camera.fps
+        self.describe, self.stop = rig.camera.describe, rig.camera.stop
+
+    def start(self, deliver):
+        kept = None
+
+        def take(time, frame):
+            nonlocal kept
+            if self._rig.lab.time >= self._since:
+                if kept is None:
+                    kept = frame.copy()
+                noise = self._noise * self._rng.standard_normal(kept.shape)
+                frame = np.clip(kept + noise, 0, 255).astype(np.uint8)
+            deliver(time, frame)
+
+        self._rig.camera.start(take)
+
+
+#: Wheels that only slip.
+HELD = {"slip_mean": 1.0, "slip_field": 0.0, "slip_draw": 0.0}
+
+
+def filmed(folder, source, count, *, since=np.inf, noise=0.0, fps=30.0, sensors=False, held=False,
+           calibrated=True, seed=2):  # fmt: skip
+    """Record in the lab; see that the motors stand afterwards, whatever happened."""
+    changes = HELD if held else None
+    with VirtualRig(seed, camera_size=SIZE, fps=fps, changes=changes) as rig:
+        camera, calibration = Still(rig, since, noise), None
+        if calibrated:
+            calibration, optics = folder / "calibration.json", rig.camera.optics
+            place = (optics.rotation, optics.translation)
+            CameraModel(SIZE, optics.matrix, optics.distortion, *place).write(calibration)
+        robot = rig.robot
+        if not sensors:
+            robot = NXT(
+                clock=rig.lab.clock, light_left=None, light_right=None, deadline=60.0,
+                **rig.address,
+            )  # fmt: skip
+        settings = RecordSettings(count)
+        try:
+            record(
+                folder / "r", robot, camera, source, settings, calibration=calibration,
+                lab=rig.describe(), say=lambda text: None,
+            )  # fmt: skip
+        finally:
+            outputs = [rig.lab.body.output(port) for port in (1, 2)]
+            assert [output.power for output in outputs] == [0, 0]
+
+
+def stopped_after(folder, begun):
+    """Return how long after some time of the lab the session stopped the robot, s."""
+    last = [line for line in Recording(folder / "r").commands().itertuples() if line.is_motor][-1]
+    assert last.kind == "cut"
+    return last.time - begun
+
+
+ON = FixedCommands([Command(50, 40, 3.0), Command(-40, 40, 3.0), Command(40, 50, 3.0)])
+
+
+@pytest.mark.parametrize("noise", [0.0, 3.0])
+@pytest.mark.parametrize("fps", [30.0, 2.2])
+def test_pictures_that_stay_the_same_stop_a_robot_that_drives(tmp_path, fps, noise):
+    with pytest.raises(SeenToStand, match="commanded to move and is seen to stand") as error:
+        filmed(tmp_path, ON, 3, since=7.0, noise=noise, fps=fps)
+    assert "on with --resume" in str(error.value)
+    recording = Recording(tmp_path / "r")
+    assert recording.meta["complete"] is False
+    # The first picture that stays comes up to a frame later than that.
+    assert 0 < stopped_after(tmp_path, 7.0) < 1.0 + 1 / fps
+
+
+@pytest.mark.parametrize("sensors", [False, True])
+@pytest.mark.parametrize("fps", [30.0, 2.2])
+def test_a_robot_that_is_held_is_stopped(tmp_path, fps, sensors):
+    with pytest.raises(SeenToStand):
+        filmed(tmp_path, ON, 3, fps=fps, held=True, sensors=sensors)
+    sent = next(line for line in Recording(tmp_path / "r").commands().itertuples() if line.is_motor)
+    assert stopped_after(tmp_path, sent.time) < (1.3 if sensors else 1.05)
+
+
+def test_a_robot_that_is_commanded_to_stand_may_stand(tmp_path):
+    stand = FixedCommands([Command(0, 0, 3.0), Command(8, 10, 2.0), Command(0, 0, 2.0)])
+    filmed(tmp_path, stand, 3, since=0.0, noise=3.0, held=True)
+    kinds = [line.kind for line in Recording(tmp_path / "r").commands().itertuples()]
+    assert "cut" not in kinds
+
+
+@pytest.mark.parametrize("fps", [30.0, 2.2])
+def test_a_robot_that_drives_is_not_taken_for_one_that_stands(tmp_path, fps):
+    filmed(tmp_path, RandomCommands(seed=4), 12, fps=fps, seed=9)
+
+
+def test_without_a_calibration_pictures_that_are_the_same_bytes_stop_the_robot(tmp_path):
+    with pytest.raises(SeenToStand):
+        filmed(tmp_path, ON, 3, since=7.0, sensors=True, calibrated=False)
+    assert 0 < stopped_after(tmp_path, 7.0) < 1.3
+
+
+def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
+    """Return when a robot is found to stand that does its commands late, and by a gain; or None.
+
+    Args:
+        commands: left and right (percent) and seconds.
+        delay: of all that is seen, s.
+        gain: of the speeds.
+        fps: of the sights.
+        noise: of these, m and rad.
+        slowest: of the agreement.
+    """
+    found = Agreement(0.5, 0.13)
+    if slowest is not None:
+        found.slowest = slowest
+    truth = Agreement(0.5 * gain, 0.13)._commands
+    rng, begin, pose, time = np.random.default_rng(0), 10.0, np.zeros(3), 8.0
+    starts = begin + np.cumsum([0.0, *[seconds for _, _, seconds in commands]])
+    for start, (left, right, _) in zip(starts[:-1], commands, strict=True):
+        truth.sent(start, left, right)
+    waiting = list(zip(starts[:-1], commands, strict=True))
+    while time < starts[-1]:
+        time += 1 / fps
+        while waiting and waiting[0][0] <= time:
+            start, (left, right, _) = waiting.pop(0)
+            found.sent(start, left, right)
+        pose = truth.predict(pose, time - 1 / fps - delay, time - delay)[0]
+        found.seen(time, pose + noise * rng.standard_normal(3))
+        if found.broken():
+            return time - begin
+    return None
+
+
+JERKS = [(60, 60, 0.5), (-60, -60, 0.5), (30, -30, 0.6), (0, 0, 0.5), (0, 40, 0.5)]
+
+
+@pytest.mark.parametrize("gain", [0.4, 1.0, 1.3])
+@pytest.mark.parametrize("delay", [0.0, 0.15, 0.3])
+@pytest.mark.parametrize("fps", [2.2, 9.0, 30.0])
+def test_late_or_slow_is_not_standing(fps, delay, gain):
+    assert drive(JERKS, delay, gain, fps, noise=1e-3) is None
+    assert drive([(100, -100, 4.0)], delay, gain, fps, noise=1e-3) is None
+    assert drive([(20, 20, 4.0)], delay, gain, fps, noise=1e-3) is None
+
+
+def test_a_slow_camera_is_waited_for_where_light_sensors_guard_the_robot():
+    assert drive([(50, 50, 3.0)], 0.55, 1.0, 30.0) is not None
+    assert drive([(50, 50, 3.0)], 0.55, 1.0, 30.0, slowest=0.6) is None
+
+
+@pytest.mark.parametrize("speeds", [(50, 50), (25, -25), (100, -100), (0, 60), (-20, -20)])
+def test_standing_is_found_within_a_second_or_little_more(speeds):
+    at = drive([(*speeds, 5.0)], 0.1, 0.0, 2.2, noise=1e-3)
+    slow = max(map(abs, speeds)) < 25
+    assert at < (1.3 if slow else 1.1)
+    assert drive([(8, 10, 5.0)], 0.1, 0.0, 2.2) is None  # in the dead band
+
+
+def test_pictures_differ_or_do_not():
+    pictures, frame = Pictures(), np.zeros((4, 4, 3), np.uint8)
+    assert pictures.last is None
+    pictures.take(1.0, frame)
+    frame[0, 0, 0] = 1  # the camera's own memory
+    pictures.take(2.0, frame)
+    pictures.take(3.0, frame)
+    (time, place), first = pictures.last, np.array([1.0, 0.0, 0.0])
+    assert time == 3.0
+    assert np.array_equal(place - first, [1.0, 0.0, 0.0])

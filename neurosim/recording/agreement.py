@@ -1,0 +1,125 @@
+"""Whether a robot that is commanded to move is seen to move."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections import deque
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.recording.perimeter import Perimeter
+
+#: What is seen is later than what was commanded, by the delays of radio, motor and camera: up to so
+#: much, s, or up to that where light sensors guard the robot, and a slow camera may be used.
+SLOWEST, SLOWEST_GUARDED = 0.4, 0.6
+#: Sights are remembered for so long, s, one in so many; two say something if so far apart.
+MEMORY, BETWEEN, APART = 1.4, 0.05, 0.4
+#: Below this speed (percent) a robot may stand in its dead band.
+DEAD_BAND = 15.0
+#: A robot that should have moved by this share of its track width, and is seen to move by less than
+#: this share of that, stands.
+FAR, STANDS = 0.3, 0.25
+
+
+class Agreement:
+    """Compares commands with sights, in the middle of a drive.
+
+    Distances are the mean way of the two wheels: of the middle between them, and that of turning.
+
+    Args:
+        full_speed: wheel speed at 100 %, m/s.
+        track: distance between the wheels, m.
+
+    Attributes:
+        slowest: what is seen is at most so much later than what was commanded, s.
+    """
+
+    def __init__(self, full_speed: float, track: float):
+        self.slowest = SLOWEST
+        self._track = track
+        # What the robot does by its commands; of the perimeter nothing is asked.
+        self._commands = Perimeter({"length": 1.0, "width": 1.0}, 0.0, full_speed, track)
+        self._seen: deque[tuple[float, NDArray]] = deque()
+        self._full_speed = full_speed
+        self._fastest: deque[tuple[float, float]] = deque([(-math.inf, 0.0)])
+
+    def sent(self, time: float, left: float, right: float) -> None:
+        """Remember that the motors were set to these percents at a time (s)."""
+        fastest = max(abs(left), abs(right))
+        if fastest < DEAD_BAND:
+            left = right = fastest = 0.0
+        self._commands.sent(time, left, right)
+        self._fastest.append((time, fastest / 100 * self._full_speed))
+        while len(self._fastest) > 1 and self._fastest[1][0] < time - 2 * MEMORY:
+            self._fastest.popleft()
+
+    def seen(self, time: float, pose: NDArray) -> None:
+        """Remember that the robot was seen at a pose [3] at a time (s)."""
+        if self._seen and time < self._seen[-1][0] + BETWEEN:
+            return
+        self._seen.append((time, np.asarray(pose, float)))
+        while self._seen[0][0] < time - MEMORY:
+            self._seen.popleft()
+
+    def broken(self) -> bool:
+        """Return whether, since some sight, the robot should have moved, and stands."""
+        if not self._seen:
+            return False
+        times = np.array([time for time, _ in self._seen])
+        apart = times[-1] - times >= APART
+        moved = self._ways(np.array([pose for _, pose in self._seen]))
+        if not apart.any() or (moved >= STANDS * self._speed * (times[-1] - times))[apart].all():
+            return False
+        delays = np.linspace(0.0, self.slowest, 1 + round(self.slowest / 0.1))
+        should = np.min([self._ways(self._commanded(times - late)) for late in delays], axis=0)
+        return bool((apart & (should > FAR * self._track) & (moved < STANDS * should)).any())
+
+    @property
+    def _speed(self) -> float:
+        """The fastest that a wheel was set to lately, m/s."""
+        return max(speed for _, speed in self._fastest)
+
+    def _commanded(self, times: NDArray) -> NDArray:
+        """Return the poses [T, 3] at some times [T] of a robot that does what it is commanded."""
+        poses = [np.zeros(3)]
+        for begin, end in pairwise(times):
+            poses.append(self._commands.predict(poses[-1], begin, end)[0])
+        return np.array(poses)
+
+    def _ways(self, poses: NDArray) -> NDArray:
+        """Return how far from each of the poses [T, 3] the robot was at most afterwards, [T] m."""
+        change = poses[None] - poses[:, None]
+        turn = np.abs(np.remainder(change[..., 2] + math.pi, 2 * math.pi) - math.pi)
+        way = np.hypot(change[..., 0], change[..., 1]) + self._track / 2 * turn
+        return np.triu(way).max(axis=1)
+
+
+class Pictures:
+    """Sees that a picture is another one, where nothing is tracked: a place for each.
+
+    ``last``, as a :class:`~neurosim.recording.spotter.Spotter` has it, is when the last picture
+    arrived (s), and [3] where its number stands for a place far from the others.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._picture: NDArray | None = None
+        self._number = 0
+        self._last: tuple[float, NDArray] | None = None
+
+    @property
+    def last(self) -> tuple[float, NDArray] | None:
+        """Return when which picture arrived; see the class."""
+        with self._lock:
+            return self._last
+
+    def take(self, time: float, picture: NDArray) -> None:
+        """Take a picture that arrived at a time (s)."""
+        if self._picture is None or not np.array_equal(self._picture, picture):
+            self._number += 1
+            self._picture = picture.copy()
+        with self._lock:
+            self._last = time, np.array([float(self._number), 0.0, 0.0])
