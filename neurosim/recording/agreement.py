@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.recording.perimeter import Perimeter
+from neurosim.recording.perimeter import Reckoning
 
 #: What is seen is later than what was commanded, by the delays of radio, motor and camera: up to so
 #: much, s, or up to that where light sensors guard the robot, and a slow camera may be used.
@@ -40,8 +40,7 @@ class Agreement:
     def __init__(self, full_speed: float, track: float):
         self.slowest = SLOWEST
         self._track = track
-        # What the robot does by its commands; of the perimeter nothing is asked.
-        self._commands = Perimeter({"length": 1.0, "width": 1.0}, 0.0, full_speed, track)
+        self._commands = Reckoning(full_speed, track)
         self._seen: deque[tuple[float, NDArray]] = deque()
         self._full_speed = full_speed
         self._fastest: deque[tuple[float, float]] = deque([(-math.inf, 0.0)])

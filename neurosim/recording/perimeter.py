@@ -68,19 +68,15 @@ class Stop:
         return words
 
 
-class PositionGuard:
-    """Keeps the middle of the robot's axle inside the edge of a board, by its position.
+class Reckoning:
+    """Where a robot comes to by its last commands.
 
     Args:
-        board: ``length`` and ``width`` in metres, the frame at its centre.
-        margin: how far inside the board's edge the middle of the axle must stay, m.
         full_speed: wheel speed at 100 %, m/s.
         track: distance between the wheels, m.
     """
 
-    def __init__(self, board: Mapping[str, float], margin: float, full_speed: float, track: float):
-        self._half = np.array([board["length"], board["width"]], float) / 2
-        self._margin = margin
+    def __init__(self, full_speed: float, track: float):
         self._full_speed = full_speed
         self._track = track
         self._sent: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)])
@@ -110,6 +106,21 @@ class PositionGuard:
             pose = se2.compose(pose, se2.exp(np.array([forward, 0.0, turn]) * seconds))
             way += abs(forward) * seconds
         return pose, way
+
+
+class PositionGuard(Reckoning):
+    """Keeps the middle of the robot's axle inside the edge of a board, by its position.
+
+    Args:
+        board: ``length`` and ``width`` in metres, the frame at its centre.
+        margin: how far inside the board's edge the middle of the axle must stay, m.
+        full_speed, track: as :class:`Reckoning` takes them.
+    """
+
+    def __init__(self, board: Mapping[str, float], margin: float, full_speed: float, track: float):
+        super().__init__(full_speed, track)
+        self._half = np.array([board["length"], board["width"]], float) / 2
+        self._margin = margin
 
     def leaves(self, pose: NDArray, seen_at: float, now: float) -> bool:
         """Return whether the robot must stop now, or it will not stand inside.

@@ -18,6 +18,7 @@ from neurosim.lab import VirtualKheperaRig, VirtualRig
 from neurosim.lab.nxt.world import Pacer
 from neurosim.recording.agreement import Agreement, Pictures
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
+from neurosim.recording.perimeter import Reckoning
 from neurosim.recording.record import RecordSettings, record
 from neurosim.recording.session import SeenToStand
 from neurosim.robots.nxt.driver import NXT
@@ -249,7 +250,7 @@ def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
     found = Agreement(0.5, 0.13)
     if slowest is not None:
         found.slowest = slowest
-    truth = Agreement(0.5 * gain, 0.13)._commands
+    truth = Reckoning(0.5 * gain, 0.13)
     rng, begin, pose, time = np.random.default_rng(0), 10.0, np.zeros(3), 8.0
     starts = begin + np.cumsum([0.0, *[seconds for _, _, seconds in commands]])
     for start, (left, right, _) in zip(starts[:-1], commands, strict=True):
