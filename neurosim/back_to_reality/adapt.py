@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.simulated import Simulated
+from neurosim.base import se2
 
 #: Parameter sets that are kept differ by this at least: root mean square of their shares.
 APART = 0.05
@@ -39,8 +40,8 @@ def poses_apart(simulated: NDArray[np.float64], real: NDArray[np.float64]) -> fl
     A pose of the simulator that is not counts as :data:`NOWHERE`.
     """
     apart = simulated - real
-    turn = np.remainder(apart[..., 2] + np.pi, 2.0 * np.pi) - np.pi
-    square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + (HEADING_LENGTH * turn) ** 2
+    turn = HEADING_LENGTH * se2.wrapped(apart[..., 2])
+    square = apart[..., 0] ** 2 + apart[..., 1] ** 2 + turn**2
     square = square[np.isfinite(real).all(axis=-1)]
     return float(np.sqrt(np.where(np.isfinite(square), square, NOWHERE**2).mean()))
 

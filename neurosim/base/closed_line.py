@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit, prange
 from numpy.typing import ArrayLike, NDArray
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 
 Shape = Literal["rectangle", "ellipse", "points"]
@@ -114,8 +115,7 @@ class ClosedLine:
         ends = np.roll(self.points, -1, axis=0)
         place = self.points[side] + share[..., None] * (ends[side] - self.points[side])
         heading = self._headings[side] + np.where(backwards, np.pi, 0.0)
-        heading = np.remainder(heading + np.pi, 2 * np.pi) - np.pi
-        return np.concatenate([place, heading[..., None]], axis=-1)
+        return np.concatenate([place, se2.wrapped(heading)[..., None]], axis=-1)
 
     def describe(self) -> dict[str, Any]:
         """Return what makes the same line again, ready for JSON."""

@@ -314,17 +314,14 @@ def write_json(path: str | Path, format: str, version: int, content: Mapping[str
         ValueError: if a number in ``content`` is NaN or infinite: JSON has no word for them.
     """
     document = {"format": format, "version": version, **content}
-    write_text(path, json.dumps(document, indent=2, allow_nan=False, default=_plain) + "\n")
+    write_text(path, json.dumps(document, indent=2, allow_nan=False, default=plain) + "\n")
 
 
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return value.tolist()
+def plain(value: Any) -> Any:
+    """Return an array, a tensor or a path as JSON has it."""
     if isinstance(value, Path):
         return str(value)
-    if hasattr(value, "tolist"):  # a tensor
+    if hasattr(value, "tolist"):
         return value.tolist()
     raise TypeError(f"{type(value).__name__} is not JSON")
 
@@ -885,7 +882,7 @@ class JsonLines:
         self.path = Path(path)
         make_folder(self.path.parent)
         head = json.loads(
-            json.dumps({"format": format, "version": version, **about}, default=_plain)
+            json.dumps({"format": format, "version": version, **about}, default=plain)
         )
         found, length = read_json_lines(self.path) if self.path.exists() else ([], 0)
         for row in found[:1]:
@@ -909,7 +906,7 @@ class JsonLines:
         Raises:
             ValueError: if a number in it is NaN or infinite.
         """
-        self._file.write(json.dumps(row, allow_nan=False, default=_plain).encode() + b"\n")
+        self._file.write(json.dumps(row, allow_nan=False, default=plain).encode() + b"\n")
         self._file.flush()
         os.fsync(self._file.fileno())
 

@@ -11,6 +11,7 @@ import click
 from click.core import ParameterSource
 
 from neurosim.base.declared import MetresOrNone, Seed, Turn
+from neurosim.base.files import plain
 from neurosim.cli._types import PATH, Option, Real, ranged
 
 #: A share of the time that is not worth a warning.
@@ -63,7 +64,7 @@ def is_given(name: str) -> bool:
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
     """Print a verb's result: JSON for machines, or text for people."""
     if as_json:
-        click.echo(json.dumps(result, indent=2, default=_plain))
+        click.echo(json.dumps(result, indent=2, default=plain))
     else:
         click.echo(text() if callable(text) else text)
 
@@ -85,9 +86,3 @@ def warn_unsupported(share: float) -> None:
 def next_step(*words: Any) -> str:
     """Return the line that names the next command, quoted so that it can be pasted."""
     return f"Next: neurosim {shlex.join(str(word) for word in words)}"
-
-
-def _plain(value: Any) -> Any:
-    if hasattr(value, "tolist"):
-        return value.tolist()
-    return str(value)

@@ -437,7 +437,7 @@ class SettingsCommand(click.Command):
             ) from None
         given = {each.name: each for each in self.get_params(ctx) if _is_set(ctx, each.name)}
         state.given = {
-            name: _plain(ctx.params[name])
+            name: ctx.params[name]
             for name, each in given.items()
             if isinstance(each, click.Option) and name not in ("out", "as_json", "resume")
         }
@@ -577,7 +577,3 @@ def _options_or_none(group: Group, chosen: Chosen) -> dict[str, click.Option]:
 
 def _is_set(ctx: click.Context, name: str | None) -> bool:
     return ctx.get_parameter_source(str(name)) not in (None, ParameterSource.DEFAULT)
-
-
-def _plain(value: Any) -> Any:
-    return str(value) if isinstance(value, Path) else value

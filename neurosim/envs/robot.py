@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.envs.face import Face, rate
 from neurosim.envs.picture import Picture, check_mode
@@ -239,7 +240,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._pose = np.array(self._odometry.read())
         elif self._spotter is not None and (last := self._spotter.last) is not None:
             turned = last[1][2] - self._pose[2]  # a camera tells headings within a turn
-            heading = self._pose[2] + np.remainder(turned + np.pi, 2 * np.pi) - np.pi
+            heading = self._pose[2] + se2.wrapped(turned)
             self._pose = np.array([*last[1][:2], heading])
 
     def _see(self) -> NDArray[np.float32]:

@@ -203,7 +203,7 @@ class Replanner:
             if part > 0:
                 command = np.array([[left, right, part]])
                 self._state = self._stepper.step(self._state, command, None)
-        turned = seen[2] + math.remainder(pose[2] - seen[2], 2.0 * math.pi)
+        turned = seen[2] + se2.wrapped(pose[2] - seen[2])
         true = np.array([pose[0], pose[1], turned])
         self._state[0, :3] = se2.compose(true, se2.between(seen, self._state[0, :3]))
         self._poses.append(self._state[0, :3].copy())

@@ -36,9 +36,8 @@ class Homing:
     def moved(self, left: float, right: float, seconds: float) -> None:
         """Go on from where it was: wheels at these percents for so many seconds."""
         steps = max(1, math.ceil(seconds / 0.1))
-        forward = self._full_speed * (left + right) / 200
-        turn = self._full_speed * (right - left) / 100 / self._track
-        step = se2.exp(np.array([forward, 0.0, turn]) * seconds / steps)
+        speed = self._full_speed / 100
+        step = se2.exp(se2.of_wheels(speed * left, speed * right, self._track) * seconds / steps)
         for _ in range(steps):
             self._pose = se2.compose(self._pose, step)
             self._time += seconds / steps

@@ -52,8 +52,8 @@ class Odometry:
             (after - before) / robot.pulses_per_metre
             for before, after in zip(self.counts, counts, strict=True)
         )
-        turn = (right - left) / robot.geometry.wheel_base
-        self.pose = se2.compose(self.pose, se2.exp([(left + right) / 2, 0.0, turn]))
+        twist = se2.of_wheels(left, right, robot.geometry.wheel_base)
+        self.pose = se2.compose(self.pose, se2.exp(twist))
         self.counts = counts
         return self.pose
 

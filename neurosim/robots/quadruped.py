@@ -14,6 +14,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import se2
+
 #: The joints get new commands so often: a frame (Zagal et al. 2004, section 5.2), s.
 FRAME = 0.008
 #: In the order of columns of commands.
@@ -87,8 +89,7 @@ def angles_of(
     along, down = -LOWER * np.sin(knee * bent), UPPER + LOWER * np.cos(bent)
     sine = y / np.maximum(down, 1e-9)
     spread = np.arcsin(np.clip(sine, -1.0, 1.0))
-    swing = np.arctan2(x, z) - np.arctan2(along, -down * np.cos(spread))
-    swing = (swing + np.pi) % (2.0 * np.pi) - np.pi
+    swing = se2.wrapped(np.arctan2(x, z) - np.arctan2(along, -down * np.cos(spread)))
     found = np.stack(
         [np.clip(swing, *SWING), np.clip(spread, *SPREAD), knee * bent],
         axis=-1,

@@ -94,7 +94,7 @@ class Counters:
             size * (b - a) / robot.pulses_per_metre
             for size, a, b in zip(self._sizes, before, after, strict=True)
         ]
-        return last - first, se2.exp([sum(ways) / 2, 0.0, (ways[1] - ways[0]) / self._wheel_base])
+        return last - first, se2.exp(se2.of_wheels(*ways, self._wheel_base))
 
 
 def _drive(

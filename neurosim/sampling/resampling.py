@@ -18,6 +18,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.sampling.settings import Sampler, SampleSettings
 from neurosim.sampling.turns import PIVOTS, TURNS, Turns
@@ -266,7 +267,7 @@ def _even(angle: _Array, columns: _Array, count: int) -> _Array:
     grid = _TURN * np.arange(count) / count
     place = np.sort(angle % _TURN)
     gap = np.diff(np.append(place, place[0] + _TURN)).max()
-    off = (angle - grid[:, None] + math.pi) % _TURN - math.pi
+    off = se2.wrapped(angle - grid[:, None])
     width = max(min(_TURN / count, _NEAR), gap)
     weight = np.maximum(1.0 - np.abs(off) / width, 0.0) + 1e-12 * (np.abs(off) <= width)
     total, first, second = ((weight * off**n).sum(axis=1, keepdims=True) for n in range(3))

@@ -129,7 +129,7 @@ class GoTo(Task):
         passed, nearest = record[:, 4].astype(np.int64), record[:, 5:]
         touched, end = record[:, 0] > 0, record[:, 1:4]
         away = np.linalg.norm(end[:, :2] - goals[last, :2], axis=-1)
-        turned = np.abs(np.remainder(end[:, 2] - goals[last, 2] + np.pi, 2 * np.pi) - np.pi)
+        turned = np.abs(se2.wrapped(end[:, 2] - goals[last, 2]))
         legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
         if self.area is not None:
             legs[0] = math.hypot(*self.area)

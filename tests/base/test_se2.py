@@ -135,3 +135,14 @@ def test_tensors_may_have_any_leading_shape():
     for name in ("exp", "mid_turn"):
         found = getattr(tensors, name)(a)
         np.testing.assert_allclose(found, getattr(se2, name)(a.numpy()), atol=1e-12)
+
+
+def test_an_angle_is_wrapped_by_whole_turns():
+    found = se2.wrapped([0.0, 3.0 * np.pi / 2.0, -4.0, np.pi, 7.0])
+    assert found == pytest.approx([0.0, -np.pi / 2.0, 2.0 * np.pi - 4.0, -np.pi, 7.0 - 2.0 * np.pi])
+
+
+def test_wheels_make_a_twist():
+    # 0.2 m/s and 0.4 m/s, 0.1 m apart: 0.3 m/s ahead, 2 rad/s to the left.
+    assert se2.of_wheels(0.2, 0.4, 0.1) == pytest.approx([0.3, 0.0, 2.0])
+    assert se2.of_wheels([1.0, -1.0], [1.0, 1.0], 0.5).tolist() == [[1, 0, 0], [0, 0, 4]]

@@ -253,7 +253,7 @@ def test_a_file_of_both_shapes_is_a_log_unless_the_user_says_otherwise(tmp_path)
 
 
 def test_conventions_that_there_are_not():
-    with pytest.raises(UserError, match="length must be one of m, cm, mm, not 'inch'"):
+    with pytest.raises(UserError, match="length: expected one of 'm', 'cm', 'mm', found 'inch'"):
         Conventions(length="inch")
 
 

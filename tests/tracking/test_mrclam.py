@@ -134,7 +134,7 @@ def test_files_are_recognised_by_name_content_or_in_a_folder(tmp_path):
     [
         ("1.000000", "fast", r"Odometry\.dat, line \d+, field 'w': expected a finite number"),
         ("1.000000", "nan", r"field 'w': expected a finite number"),
-        ("\t1.000000", "", r"expected 3 numbers \(time, v, w\), found 2"),
+        ("\t1.000000", "", r"expected 3 fields \(time, v, w\), found 2"),
         ("1248272275", "1248272271", r"field 'time': the clock goes backwards"),
     ],
 )

@@ -16,14 +16,15 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import files, se2
+from neurosim.base.declared import Checked
 from neurosim.base.errors import FileError, UserError
 from tracking.datasets import logs
 from tracking.datasets.dataset import OUTPUTS, Dataset, make
@@ -63,7 +64,7 @@ _ABSENT = {"", "nan", "na", "n/a", "null", "none"}
 
 
 @dataclass(frozen=True)
-class Conventions:
+class Conventions(Checked):
     """What the numbers of a file mean.
 
     Attributes:
@@ -77,24 +78,11 @@ class Conventions:
             world, the frame of ``heading0``.
     """
 
-    length: str = "m"
-    angle: str = "rad"
-    time: str = "s"
-    y: str = "left"
-    frame: str = "body"
-
-    def __post_init__(self) -> None:
-        known = {
-            "length": LENGTHS,
-            "angle": ANGLES,
-            "time": TIMES,
-            "y": ("left", "right"),
-            "frame": ("body", "world"),
-        }
-        for setting in fields(self):
-            value, values = getattr(self, setting.name), known[setting.name]
-            if value not in values:
-                raise UserError(f"{setting.name} must be one of {', '.join(values)}, not {value!r}")
+    length: Literal["m", "cm", "mm"] = "m"
+    angle: Literal["rad", "deg"] = "rad"
+    time: Literal["s", "ms", "us", "ns"] = "s"
+    y: Literal["left", "right"] = "left"
+    frame: Literal["body", "world"] = "body"
 
     def poses(self, numbers: NDArray) -> NDArray:
         """Return poses or displacements (N, 3) in SI and with y to the left."""

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -85,28 +86,13 @@ def read_numbers(path: Path, columns: Sequence[str]) -> NDArray:
     Raises:
         FileError: naming the line and the column of what is wrong.
     """
-    rows: list[list[float]] = []
-    for line, fields in _fields(path):
-        if len(fields) != len(columns):
-            raise FileError(
-                path,
-                f"expected {len(columns)} numbers ({', '.join(columns)}), found {len(fields)}",
-                line=line,
-            )
-        row = []
-        for name, text in zip(columns, fields, strict=True):
-            try:
-                row.append(files.number(text))
-            except ValueError:
-                raise FileError(
-                    path, f"expected a finite number, found {text!r}", line=line, field=name
-                ) from None
-        if rows and row[0] < rows[-1][0]:
-            raise FileError(path, "the clock goes backwards", line=line, field="time")
-        rows.append(row)
-    if len(rows) < 2:
-        raise FileError(path, f"holds too few rows of numbers ({len(rows)}; expected 2 or more)")
-    return np.array(rows)
+    lines = {line: " ".join(fields) for line, fields in _fields(path)}
+    table = files.table_of_lines(path, " ".join(columns), lines, " ")
+    table = table.apply(partial(files.parsed, path, parse=files.number))
+    files.refuse_lines(path, table, table["time"].diff() < 0, "the clock goes backwards", "time")
+    if len(table) < 2:
+        raise FileError(path, f"holds too few rows of numbers ({len(table)}; expected 2 or more)")
+    return table.to_numpy(float)
 
 
 def _fields(path: Path) -> Iterator[tuple[int, list[str]]]:

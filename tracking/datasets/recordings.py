@@ -16,7 +16,7 @@ from __future__ import annotations
 import datetime
 import shutil
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -120,14 +120,7 @@ class Poses:
     def of_session(self, session: int) -> Poses:
         """Return the rows of one session."""
         rows = self.session == session
-        return Poses(
-            self.session[rows],
-            self.frame[rows],
-            self.time[rows],
-            self.pose[rows],
-            self.quality[rows],
-            self.doubtful[rows],
-        )
+        return Poses(*(getattr(self, one.name)[rows] for one in fields(self)))
 
     def certain(self) -> Poses:
         """Return the same rows, as if the robot had not been found where that is doubtful."""
@@ -163,14 +156,8 @@ class Observations:
     def of_session(self, session: int) -> Observations:
         """Return the rows of one session."""
         rows = self.session == session
-        return Observations(
-            self.session[rows],
-            self.command[rows],
-            self.time[rows],
-            self.pose[rows],
-            self.names,
-            self.readings[rows],
-        )
+        parts = ("session", "command", "time", "pose", "readings")
+        return replace(self, **{name: getattr(self, name)[rows] for name in parts})
 
 
 class Recording:

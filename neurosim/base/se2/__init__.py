@@ -99,6 +99,22 @@ def arc(displacement: ArrayLike, fraction: ArrayLike) -> NDArray:
     return exp(log(displacement) * np.asarray(fraction, float)[..., None])
 
 
+def wrapped(angle: ArrayLike) -> NDArray:
+    """Return angles without whole turns: from -pi, included, to pi."""
+    return np.remainder(np.asarray(angle, float) + np.pi, 2 * np.pi) - np.pi
+
+
+def of_wheels(left: ArrayLike, right: ArrayLike, wheel_base: float) -> NDArray:
+    """Return the body twists (..., 3) of a differential drive.
+
+    Args:
+        left, right: speeds of the wheels, m/s; or their ways, m, which give displacements' twists.
+        wheel_base: distance between the wheels, m.
+    """
+    left, right = np.asarray(left, float), np.asarray(right, float)
+    return np.stack([(left + right) / 2, 0.0 * left, (right - left) / wheel_base], axis=-1)
+
+
 def _sinc_cosc(angle: NDArray) -> tuple[NDArray, NDArray]:
     """Return sin(a)/a and (1 - cos(a))/a, by series near zero."""
     small = np.abs(angle) < 1e-4

@@ -80,7 +80,7 @@ class MotorTable:
         left, right = np.meshgrid(
             levels / 100 * full_speed, levels / 100 * full_speed, indexing="ij"
         )
-        twist = np.stack([(left + right) / 2, 0 * left, (right - left) / wheel_base], axis=-1)
+        twist = se2.of_wheels(left, right, wheel_base)
         return cls(levels, twist, None, 100.0 / units)
 
     @classmethod
