@@ -29,13 +29,15 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.back_to_reality import Alternation, Simulated, Trials, settings_named
-from neurosim.back_to_reality.climb import BoundedCMA
+from neurosim.back_to_reality import Alternation, Journal, Simulated, settings_named
 from neurosim.back_to_reality.evaluations import Evaluations
-from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import JsonLines
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.evolution.bits import BitSettings
+from neurosim.evolution.cma import CMA
+from neurosim.evolution.policy_gradient import PolicyGradient, PolicySettings
+from neurosim.evolution.space import SearchSpace
 from neurosim.lab.walker import PLACES, VirtualWalker
 from neurosim.simulators.legged.simulator import LeggedSimulator
 from neurosim.tasks.walking import Walking
@@ -88,7 +90,7 @@ class Job:
     def __init__(self, place: str, seed: int, size: dict[str, Any], folder: Path):
         self.seed, self.size, self.budget = seed, size, size["budget"]
         self.simulated = Remembering(LeggedSimulator(), Walking(size["seconds"]), Gait())
-        self.trials = Trials(VirtualWalker(Gait(), place, seed), folder / "trials.jsonl")
+        self.trials = Journal(VirtualWalker(Gait(), place, seed), folder / "trials.jsonl")
 
     def alternate(self, settings: str, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
         """Run the alternation."""
@@ -109,11 +111,13 @@ class Job:
     def learn(self, learner: Any, order: Evaluations, count: int) -> Evaluations:
         """Let an optimiser learn in reality, until the budget is used."""
         while len(order) < self.budget:
-            asked = learner.ask()[: self.budget - len(order)]
+            asked = learner.ask()
+            shape = asked.shape[:-1]
+            asked = asked.reshape(-1, asked.shape[-1])[: self.budget - len(order)]
             fitness = self.trials.evaluate(asked, "learn")
             order.add(asked, fitness)
             if len(asked) == count:
-                learner.tell(fitness)
+                learner.tell(fitness.reshape(shape))
         return order
 
     def hand(self) -> Evaluations:
@@ -140,7 +144,13 @@ def policy_gradient(job: Job) -> tuple[Evaluations, dict[str, Any]]:
 
 
 def cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
-    return job.learn(BoundedCMA(HAND, 0.1, 12, [job.seed, 8]), job.hand(), 12), {}
+    return job.learn(new_cma(HAND, 0.1, (job.seed, 8)), job.hand(), 12), {}
+
+
+def new_cma(start: NDArray[np.float64], spread: float, seed: tuple[int, ...]) -> CMA:
+    """Return CMA-ES of populations of 12 within 0..1."""
+    how = BitSettings(population=12)
+    return CMA(SearchSpace(start[None], seed, how, spread, (0.0, 1.0), 12))
 
 
 def once(job: Job, **changes: Any) -> tuple[Evaluations, dict[str, Any]]:
@@ -156,7 +166,7 @@ RANDOM = {"search": "cma", "generations": 40, "sets": 6, "caution": 1.0}
 def randomised_then_cma(job: Job) -> tuple[Evaluations, dict[str, Any]]:
     order, about = once(job, **RANDOM, budget=20)
     best = order.believed().genes
-    return job.learn(BoundedCMA(best, 0.05, 12, [job.seed, 9]), order, 12), about
+    return job.learn(new_cma(best, 0.05, (job.seed, 9)), order, 12), about
 
 
 METHODS: dict[str, Callable[[Job], tuple[Evaluations, dict[str, Any]]]] = {

@@ -28,11 +28,11 @@ import neurosim as ns
 from neurosim.base.trajectory import Episode
 from neurosim.lab import LabArena
 from neurosim.lab.khepera.physics import penetration
-from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.loop.evaluate import rollouts_of
 from neurosim.simulators.tables.kernels import SLACK
 from neurosim.simulators.tables.places import random_arena
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
-from neurosim.trials.reality import in_lab
+from neurosim.trials.floor import virtual_khepera
 
 SECONDS = 60.0
 #: Weights of the vehicle's sensors on the wheel of the other side, from the front to the side.
@@ -121,8 +121,8 @@ def in_the_lab(
     for a, arena in enumerate(arenas):
         simulator, place = tables.changed(arena=arena), LabArena.of(arena)
         around = partial(penetration, walls=place.wall_rows, cylinders=place.cylinder_rows)
-        evaluator = Evaluator(simulator, ObstacleAvoidance(), network)
-        with in_lab(evaluator, seed=seed + a) as trials:
+        task = ObstacleAvoidance()
+        with virtual_khepera(network, task, simulator, seed=seed + a) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):
                 trials.rest()
                 trials._place(start)

@@ -47,8 +47,9 @@ from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
 from neurosim.lab.khepera.rig import SerialCable
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.evolve import Evolution
-from neurosim.loop.reality import RealSearch
+from neurosim.loop.journal import Journal
 from neurosim.loop.settings import default_settings
+from neurosim.loop.transfer import Transfer
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.sampling import SampleSettings, sample, sampled_reaction
 from neurosim.simulators import TableSimulator
@@ -57,7 +58,7 @@ from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
-from neurosim.trials.reality import RobotTrials
+from neurosim.trials.floor import OnFloor
 
 TABLES = ("samples", "tenth", "formulas")
 TASK = ObstacleAvoidance()
@@ -216,13 +217,12 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
     lab_arena = LabArena.of(arena)
     rig = in_the_lab(robot, options, noise_seed=robot, arena=lab_arena, start=starts[0])
     with rig, rig.robot as driver:
-        real = RobotTrials(
+        real = OnFloor(
             driver,
             evaluator,
             place=lambda pose: rig.lab.place(*pose),
             pose=lambda _: lambda: rig.lab.pose,
             about={},
-            hold=simulator.reaction.hold,
         )
 
         def put_down(network: np.ndarray, start: np.ndarray) -> Any:
@@ -242,12 +242,14 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
         row["robot"] = from_starts(genes)
         row["change"] = row["robot"] / row["simulated"] - 1.0
         row["change_without_noise"] = row["robot"] / row["simulated_without_noise"] - 1.0
-        after = RealSearch(evolution.stages[0], real, lambda: None)
-        for _ in range(options.on_robot):
-            after.generation()
         if options.on_robot:
-            row["mean_first"], row["mean_last"] = float(after.mean[0][0]), float(after.mean[-1][0])
-            after.choose(robot)
+            with Journal(real, folder / f"{kind}.jsonl", each=1) as journal:
+                after = Transfer(evolution.stages[0].optimiser, journal, evaluator)
+                for _ in range(options.on_robot):
+                    after.generation()
+                after.choose()
+            mean = after.history()["mean"]
+            row["mean_first"], row["mean_last"] = mean[0], mean[-1]
             row["robot_after"] = from_starts(after.chosen)
     return row
 

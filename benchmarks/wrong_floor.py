@@ -34,14 +34,14 @@ from guided_recording import random_rows
 from robust_plans import TASK, drive
 
 from neurosim.back_to_reality import settings_named
-from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.run import back_to_reality
 from neurosim.controllers import Plan
+from neurosim.evolution.bits import BitSettings
 from neurosim.loop.evolve import Result, evolve_in
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.simulators import read_simulator
 from neurosim.training.train import learn
-from neurosim.trials.nxt import VirtualNxt
+from neurosim.trials.filmed import VirtualNxt
 
 #: What is other than when the robot was recorded, by name. Nothing was tuned on robots 30 and up.
 FLOORS: dict[str, dict[str, float]] = {

@@ -63,9 +63,9 @@ _REGISTRIES = {
     "simulator": ("neurosim.simulators.registry", "SIMULATORS"),
     "controller": ("neurosim.controllers.registry", "CONTROLLERS"),
     "task": ("neurosim.tasks.registry", "TASKS"),
-    "optimiser": ("neurosim.loop.optimisers", "OPTIMISERS"),
+    "optimiser": ("neurosim.evolution.optimisers", "OPTIMISERS"),
     "trainer": ("neurosim.training.trainers.registry", "TRAINERS"),
-    "reality": ("neurosim.back_to_reality.reality", "REALITIES"),
+    "reality": ("neurosim.trials.realities", "REALITIES"),
 }
 
 __all__ = [

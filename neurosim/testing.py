@@ -20,14 +20,16 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from neurosim.back_to_reality.reality import Reality
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Tracked, Trajectory
 from neurosim.controllers.base import Controller
 from neurosim.controllers.network import Network
 from neurosim.controllers.plan import COMMAND_NAMES, Plan
 from neurosim.controllers.registry import CONTROLLERS
-from neurosim.loop.settings import default_settings
+from neurosim.evolution.climb import resumable
+from neurosim.evolution.genetic import GeneticSettings
+from neurosim.evolution.space import SearchSpace
+from neurosim.loop.journal import Reality
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.networks.control import NOT_READINGS
 from neurosim.robots.base import (
@@ -42,7 +44,6 @@ from neurosim.robots.base import (
 )
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
-from neurosim.tasks.go_to import GoTo
 from neurosim.training.base import Trainer, TrainingData
 
 __all__ = [
@@ -478,34 +479,36 @@ def _check_judgement(task: Task, trajectory: Trajectory, shape: tuple[int, ...])
     return judged
 
 
-def check_optimiser(make: Callable[..., Any]) -> None:
-    """Check an optimiser: populations, seeds, that it climbs, and resuming where it can.
+def check_optimiser(make: Callable[[SearchSpace], Any]) -> None:
+    """Check an optimiser: populations, seeds, that it climbs, and resuming.
 
     Args:
-        make: as it is registered: (controller, settings, seed, first) -> optimiser.
+        make: as it is registered: space -> optimiser.
 
     Raises:
         AssertionError: saying what is wrong.
     """
-    controller, task = Network(("x", "y")), GoTo()
-    settings = default_settings(controller, task, runs=2)
+    rng = np.random.default_rng(1)
+    given = rng.standard_normal((2, 20, 5))
+    settings = GeneticSettings(population=20, tournament=3)
+    space = SearchSpace(given.mean(axis=1), (1,), settings, 1.0, given=given)
 
     def fitness(genes: NDArray[np.float64]) -> NDArray[np.float64]:
         return -np.square(genes - 0.5).sum(axis=-1)
 
     def generation(optimiser: Any) -> NDArray[np.float64]:
         genes = np.array(optimiser.ask(), np.float64)
-        many = genes.ndim == 3 and genes.shape[0] == 2
+        many = genes.ndim == 3 and genes.shape[0] == space.runs
         _require(
-            (many or genes.ndim == 2) and genes.shape[-1] == controller.genes,
-            f"ask() must return [P, {controller.genes}], or [2, P, {controller.genes}] of 2 runs, "
+            (many or genes.ndim == 2) and genes.shape[-1] == space.genes,
+            f"ask() must return [P, {space.genes}], or [2, P, {space.genes}] of 2 runs, "
             f"not {genes.shape}",
         )
         _require(np.isfinite(genes).all(), "ask() must return finite genes")
         optimiser.tell(fitness(genes))
         return genes
 
-    optimiser, twin = make(controller, settings, 1, None), make(controller, settings, 1, None)
+    optimiser, twin = (resumable(make(space)) for _ in range(2))
     seen = [generation(optimiser) for _ in range(30)]
     _require(
         all(np.array_equal(a, generation(twin)) for a in seen[:3]),
@@ -515,21 +518,20 @@ def check_optimiser(make: Callable[..., Any]) -> None:
     _require(
         best > first, f"30 generations on a sphere found nothing better than the first ({first:g})"
     )
-    if hasattr(optimiser, "state"):
-        kept = {name: np.array(value) for name, value in optimiser.state().items()}
-        expected = [generation(optimiser) for _ in range(2)]
-        twin.load(kept)
-        _require(
-            all(np.array_equal(genes, generation(twin)) for genes in expected),
-            "what load(state()) goes on with is not what it was",
-        )
+    kept = {name: np.array(value) for name, value in optimiser.state().items()}
+    expected, resumed = [generation(optimiser) for _ in range(2)], resumable(make(space))
+    resumed.load(kept)
+    _require(
+        all(np.array_equal(genes, generation(resumed)) for genes in expected),
+        "what is resumed must go on as if it had not been interrupted",
+    )
 
 
 def check_reality(reality: Any, genes: Any) -> None:
     """Check a reality: what it says of itself, and two trials of an individual.
 
     Args:
-        reality: any, see :class:`neurosim.back_to_reality.Reality`.
+        reality: any, see :class:`neurosim.loop.journal.Reality`.
         genes: [G] of an individual that it can try.
 
     Raises:

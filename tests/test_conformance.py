@@ -12,8 +12,8 @@ from simulators_of_tests import Walker, motion_network, tables
 import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.lab import VirtualKheperaRig, VirtualRig
-from neurosim.loop.optimisers import OPTIMISERS
 from neurosim.robots.khepera.driver import Khepera
 from neurosim.robots.nxt.driver import NXT
 from neurosim.tasks.registry import TASKS
@@ -292,8 +292,8 @@ def test_a_task_that_is_wrong(kind, says):
 class Stays:
     """Asks for the same again and again."""
 
-    def __init__(self, controller, settings, seed, first):
-        self.genes = np.random.default_rng(seed).random((8, controller.genes))
+    def __init__(self, space):
+        self.genes = np.random.default_rng(space.seed).random((8, space.genes))
 
     def ask(self):
         return self.genes

@@ -11,15 +11,15 @@ import numpy as np
 import pytest
 from khepera_data import made_up
 
-from neurosim.back_to_reality import REALITIES
 from neurosim.cli.main import cli
 from neurosim.controllers import CONTROLLERS, make_controller
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.loop.evolve import evolve_in
-from neurosim.loop.optimisers import OPTIMISERS
 from neurosim.loop.settings import default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.registry import TASKS
 from neurosim.training.train import train
+from neurosim.trials.realities import REALITIES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]

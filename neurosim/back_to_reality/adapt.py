@@ -13,10 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.back_to_reality.climb import Climb, make_search
-from neurosim.back_to_reality.genetic import BitSettings
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import se2
+from neurosim.evolution.climb import Climb
 
 #: Parameter sets that are kept differ by this at least: root mean square of their shares.
 APART = 0.05
@@ -84,31 +83,6 @@ def similar(
     larger = np.maximum(np.maximum(np.abs(simulated), np.abs(real)), 1e-12)
     apart = np.abs(simulated - real) / larger + 2.0 * (real <= 0.0)
     return np.sort(np.argsort(apart, kind="stable")[:count])
-
-
-def begin_adapting(
-    compared: Compared,
-    start: NDArray[np.float64],
-    search: str,
-    genetic: BitSettings,
-    seed: Any,
-    before: NDArray[np.float64] | None = None,
-) -> Climb:
-    """Return the search for parameters, under way; its fitness is the discrepancy's negative.
-
-    Args:
-        compared: the individuals.
-        start: [K] shares where the search begins.
-        search: ``ga`` or ``cma``.
-        genetic: the genetic algorithm; its population is that of cma, too.
-        seed: of ``numpy.random.default_rng``.
-        before: what :class:`Climb` goes on from.
-    """
-
-    def evaluate(sets: NDArray[np.float64]) -> NDArray[np.float64]:
-        return -compared.discrepancy(sets)
-
-    return Climb(make_search(search, start, genetic, SPREAD, seed), evaluate, before)
 
 
 def kept_sets(

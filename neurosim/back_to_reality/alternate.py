@@ -18,17 +18,20 @@ from neurosim.back_to_reality.adapt import (
     SPREAD,
     Compared,
     agreement,
-    begin_adapting,
     kept_sets,
     similar,
 )
-from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
-from neurosim.back_to_reality.policy_gradient import PolicyGradient
-from neurosim.back_to_reality.reality import Trials
 from neurosim.back_to_reality.settings import BackToRealitySettings
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base.generations import run_generations
+from neurosim.evolution.bits import BitSettings
+from neurosim.evolution.climb import Climb
+from neurosim.evolution.optimisers import make_optimiser
+from neurosim.evolution.policy_gradient import PolicyGradient
+from neurosim.evolution.space import Optimiser, SearchSpace
+from neurosim.loop.journal import Journal
+from neurosim.loop.search import part_of
 
 
 @dataclass
@@ -68,7 +71,7 @@ class Alternation:
     def __init__(
         self,
         simulated: Simulated,
-        trials: Trials,
+        journal: Journal,
         start: NDArray[np.float64],
         settings: BackToRealitySettings,
         *,
@@ -81,7 +84,7 @@ class Alternation:
 
         Args:
             simulated: the simulator, task and controller.
-            trials: in reality.
+            journal: of the trials in reality.
             start: [G] the controller to start from, such as one that was tuned by hand; shares.
             settings: how.
             seed: random seed.
@@ -93,13 +96,13 @@ class Alternation:
             UserError: if a search needs a package that is not installed, or more parameters.
             FileError: if there are trials that were tracked for another number of steps.
         """
-        # Now, not when trials were made already.
-        make_search(settings.search, start, settings.genetic, settings.spread, seed)
-        if settings.adapt != "none":
-            make_search(settings.adapt, simulated.as_is, settings.adapt_genetic, SPREAD, seed)
-        trials.expect(simulated.steps)
-        self._simulated, self._trials, self._start = simulated, trials, start
+        journal.expect(simulated.steps)
+        self._simulated, self._journal, self._start = simulated, journal, start
         self._settings, self._seed = settings, seed
+        # Now, not when trials were made already.
+        Climb(self._controllers(0, start), lambda genes: genes[:, 0])
+        if settings.adapt != "none":
+            Climb(self._parameters(0, simulated.as_is), lambda sets: sets[:, 0])
         self._state = dict(state or {})
         self._save, self._progress = save, progress
         self._record = Evaluations()
@@ -142,8 +145,8 @@ class Alternation:
                 best = self._believed().genes
         start, found = self._record.latest()[0], self._believed()
         return Found(
-            found.genes, found.fitness, start.fitness, self._sets, self._trials.evaluations,
-            self._trials.used, self._record, self.cycles,
+            found.genes, found.fitness, start.fitness, self._sets, self._journal.evaluations,
+            self._journal.used, self._record, self.cycles,
         )  # fmt: skip
 
     # Trials in reality
@@ -152,11 +155,11 @@ class Alternation:
         """Return how many evaluations are left."""
         if not self._settings.budget:
             return 1_000_000
-        return self._settings.budget - round(self._trials.evaluations)
+        return self._settings.budget - round(self._journal.evaluations)
 
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals in their first evaluation in reality."""
-        fitness = self._trials.evaluate(self._simulated.real_genes(genes), why)
+        fitness = self._journal.evaluate(self._simulated.real_genes(genes), why)
         self._record.add(genes, fitness)
         return fitness
 
@@ -170,7 +173,7 @@ class Alternation:
             if leader.count >= self._settings.confirm or self._room() < 1:
                 break
             genes = self._simulated.real_genes(leader.genes[None])
-            fitness = self._trials.evaluate(genes, "confirm", leader.count + 1)
+            fitness = self._journal.evaluate(genes, "confirm", leader.count + 1)
             self._record.all.append(Evaluation(leader.genes, float(fitness[0]), leader.count + 1))
 
     def _believed(self) -> Evaluation:
@@ -186,27 +189,54 @@ class Alternation:
             each = self._simulated.over(genes, sets)
             return each.mean(axis=0) - settings.caution * each.std(axis=0)
 
-        search = make_search(
-            settings.search, start, settings.genetic, settings.spread, [self._seed, cycle, 1]
-        )
         total = settings.generations
         if cycle and settings.later_generations:
             total = settings.later_generations
-        name = f"{cycle}.L1"
-        climb = Climb(search, evaluate, before=self._state.get(name))
-        self._simulated.tried += climb.individuals * len(sets)
-        self._climb(climb, name, total, f"cycle {cycle + 1}: controllers in the simulator (L1)")
+        climb = Climb(self._controllers(cycle, start), evaluate)
+        label = f"cycle {cycle + 1}: controllers in the simulator (L1)"
+        self._climb(climb, f"{cycle}.L1", total, label, len(sets))
         self.cycles[cycle]["L1"] = climb.history()
         return climb
 
-    def _climb(self, climb: Climb, name: str, total: int, label: str) -> None:
+    def _controllers(self, cycle: int, start: NDArray[np.float64]) -> Optimiser:
+        how = self._settings
+        return self._optimiser(how.search, start, how.genetic, how.spread, cycle, 1)
+
+    def _parameters(self, cycle: int, start: NDArray[np.float64]) -> Optimiser:
+        how = self._settings
+        return self._optimiser(how.adapt, start, how.adapt_genetic, SPREAD, cycle, 3)
+
+    def _optimiser(
+        self,
+        name: str,
+        start: NDArray[np.float64],
+        genetic: BitSettings,
+        spread: float,
+        cycle: int,
+        level: int,
+    ) -> Optimiser:
+        """Return an optimiser of shares 0..1."""
+        space = SearchSpace(
+            start[None],
+            (self._seed, cycle, level),
+            genetic,
+            spread,
+            (0.0, 1.0),
+            genetic.population,
+        )
+        return make_optimiser(name, space)
+
+    def _climb(self, climb: Climb, name: str, total: int, label: str, each: int) -> None:
+        """Run a search, or the rest of it; an individual of it is ``each`` trials."""
+
         def save(state: Mapping[str, Any]) -> None:
-            if "fitness" in state:
-                self._state[name] = state["fitness"]
+            self._state |= {f"{name}.{key}": value for key, value in state.items()}
             if self._save is not None:
                 self._save(self._state)
 
+        climb.load(part_of(self._state, f"{name}."))
         before = climb.done
+        self._simulated.tried += climb.individuals * each
         if run_generations(climb, total, label, save=save, progress=self._progress):
             raise KeyboardInterrupt
         if climb.done > before:
@@ -266,16 +296,12 @@ class Alternation:
             recent = [*others[max(len(others) + 1 - settings.compared, 0) :], best]
             genes = np.stack([one.genes for one in recent])
             real = np.array([one.fitness for one in recent])
-        ten, name = self._compared(genes, real), f"{cycle}.L3"
+        ten = self._compared(genes, real)
         if settings.compare == "tracked" and ten.poses is None:
             return
-        climb = begin_adapting(
-            ten, self._sets[0], settings.adapt,
-            settings.adapt_genetic, [self._seed, cycle, 3], self._state.get(name),
-        )  # fmt: skip
-        self._simulated.tried += climb.individuals * len(ten.genes)
+        climb = Climb(self._parameters(cycle, self._sets[0]), lambda sets: -ten.discrepancy(sets))
         label = f"cycle {cycle + 1}: the simulator's parameters (L3)"
-        self._climb(climb, name, settings.adapt_generations, label)
+        self._climb(climb, f"{cycle}.L3", settings.adapt_generations, label, len(ten.genes))
         before, worth = self._sets, -ten.discrepancy(self._sets)
         self._sets, before = kept_sets(climb, settings.sets, before, worth), before[0]
         self._adapted[cycle] = before, self._sets[0]
@@ -301,7 +327,7 @@ class Alternation:
         return Compared(self._simulated, genes, real, self._poses(genes))
 
     def _poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
-        return self._trials.poses(self._simulated.real_genes(genes))
+        return self._journal.poses(self._simulated.real_genes(genes))
 
     def _named(self, shares: NDArray[np.float64]) -> dict[str, float]:
         values = self._simulated.values(shares).tolist()
@@ -313,24 +339,22 @@ class Alternation:
         """Learn in reality, from the best so far; every policy that is tried can be the best."""
         settings = self._settings
         learner = PolicyGradient(start, settings.policy, [self._seed, cycle, 2])
-        best, mean, tried, scores = [], [], [], []
-        for step in range(settings.policy_steps):
-            if self._room() - settings.spared < settings.policy.policies:
-                break
-            asked = learner.ask()
-            score = self._try(asked, f"cycle {cycle + 1}, L2, step {step + 1}")
-            learner.tell(score)
-            best.append(float(score.max()))
-            mean.append(float(score.mean()))
-            tried.append(asked)
-            scores.append(score)
-        if tried and self._room() > settings.spared:
-            end = self._try(learner.point[None], f"cycle {cycle + 1}, L2, its end")
-            best.append(float(end[0]))
-            mean.append(float(end[0]))
-        self.cycles[cycle]["L2"] = {"best": best, "mean": mean}
-        if not tried:
+        climb = Climb(
+            learner,
+            lambda asked: self._try(asked, f"cycle {cycle + 1}, L2, step {climb.done + 1}"),
+        )
+        while (
+            climb.done < settings.policy_steps
+            and self._room() - settings.spared >= settings.policy.policies
+        ):
+            climb.generation()
+        self.cycles[cycle]["L2"] = history = climb.history()
+        if not climb.done:
             return
-        genes, real = np.concatenate(tried), np.concatenate(scores)
+        if self._room() > settings.spared:
+            end = self._try(learner.point[None], f"cycle {cycle + 1}, L2, its end")
+            for values in history.values():
+                values.append(float(end[0]))
+        genes, real = np.concatenate(climb.asked), np.concatenate(climb.fitness)
         if "L3" in self.cycles[cycle]:
             self.cycles[cycle]["L3"]["neighbours"] = self._agreement(cycle, genes, real)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import math
 import shutil
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.back_to_reality.alternate import Alternation, Found
-from neurosim.back_to_reality.reality import Reality, Trials
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
@@ -27,14 +24,14 @@ from neurosim.controllers.files import check_readable
 from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import path_of
-from neurosim.simulators.adjustable import Adjustable
+from neurosim.loop.journal import TRIALS, Journal, Reality, about_reality
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.registry import read_simulator, write_simulator
+from neurosim.simulators.sources import digest
 from neurosim.tasks.base import Task
 
 FORMAT, VERSION = "neurosim-back-to-reality", 1
 GENES_FORMAT, GENES_VERSION = "neurosim-parameters", 1
-TRIALS = "trials.jsonl"
 #: Poses of the expected path that are written of a controller.
 _POSES = 200
 
@@ -152,23 +149,26 @@ def back_to_reality(
     """
     settings = settings or settings_named("better")
     check_readable(controller)
-    written = []
+    written = None
     if isinstance(simulator, str | Path):
-        files_of = sorted(path for path in Path(simulator).rglob("*") if path.is_file())
-        written = [files.sha256(path) for path in files_of]
+        written = digest(simulator)
         simulator = read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
     shares = simulated.shares_of(start_genes(controller) if start is None else start)
     if start is not None and hasattr(controller, "check"):
         controller.check(np.asarray(start, np.float64))
-    about = reality.describe() if hasattr(reality, "describe") else {}
     begun = {
         **asdict(settings),
-        "simulator": _digest(simulator, simulated.parameters, written),
+        "simulator": {
+            "kind": simulator.kind,
+            "sha256": written,
+            "parameters": {one.name: asdict(one) for one in simulated.parameters},
+            **simulator.conditions(),
+        },
         "seed": seed,
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
-        "reality": about,
+        "reality": about_reality(reality),
         "start": simulated.real_genes(shares).tolist(),
     }
     files.check_new_folder(out)
@@ -179,29 +179,21 @@ def back_to_reality(
             state = checkpoint.resume(begun)
         else:
             checkpoint.begin(begun, options)
-        trials = None
+        journal = None
         try:
-            trials = Trials(
+            with Journal(
                 reality,
                 checkpoint.folder / TRIALS,
                 each=settings.trials,
                 patience=patience,
                 ask=ask,
-            )
-            alternation = Alternation(
-                simulated, trials, shares, settings, seed=seed, state=state, save=checkpoint.save,
-                progress=progress,
-            )  # fmt: skip
-            try:
-                found = alternation.run()
-            except ValueError as error:
-                if "another search" in str(error):
-                    raise checkpoint.damaged() from None
-                raise
+            ) as journal:
+                found = Alternation(
+                    simulated, journal, shares, settings, seed=seed, state=state,
+                    save=checkpoint.save, progress=progress,
+                ).run()  # fmt: skip
         finally:
-            if trials is not None:
-                trials.close()
-            if not ((trials and trials.made) or resume or checkpoint.saved):
+            if not ((journal and journal.made) or resume or checkpoint.saved):
                 checkpoint.remove()  # nothing came of it
         content = _content(found, simulated, begun, task, controller)
         with files.new_folder(out) as partial:
@@ -213,13 +205,6 @@ def back_to_reality(
             files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
         checkpoint.remove()
         return content
-
-
-def _digest(simulator: Simulator, parameters: Sequence[Adjustable], written: Sequence[str]) -> str:
-    """Return a simulator's kind and a digest of its parameters, conditions and files' digests."""
-    known = [list(written), [asdict(one) for one in parameters], simulator.conditions()]
-    text = json.dumps(known, sort_keys=True, default=float)
-    return f"{simulator.kind} {hashlib.sha256(text.encode()).hexdigest()[:12]}"
 
 
 def _content(

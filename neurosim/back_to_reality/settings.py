@@ -7,13 +7,11 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta
 
-from neurosim.back_to_reality.genetic import BitSettings
-from neurosim.back_to_reality.policy_gradient import PolicySettings
 from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
 from neurosim.base.errors import UserError
+from neurosim.evolution.bits import BitSettings
+from neurosim.evolution.policy_gradient import PolicySettings
 
-Search = Literal["ga", "cma"]
-Adapt = Literal["ga", "cma", "none"]
 Compare = Literal["similar", "recent", "tracked"]
 _PAPER_GENETIC, _PAPER_POLICY = BitSettings(), PolicySettings()
 _PAPER_ADAPT = BitSettings(population=20, first_mutation=0.2)
@@ -26,20 +24,21 @@ class BackToRealitySettings(Checked):
 
     Attributes:
         cycles: Cycles of L1, trials, L3 and L2; one more L1 follows the last.
-        search: Algorithm that evolves controllers in the simulator (L1): ga, the paper's, or cma.
+        search: Optimiser that evolves controllers in the simulator (L1): ga, the paper's, cma, or
+            one of your own.
         generations: Generations of the first L1.
         later_generations: Generations of each later L1; 0: as many as of the first.
-        genetic: the genetic algorithm of L1; cma takes its population size.
-        spread: Initial step size of cma in L1, as a share of the parameter ranges.
+        genetic: the genetic algorithm of L1; others take its population size.
+        spread: Spread of the first population in L1, as a share of the ranges; not of ga.
         sets: Number of parameter sets of the simulator; controllers are evolved over all of them.
             The paper has 1.
         prior: Standard deviation of the first random parameter sets around the simulator as it is,
             as a share of the ranges.
         caution: Over several sets fitness is the mean minus this many standard deviations.
         candidates: Number of L1's best controllers that are tried in reality in each cycle.
-        adapt: Algorithm that adapts the simulator (L3): ga, the paper's, cma, or none.
+        adapt: Optimiser that adapts the simulator (L3): as search, or none.
         adapt_generations: Generations of L3.
-        adapt_genetic: the genetic algorithm of L3; cma takes its population size.
+        adapt_genetic: the genetic algorithm of L3; others take its population size.
         compared: Number of controllers that L3 compares.
         compare: Which controllers L3 compares. similar: those of this round whose fitness agrees
             best, failures last, as in the paper; recent: the last ones that were tried, failures
@@ -55,7 +54,7 @@ class BackToRealitySettings(Checked):
     """
 
     cycles: Count = 1
-    search: Search = "ga"
+    search: str = "ga"
     generations: Count = 600
     later_generations: CountOrNone = 0
     genetic: BitSettings = field(default=_PAPER_GENETIC)
@@ -64,7 +63,7 @@ class BackToRealitySettings(Checked):
     prior: Fraction = 0.15
     caution: Annotated[float, Meta(ge=0, le=1000)] = 0.0
     candidates: Count = 15
-    adapt: Adapt = "ga"
+    adapt: str = "ga"
     adapt_generations: Count = 45
     adapt_genetic: BitSettings = field(default=_PAPER_ADAPT)
     compared: Count = 10

@@ -109,12 +109,12 @@ class Checkpoint:
             raise UserError(f"there is no interrupted {self._what} at {self.folder}; start it anew")
         begun = files.read_json(self._settings, FORMAT, VERSION, formats.Checkpoint)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
-        for name in [*settings, *(name for name in begun if name not in settings)]:
-            if begun.get(name) != settings.get(name):
-                raise UserError(
-                    f"{self.folder} was begun with {name} = {begun.get(name)!r}, not "
-                    f"{settings.get(name)!r}; resume it with the same, or remove it yourself"
-                )
+        if (wrong := _difference(begun, settings)) is not None:
+            name, before, now = wrong
+            raise UserError(
+                f"{self.folder} was begun with {name} = {before!r}, not {now!r}; resume it with "
+                "the same, or remove it yourself"
+            )
         if not self.saved:
             return None
         state = files.read_tensors(self._state)
@@ -139,6 +139,18 @@ class Checkpoint:
         shutil.rmtree(self.folder, ignore_errors=True)
 
 
+def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, Any, Any] | None:
+    """Return the first entry that differs: its name, as in ``task.name``, and both values."""
+    for name in [*other, *(name for name in one if name not in other)]:
+        here, there = one.get(name), other.get(name)
+        if isinstance(here, dict) and isinstance(there, dict):
+            if (found := _difference(here, there)) is not None:
+                return f"{name}.{found[0]}", *found[1:]
+        elif here != there:
+            return name, here, there
+    return None
+
+
 def _digest(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
     """Return the SHA-256 [32] of arrays: their names, kinds, shapes and numbers."""
     found = hashlib.sha256()
@@ -147,28 +159,3 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
         found.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
         found.update(np.ascontiguousarray(array).tobytes())
     return np.frombuffer(found.digest(), np.uint8)
-
-
-def random_state(rng: np.random.Generator) -> NDArray[np.uint64]:
-    """Return the state of a random generator (PCG64), [6]."""
-    drawn = rng.bit_generator.state
-    large = [drawn["state"][name] for name in ("state", "inc")]
-    words = [word for value in large for word in (value >> 64, value & (2**64 - 1))]
-    return np.array([*words, drawn["has_uint32"], drawn["uinteger"]], np.uint64)
-
-
-def set_random_state(rng: np.random.Generator, state: NDArray[np.uint64]) -> None:
-    """Set what :func:`random_state` returned.
-
-    Raises:
-        ValueError: if it is not such a state.
-    """
-    if state.shape != (6,):
-        raise ValueError("this is not the state of a random generator")
-    a, b, c, d, has, integer = (int(word) for word in state)
-    rng.bit_generator.state = {
-        "bit_generator": "PCG64",
-        "state": {"state": a << 64 | b, "inc": c << 64 | d},
-        "has_uint32": has,
-        "uinteger": integer,
-    }

@@ -18,13 +18,12 @@ COMPILES_AFTER = 4.0
 
 
 class Stage(Protocol):
-    """Something that goes on generation after generation.
+    """Something that goes on generation after generation."""
 
-    Attributes:
-        done: generations so far.
-    """
-
-    done: int
+    @property
+    def done(self) -> int:
+        """How many generations there were so far."""
+        ...
 
     def generation(self) -> str:
         """Work one generation; return a short figure of how it stands."""

@@ -9,7 +9,6 @@ from typing import Any
 import click
 
 from neurosim.base.checkpoint import Checkpoint
-from neurosim.base.declared import Seconds
 from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
 from neurosim.cli._options import (
     Chosen,
@@ -18,7 +17,9 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
-from neurosim.cli._types import PATH, ranged
+from neurosim.cli._realities import ask_person, patience_option, reality_option
+from neurosim.cli._robots import without_camera
+from neurosim.cli._types import PATH
 
 
 class _Named:
@@ -43,16 +44,10 @@ def _settings(chosen: Chosen) -> Any:
     return NAMED.get(chosen["settings"])
 
 
-def _may_be_real(name: str) -> bool:
-    from neurosim.back_to_reality.reality import REALITIES
-
-    return not REALITIES.is_own(name)
-
-
 @click.command(
     "back-to-reality",
     cls=SettingsCommand,
-    begun=lambda values: Checkpoint(values["out"], "run").options(),
+    begun=lambda values: without_camera(Checkpoint(values["out"], "run").options()),
 )
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the result.")
 @click.option(
@@ -71,15 +66,7 @@ def _may_be_real(name: str) -> bool:
     names={"slots": "commands"},
     optional=("inputs",),
 )
-@choice_options(
-    "--reality",
-    "neurosim.back_to_reality.reality:REALITIES",
-    default="virtual-walker",
-    help="Where controllers are tried for real. The first is a robot of the lab; by-hand: a person "
-    "types what came out.",
-    skip=("controller", "task"),  # which it is given
-    outside=_may_be_real,
-)
+@reality_option("virtual-walker", "Where controllers are tried for real.")
 @click.option(
     "--start",
     type=PATH,
@@ -107,13 +94,7 @@ def _may_be_real(name: str) -> bool:
     prefix="adapt-",
 )
 @settings_options("policy", lambda chosen: _settings(chosen).policy, by_choice=True)
-@click.option(
-    "--patience",
-    type=ranged(Seconds),
-    default=600.0,
-    show_default=True,
-    help="A trial in reality that takes longer is given up, s.",
-)
+@patience_option
 @resume_option
 @seed_option
 @json_option
@@ -126,6 +107,8 @@ def back_to_reality(
     controller_options: dict[str, Any],
     reality: str,
     reality_options: dict[str, Any],
+    camera: str | None,
+    calibration: Path | None,
     start: Path | None,
     settings: str,
     settings_options: dict[str, Any],
@@ -146,7 +129,6 @@ def back_to_reality(
     Vallejos 2004). Without more options L3 needs a reality that tracks the robot, and there is no
     L2. Every trial is on the disk before it is used; --resume continues an interrupted run.
     """
-    from neurosim.back_to_reality.reality import make_reality
     from neurosim.back_to_reality.run import back_to_reality as run
     from neurosim.back_to_reality.run import start_genes
     from neurosim.back_to_reality.settings import settings_named
@@ -155,6 +137,7 @@ def back_to_reality(
     from neurosim.simulators.legged.simulator import LeggedSimulator
     from neurosim.tasks.files import read_task
     from neurosim.tasks.registry import make_task
+    from neurosim.trials.realities import open_reality
 
     name, of_file = read_task(task)
     made = make_task(name, **{**of_file, **task_options})
@@ -168,25 +151,24 @@ def back_to_reality(
         policy=replace(chosen.policy, **policy),
         **how,
     )
-    content = run(
-        found if simulator is None else simulator,
-        made,
-        family,
-        make_reality(reality, family, made, **reality_options),
-        out=out,
-        start=start_genes(family, start),
-        settings=chosen,
-        seed=seed,
-        resume=resume,
-        options=given_options(),
-        ask=_ask,
-        patience=patience,
-    )
+    with open_reality(
+        reality, family, made, found, camera=camera, calibration=calibration, **reality_options
+    ) as real:
+        content = run(
+            found if simulator is None else simulator,
+            made,
+            family,
+            real,
+            out=out,
+            start=start_genes(family, start),
+            settings=chosen,
+            seed=seed,
+            resume=resume,
+            options=given_options(),
+            ask=ask_person,
+            patience=patience,
+        )
     emit({"out": str(out), **content}, as_json, _text(content, out))
-
-
-def _ask(message: str) -> None:
-    click.prompt(message, default="", show_default=False, prompt_suffix=". ", err=True)
 
 
 def _text(content: dict[str, Any], out: Path) -> str:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -31,7 +30,8 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
-from neurosim.cli._robots import robot_option_of
+from neurosim.cli._realities import ask_person, patience_option, reality_option
+from neurosim.cli._robots import without_camera
 from neurosim.cli._types import PATH, ranged
 
 
@@ -108,7 +108,8 @@ def changed(
 
 
 @click.command(
-    cls=SettingsCommand, begun=lambda values: Checkpoint(values["out"], "evolution").options()
+    cls=SettingsCommand,
+    begun=lambda values: without_camera(Checkpoint(values["out"], "evolution").options()),
 )
 @click.argument("simulator", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
@@ -128,7 +129,7 @@ def changed(
 )
 @choice_options(
     "--optimiser",
-    "neurosim.loop.optimisers:OPTIMISERS",
+    "neurosim.evolution.optimisers:OPTIMISERS",
     default="ga",
     help="The optimiser; ga is the genetic algorithm of the controller's paper.",
     of=lambda optimiser: None,  # all of them are given the settings below
@@ -180,10 +181,14 @@ def changed(
     "real_generations",
     type=ranged(CountOrNone),
     default=0,
-    help="Generations on a robot after those in the simulator; nobody puts it in place.",
+    help="Generations in reality after those in the simulator.",
 )
 @settings_options("judges", "neurosim.loop.evolve:evolve", only=("workers",))
-@robot_option_of("virtual-khepera", "The robot of --robot-generations.")
+@reality_option(
+    lambda chosen: "virtual-nxt" if _is_blind(chosen) else "virtual-khepera",
+    "The reality of --robot-generations, by default virtual-nxt for plans, else virtual-khepera.",
+)
+@patience_option
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
 @resume_option
 @seed_option
@@ -204,8 +209,11 @@ def evolve(
     robust_settings: dict[str, Any],
     changes: dict[str, Any],
     real_generations: int,
-    robot: str,
-    robot_options: dict[str, Any],
+    reality: str,
+    reality_options: dict[str, Any],
+    camera: str | None,
+    calibration: Path | None,
+    patience: float,
     judges: dict[str, Any],
     keep_all: bool,
     resume: bool,
@@ -226,13 +234,18 @@ def evolve(
     from neurosim.simulators import read_simulator
     from neurosim.tasks.files import read_task
     from neurosim.tasks.registry import make_task
+    from neurosim.trials.realities import open_reality
 
-    if not real_generations and (is_given("robot") or robot_options):
-        raise UserError("--robot is the robot of --robot-generations: add that, or leave it out")
+    if not real_generations and (is_given("reality") or reality_options):
+        raise UserError(
+            "--reality is the reality of --robot-generations: add that, or leave it out"
+        )
     name, settings = read_task(task)
     made = make_task(name, **{**settings, **task_options})
     found = changed(read_simulator(simulator), **changes)
     family = make_controller(controller, found, made, **controller_options)
+    if real_generations:
+        evolution = {"runs": 1, **evolution}
     how = default_settings(family, made, optimiser=optimiser, **evolution)
     breeding = GeneticSettings() if preset == "paper" and family.blind else how.genetic
     if breeding.parents and "population" in genetic and "parents" not in genetic:
@@ -243,7 +256,18 @@ def evolve(
         insertion=preset != "paper",
         robust=robust and RobustSettings(robust, **robust_settings),
     )
-    with _on_robot(found, made, family, how, real_generations, robot, robot_options, seed) as real:
+    opened = nullcontext()
+    if real_generations:
+        opened = open_reality(
+            reality, family, made, found, camera=camera, calibration=calibration, **reality_options
+        )
+    with opened as real:
+        if hours := real_generations * how.genetic.population * getattr(real, "seconds", 0) / 3600:
+            click.echo(
+                f"{real_generations} generations of {how.genetic.population} trials take up to "
+                f"{hours:.1f} h of the robot's time; --resume continues an interrupted evolution.",
+                err=True,
+            )
         controllers = evolve_(
             found,
             made,
@@ -257,6 +281,8 @@ def evolve(
             options=given_options(),
             reality=real,
             real_generations=real_generations,
+            ask=ask_person,
+            patience=patience,
             **judges,
         )
     _say(controllers, out, simulator, made, keep_all, as_json)
@@ -319,46 +345,3 @@ def _say(
         how = ", continue with --resume" if resumable else ""
         click.echo(f"neurosim: interrupted; the best so far is kept{how}", err=True)
         click.get_current_context().exit(exit_code())
-
-
-@contextmanager
-def _on_robot(
-    simulator: Any,
-    task: Any,
-    controller: Any,
-    settings: Any,
-    generations: int,
-    robot: str,
-    options: dict[str, Any],
-    seed: int,
-) -> Iterator[Any]:
-    """Give the robot on which evolution continues; None where it does not."""
-    if not generations:
-        yield None
-        return
-    from neurosim.loop.evaluate import Evaluator
-    from neurosim.robots import ROBOTS
-    from neurosim.trials.reality import in_lab, on_khepera
-
-    evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
-    if robot == "virtual-khepera":
-        with in_lab(evaluator, seed=seed, **options) as reality:
-            yield reality
-        return
-    with on_khepera(ROBOTS.make(robot, options), evaluator, _ask) as reality:
-        hours = generations * settings.genetic.population * reality.seconds / 3600
-        click.echo(
-            f"{generations} generations of {settings.genetic.population} trials of "
-            f"{reality.seconds:.0f} s on the robot take {hours:.1f} h; an interrupted evolution "
-            "continues with --resume.",
-            err=True,
-        )
-        yield reality
-
-
-def _ask(start: Any) -> None:
-    x, y, theta = 100 * start[0], 100 * start[1], math.degrees(start[2])
-    where = f"x {x:.1f} cm, y {y:.1f} cm, heading {theta:.0f} degrees"
-    click.prompt(
-        f"Put the robot at {where}, and press Enter", default="", show_default=False, err=True
-    )

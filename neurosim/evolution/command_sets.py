@@ -11,13 +11,13 @@ given in a rectangle, and what mutation does.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit, prange
 from numpy.typing import NDArray
 
-from neurosim.base.checkpoint import random_state, set_random_state
 from neurosim.base.errors import UserError
 from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.evolution.genetic import GeneticSettings
@@ -29,6 +29,17 @@ NULL_SHARE = 0.2
 NOT_PAIRED = np.iinfo(np.int64).min
 
 
+@dataclass(frozen=True)
+class PlanSettings(GeneticSettings):
+    """Settings of the genetic algorithm of plans.
+
+    Attributes:
+        insertion: whether null commands come back at any place, see :func:`mutate`.
+    """
+
+    insertion: bool = True
+
+
 class PlanPopulation:
     """Several independent runs of a generational genetic algorithm of plans, ask and tell.
 
@@ -36,8 +47,6 @@ class PlanPopulation:
 
     Attributes:
         genes: [N, P, 4 K] in 0..1, the population of each of N runs; treat as read-only.
-        best: [N, 4 K] the best plan told of so far.
-        best_fitness: [N] its fitness.
         hints: what :meth:`tell` wants to know beside the fitness.
     """
 
@@ -46,9 +55,8 @@ class PlanPopulation:
     def __init__(
         self,
         genes: NDArray[np.float64],
-        settings: GeneticSettings,
-        seed: int,
-        insertion: bool = True,
+        settings: PlanSettings,
+        seed: Sequence[int],
     ):
         """Start from a first population.
 
@@ -56,29 +64,22 @@ class PlanPopulation:
             genes: [N, P, 4 K] in 0..1.
             settings: sizes and probabilities.
             seed: the same seed makes the same children.
-            insertion: whether null commands come back at any place, see :func:`mutate`.
         """
         if settings.parents:
             raise UserError("plans are selected by tournaments: parents must be 0")
-        self._insertion = insertion
         self.genes = np.ascontiguousarray(genes, np.float64)
         self._settings = settings
-        self._rng = np.random.default_rng([seed, 0xB4EED])
-        self.best = self.genes[:, 0].copy()
-        self.best_fitness = np.full(len(genes), -np.inf)
+        self._seed = [*seed, 0xB4EED]
+        self._rng = np.random.default_rng(self._seed)
+        self._generation = 0
 
     def ask(self) -> NDArray[np.float64]:
         """Return the plans [N, P, 4 K] to evaluate; treat them as read-only."""
         return self.genes
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that the next generations depend on."""
-        return {
-            "genes": self.genes,
-            "best": self.best.copy(),
-            "best_fitness": self.best_fitness.copy(),
-            "random": random_state(self._rng),
-        }
+        """Return all that the next generations depend on: far less than all that was told."""
+        return {"genes": self.genes, "generation": np.array([self._generation])}
 
     def load(self, state: Mapping[str, NDArray]) -> None:
         """Go on from what :meth:`state` returned.
@@ -89,8 +90,9 @@ class PlanPopulation:
         if state["genes"].shape != self.genes.shape:
             raise ValueError("the state is of another population or number of genes")
         self.genes = np.ascontiguousarray(state["genes"])
-        self.best, self.best_fitness = state["best"].copy(), state["best_fitness"].copy()
-        set_random_state(self._rng, state["random"])
+        self._generation = int(state["generation"][0])
+        self._rng = np.random.default_rng(self._seed)
+        self._rng.integers(2**63, size=self._generation)  # what was drawn before
 
     def tell(self, fitness: NDArray[np.float64], keys: NDArray[np.int64]) -> None:
         """Take the fitness [N, P] of the population, the higher the better, and make the next.
@@ -100,11 +102,6 @@ class PlanPopulation:
             keys: [N, P, K] of :func:`pairing_keys`.
         """
         fitness = np.where(np.isnan(fitness), -np.inf, fitness)
-        runs = np.arange(len(fitness))
-        place = fitness.argmax(axis=1)
-        better = fitness[runs, place] > self.best_fitness
-        self.best[better] = self.genes[runs, place][better]
-        self.best_fitness[better] = fitness[runs, place][better]
         s = self._settings
         children = np.empty_like(self.genes)
         if s.elites > 0:
@@ -114,12 +111,13 @@ class PlanPopulation:
             self.genes,
             keys,
             fitness,
-            (s.tournament, s.elites, int(self._insertion)),
+            (s.tournament, s.elites, int(s.insertion)),
             (s.crossover, s.mutation, s.mutation_scale, s.eta),
             self._rng.integers(2**63),
             children,
         )
         self.genes = children
+        self._generation += 1
 
 
 @njit(cache=True)

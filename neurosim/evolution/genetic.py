@@ -6,7 +6,6 @@ tells what came out.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -69,7 +68,6 @@ class GeneticAlgorithm:
         ga.best
 
     Attributes:
-        generation: how many populations have been evaluated.
         best: the best individual told of so far, [..., G].
         best_fitness: its fitness, [...], float64.
     """
@@ -90,7 +88,6 @@ class GeneticAlgorithm:
         if initial.shape[-2] != settings.population:
             raise ValueError(f"expected {settings.population} individuals, got {initial.shape[-2]}")
         self.settings = settings
-        self.generation = 0
         self.best = initial[..., 0, :].clone()
         self.best_fitness = torch.full(
             initial.shape[:-2], -torch.inf, dtype=torch.float64, device=initial.device
@@ -116,32 +113,6 @@ class GeneticAlgorithm:
         fitness = torch.where(fitness.isnan(), -torch.inf, fitness)
         self._remember_best(fitness)
         self._population = self._next_population(fitness)
-        self.generation += 1
-
-    def state(self) -> dict[str, Tensor]:
-        """Return all that the next generations depend on, as tensors on the CPU.
-
-        A run that is loaded from it goes on bit for bit as this one would have.
-        """
-        return {
-            "population": self._population.cpu().clone(),
-            "best": self.best.cpu().clone(),
-            "best_fitness": self.best_fitness.cpu().clone(),
-            "generation": torch.tensor([self.generation]),
-            "generator": self._generator.get_state(),
-        }
-
-    def load(self, state: Mapping[str, Tensor]) -> None:
-        """Go on from what :meth:`state` returned."""
-        if state["population"].shape != self._population.shape:
-            raise ValueError("the state is of another population or number of genes")
-        self._population = state["population"].to(self._population)
-        self.best = state["best"].to(self.best)
-        self.best_fitness = (
-            state["best_fitness"].to(self.best_fitness).view(self.best_fitness.shape)
-        )
-        self.generation = int(state["generation"])
-        self._generator.set_state(state["generator"])
 
     def _remember_best(self, fitness: Tensor) -> None:
         top, place = fitness.max(-1)

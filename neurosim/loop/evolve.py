@@ -7,9 +7,9 @@ on robustly: over drawn outcomes from the first stage's populations. While it ru
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping, Sequence
-from contextlib import nullcontext
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,22 +20,22 @@ from numpy.typing import NDArray
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import RobotError, UserError
 from neurosim.base.files import check_new_folder
-from neurosim.base.generations import CHECKPOINT_EVERY, run_generations
+from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
 from neurosim.controllers import FixedPlan, SavedController, make_controller, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.journal import TRIALS, Comparing, Journal, Reality, about_reality
 from neurosim.loop.objectives import mean_fitness, repeats_of
-from neurosim.loop.optimisers import make_optimiser
-from neurosim.loop.reality import TRIALS_AGAIN, RealRobot, RealSearch
-from neurosim.loop.search import Search
+from neurosim.loop.search import Search, new_optimiser, part_of
 from neurosim.loop.settings import EvolveSettings, default_settings
+from neurosim.loop.transfer import Transfer
 from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
-from neurosim.simulators.sources import named
+from neurosim.simulators.sources import digest, named
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
 
@@ -90,7 +90,7 @@ class Evolution:
 
     Attributes:
         stages: the searches in the simulator so far.
-        real: the generations on the robot, once they have begun.
+        real: the generations in reality, once they have begun.
     """
 
     def __init__(
@@ -98,7 +98,6 @@ class Evolution:
         evaluator: Evaluator,
         settings: EvolveSettings,
         seed: int,
-        reality: RealRobot | None = None,
         real_generations: int = 0,
     ):
         """Prepare the first stage.
@@ -107,8 +106,7 @@ class Evolution:
             evaluator: judges in the simulator.
             settings: how.
             seed: random seed.
-            reality: the robot that goes on after the simulator, or None.
-            real_generations: how many.
+            real_generations: how many there are in reality after the simulator.
 
         Raises:
             UserError: if robust controllers are asked of a simulator in which nothing is
@@ -116,18 +114,14 @@ class Evolution:
                 made from.
         """
         self.evaluator, self.settings, self._seed = evaluator, settings, seed
-        self._reality, self._real_generations = reality, real_generations
-        self._checkpoint: Checkpoint | None = None
-        self._saved = time.monotonic()
-        self._latest: dict[str, Any] | None = None
-        self.real: RealSearch | None = None
-        if reality is not None and (settings.runs > 1 or settings.robust is not None):
-            raise UserError("generations on a robot go on after one run, which is not made robust")
+        self._real_generations = real_generations
+        self.real: Transfer | None = None
+        if real_generations and (settings.runs > 1 or settings.robust is not None):
+            raise UserError("generations in reality go on after one run, which is not made robust")
         if settings.robust is not None:
             check_uncertain(evaluator.simulator)
         if not settings.extrapolate:
             _check_reach(evaluator)
-        optimiser = make_optimiser(settings.optimiser, evaluator.controller, settings, seed)
         self._searched = evaluator
         if settings.arenas:
             self._searched = Evaluator(
@@ -139,80 +133,59 @@ class Evolution:
         self.stages = [
             Search(
                 self._searched,
-                optimiser,
+                new_optimiser(evaluator.controller, settings, seed),
+                seed=[seed, 0],
                 objective=settings.objective,
                 outcomes=settings.outcomes,
-                rng=np.random.default_rng(seed),
                 unsupported=settings.most_unsupported,
             )
         ]
 
-    @property
-    def resumable(self) -> bool:
-        """Whether the optimiser can be interrupted and resumed."""
-        return hasattr(self.stages[0].optimiser, "state")
+    def run(
+        self,
+        checkpoint: Checkpoint | None = None,
+        progress: bool = True,
+        journal: Journal | None = None,
+    ) -> bool:
+        """Run all stages; return whether Ctrl-C ended them early.
 
-    def run(self, checkpoint: Checkpoint | None = None, progress: bool = True) -> bool:
-        """Run all stages; return whether Ctrl-C ended them early."""
+        Args:
+            checkpoint: where the stages in the simulator are kept.
+            progress: whether to show progress on stderr.
+            journal: of the trials in reality.
+        """
         first, settings = self.stages[0], self.settings
-        self._checkpoint = checkpoint if self.resumable else None
-        if len(self.stages) == 1 and self._run(first, settings.generations, "evolving", progress):
+        save = None if checkpoint is None else lambda _: checkpoint.save(self.state())
+
+        def ended(stage: Search, total: int, label: str) -> bool:
+            return run_generations(stage, total, label, save=save, progress=progress)
+
+        if len(self.stages) == 1 and ended(first, settings.generations, "evolving"):
             return True
-        if self._reality is not None and self._real_generations:
-            return self._run_real(self._reality, progress)
+        if self._real_generations and journal is not None:
+            if save is not None:
+                save(None)
+            self._run_real(journal, progress)
         if settings.robust is None:
             return False
         if len(self.stages) == 1:
-            self.stages.append(self.robust_stage(first.top, np.asarray(first.optimiser.ask())))
-        total = settings.robust.generations
-        return self._run(self.stages[1], total, "making it robust", progress)
+            self._make_robust()
+        return ended(self.stages[1], settings.robust.generations, "making it robust")
 
-    def _run(self, stage: Search, total: int, label: str, progress: bool) -> bool:
-        save = None if self._checkpoint is None else lambda _: self._save()
-        return run_generations(stage, total, label, save=save, progress=progress)
-
-    def _save(self) -> None:
-        if self._checkpoint is not None:
-            self._checkpoint.save(self.state())
-        self._saved = time.monotonic()
-
-    def _keep(self) -> None:
-        """Remember how far it has come; write it down every few seconds, as trials may be short."""
-        if self.resumable:
-            self._latest = self.state()
-        if time.monotonic() - self._saved >= CHECKPOINT_EVERY:
-            self._save()
-
-    def _rewind(self) -> None:
-        """Go back to the end of the last trial, whatever was going on since; write that down."""
-        if self._latest is not None:
-            self.load(self._latest)
-        self._save()
-
-    def _run_real(self, reality: RealRobot, progress: bool) -> bool:
-        """Run the generations on the robot; Ctrl-C is answered at once, trial by trial."""
-        if self.real is None:
-            self.real = RealSearch(self.stages[0], reality, self._keep)
-        self._keep()
+    def _run_real(self, journal: Journal, progress: bool) -> None:
+        """Run the generations in reality; Ctrl-C is answered at once, trial by trial."""
         total = self._real_generations
-        try:
-            with (
-                Progress("on the robot", total, "generations") if progress else nullcontext() as bar
-            ):
+        self.real = Transfer(self.stages[0].optimiser, journal, self.evaluator)
+        with Progress("in reality", total, "generations") if progress else nullcontext() as bar:
+            while self.real.done < total:
+                note = self.real.generation()
                 if bar is not None:
-                    bar.advance(self.real.done)
-                while self.real.done < total:
-                    note = self.real.generation()
-                    if bar is not None:
-                        bar.advance(note=note)
-            self.real.choose(self._seed)
-        except (KeyboardInterrupt, RobotError) as error:
-            self._rewind()
-            if isinstance(error, RobotError):
-                raise
-            return True
-        self._save()
-        return False
+                    bar.advance(note=note)
+        self.real.choose()
+
+    def _make_robust(self) -> None:
+        first = self.stages[0]
+        self.stages[1:] = [self.robust_stage(first.top, np.asarray(first.optimiser.ask()))]
 
     def robust_stage(self, best: NDArray, population: NDArray) -> Search:
         """Go on robustly from the best [N, G] and the populations [N, P, G] of the first stage.
@@ -230,23 +203,14 @@ class Evolution:
         size = robust.genetic.population
         genes = np.take(population[source], np.arange(size), axis=1, mode="wrap")
         genes[:, 0] = best[source]
-        return self.robust_from(genes)
-
-    def robust_from(self, genes: NDArray[np.float64]) -> Search:
-        """Return the robust stage from first populations [N, P, G]; the first of each is kept."""
-        robust = self.settings.robust
-        assert robust is not None
         settings = replace(self.settings, genetic=robust.genetic, runs=len(genes), insertion=True)
-        optimiser = make_optimiser(
-            settings.optimiser, self.evaluator.controller, settings, self._seed + 1, genes
-        )
         return Search(
             self._searched,
-            optimiser,
+            new_optimiser(self.evaluator.controller, settings, self._seed + 1, genes),
+            seed=[self._seed, 0x20B5],
             objective=robust.objective,
             outcomes=robust.draws,
             refresh=robust.refresh,
-            rng=np.random.default_rng([self._seed, 0x20B5]),
             kept=genes[:, 0],
             unsupported=self.settings.most_unsupported,
         )
@@ -264,7 +228,8 @@ class Evolution:
             assert robust is not None
             if not stage.done:
                 return self.stages[0].top
-            return stage.choose(self._searched.draw(robust.selection_draws, stage.rng))
+            rng = np.random.default_rng([self._seed, 0xC4])
+            return stage.choose(self._searched.draw(robust.selection_draws, rng))
         if not settings.outcomes:
             return stage.top
         return stage.choose(self._selection(self._searched)[0])
@@ -291,9 +256,8 @@ class Evolution:
                 history[prefix + "best"] = np.stack(stage.best, axis=1)
                 history[prefix + "mean"] = np.stack(stage.mean, axis=1)
         if self.real is not None:
-            for name in ("best", "mean"):
-                real = np.array(getattr(self.real, name), float).reshape(1, -1)
-                history[name] = np.concatenate([history[name], real], axis=1)
+            for name, values in self.real.history().items():
+                history[name] = np.append(history[name], [values], axis=1)
         drawn = self._drawn(best)
         unsupported = evaluator.unsupported(expected)
         found = []
@@ -363,12 +327,9 @@ class Evolution:
 
     def state(self) -> dict[str, Any]:
         """Return all that the next generations depend on, as arrays."""
-        stages: dict[str, Any] = {f"stage{n}.": stage for n, stage in enumerate(self.stages)}
-        if self.real is not None:
-            stages["real."] = self.real
         return {
-            prefix + name: value
-            for prefix, stage in stages.items()
+            f"stage{number}.{name}": value
+            for number, stage in enumerate(self.stages)
             for name, value in stage.state().items()
         }
 
@@ -377,22 +338,12 @@ class Evolution:
 
         Raises:
             KeyError, ValueError: if it is the state of something else.
+            UserError: if the optimiser asks for others than it did before.
         """
-        parts = [
-            {k.removeprefix(p): v for k, v in state.items() if k.startswith(p)}
-            for p in ("stage0.", "stage1.", "real.")
-        ]
-        self.stages[0].load(parts[0])
-        if parts[1]:
-            robust = self.settings.robust
-            assert robust is not None
-            size = robust.genetic.population, self.evaluator.controller.genes
-            stage = self.robust_from(np.zeros((self.settings.runs, *size)))
-            stage.load(parts[1])
-            self.stages[1:] = [stage]
-        if parts[2] and self._reality is not None:
-            self.real = RealSearch(self.stages[0], self._reality, self._keep)
-            self.real.load(parts[2])
+        self.stages[0].load(part_of(state, "stage0."))
+        if robust := part_of(state, "stage1."):
+            self._make_robust()
+            self.stages[1].load(robust)
 
 
 def _check_reach(evaluator: Evaluator) -> None:
@@ -512,8 +463,10 @@ def evolve(
     keep_all: bool = False,
     resume: bool = False,
     options: Mapping[str, Any] | None = None,
-    reality: RealRobot | None = None,
+    reality: Reality | None = None,
     real_generations: int = 0,
+    ask: Callable[[str], None] | None = None,
+    patience: float = 600.0,
     progress: bool = True,
     workers: Name = "local",
     **changes: Any,
@@ -533,8 +486,10 @@ def evolve(
         keep_all: write the best of every run, not only the best of all.
         resume: go on with the interrupted evolution of ``out``.
         options: kept in the checkpoint, for whoever resumes.
-        reality: the robot, for generations on it after those in the simulator.
-        real_generations: how many.
+        reality: where evolution goes on after the simulator (Lund and Miglino 1996), or None.
+        real_generations: how many generations there.
+        ask: asks a person to do something, and returns when it is done.
+        patience: a trial in reality that takes longer is given up, s.
         progress: whether to show progress on stderr.
         workers: Who judges: local, this process; or ray, the workers of a Ray cluster. The result
             is the same.
@@ -560,51 +515,50 @@ def evolve(
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing, workers=workers)
+    real_generations = 0 if reality is None else real_generations
     with uninterrupted():
-        evolution = Evolution(evaluator, settings, seed, reality, real_generations)
-    robot = None if reality is None else reality.describe()
+        evolution = Evolution(evaluator, settings, seed, real_generations)
+    about: dict[str, Any] = {"settings": asdict(settings), "seed": seed, **simulator.conditions()}
+    if real_generations:
+        about["robot"] = about_reality(reality)
 
     def saved(results: list[Result]) -> list[SavedController]:
-        about: dict[str, Any] = {"settings": asdict(settings), "seed": seed}
-        about |= simulator.conditions()
-        if robot is not None:
-            about["robot"] = robot
-        if evolution.real is not None:
-            about |= _on_robot(evolution.real, reality, results[0], seed)
-        return [as_saved(result, task, made_in, about) for result in results]
+        found = {**about, **_in_reality(evolution.real, reality, results[0], seed)}
+        return [as_saved(result, task, made_in, found) for result in results]
+
+    def trials_in(folder: Path) -> AbstractContextManager[Journal | None]:
+        if reality is None or not real_generations:
+            return nullcontext()
+        return Journal(reality, folder / TRIALS, each=1, patience=patience, ask=ask)
 
     if out is None:
-        return saved(evolution.results(evolution.run(progress=progress)))
+        with tempfile.TemporaryDirectory() as name, trials_in(Path(name)) as journal:
+            return saved(evolution.results(evolution.run(None, progress, journal)))
     folders = _folders(Path(out), settings.runs if keep_all else 1)
     checkpoint = Checkpoint(out, "evolution")
     begun = {
         **asdict(settings),
-        **simulator.conditions(),
-        "seed": seed,
+        **{name: value for name, value in about.items() if name != "settings"},
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
-        "simulator_sha256": made_in.get("sha256"),
-        **({} if robot is None else {"real_generations": real_generations, **_same_robot(robot)}),
+        "simulator_sha256": None if source is None else digest(source),
+        "real_generations": real_generations,
     }
     with checkpoint.held():
         for folder in folders:
             check_new_folder(folder, overwrite=resume and _unfinished(folder))
         if resume:
-            if not evolution.resumable:
-                raise UserError(
-                    f"the optimiser {settings.optimiser} cannot be interrupted and resumed: it has "
-                    "no state(); start the evolution anew"
-                )
             state = checkpoint.resume(begun)
             if state is not None:
                 try:
                     evolution.load(state)
                 except (KeyError, ValueError, RuntimeError, TypeError):
                     raise checkpoint.damaged() from None
-        elif evolution.resumable:
+        else:
             checkpoint.begin(begun, options)
 
-        def written(found: list[SavedController], interrupted: bool) -> list[SavedController]:
+        def written(interrupted: bool) -> list[SavedController]:
+            found = saved(evolution.results(interrupted))
             if controller.blind and not found[0].given:
                 if interrupted:
                     raise UserError("so far no plan gives any command; continue with --resume")
@@ -616,56 +570,42 @@ def evolve(
                 checkpoint.remove()
             return found
 
-        interrupted = False
         try:
-            interrupted = evolution.run(checkpoint, progress)
-            if evolution.real is None:
-                # What was found is judged and written before Ctrl-C is answered.
-                with uninterrupted():
-                    return written(saved(evolution.results(interrupted)), interrupted)
-            found = saved(evolution.results(interrupted))
+            with trials_in(checkpoint.folder) as journal:
+                interrupted = evolution.run(checkpoint, progress, journal)
+                if evolution.real is not None:
+                    return written(interrupted)
+            # What was found is judged and written before Ctrl-C is answered.
+            with uninterrupted():
+                return written(interrupted)
         except RobotError as error:
             if not evolution.stages[0].done:
                 raise
-            saved(evolution.results(True))[0].write(out, overwrite=resume)
+            written(True)
             raise type(error)(
                 f"{error}; the best controller so far is in {out}, go on with --resume"
             ) from None
         except KeyboardInterrupt:
             if evolution.real is None:
                 raise
-            # While the simulator and the robot were compared: all else is done.
-            interrupted, found = True, saved(evolution.results(True))
+            return written(True)
         finally:
             if not evolution.stages[0].done and not resume:
                 checkpoint.remove()  # nothing came of it
-        return written(found, interrupted)
 
 
-def _same_robot(robot: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what must be the same of a robot on which an evolution is resumed.
-
-    That is which one it is and how fast its line is, not at which port.
-    """
-    lab = robot.get("virtual_lab")
-    return {
-        "robot": robot.get("kind") if lab is None else "virtual",
-        "dialect": robot.get("dialect"),
-        "baud": robot.get("baud"),
-        "lab_seed": None if lab is None else lab.get("robot_seed"),
-    }
-
-
-def _on_robot(
-    real: RealSearch, reality: RealRobot | None, best: Result, seed: int
+def _in_reality(
+    real: Transfer | None, reality: Reality | None, best: Result, seed: int
 ) -> dict[str, Any]:
-    """Return what is said of generations on a robot, and paths to compare once they are over."""
-    found: dict[str, Any] = {}
-    if real.again is not None:
-        mean, spread = map(float, real.again)
-        found["robot_fitness"] = {"mean": mean, "spread": spread, "trials": TRIALS_AGAIN}
-        if reality is not None and not best.interrupted:
-            found["trajectories"] = reality.compare(best.genes, seed)
+    """Return what is said of generations in reality, and paths to compare once they are over."""
+    if real is None or real.chosen is None:
+        return {}
+    mean, spread = float(real.again.mean()), float(real.again.std(ddof=1))
+    found: dict[str, Any] = {
+        "robot_fitness": {"mean": mean, "spread": spread, "trials": len(real.again)}
+    }
+    if isinstance(reality, Comparing) and not best.interrupted:
+        found["trajectories"] = reality.compare(best.genes, seed)
     return found
 
 

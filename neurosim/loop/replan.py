@@ -27,8 +27,7 @@ from neurosim.base.trajectory import Draws, Trajectory
 from neurosim.controllers.plan import Command, Plan, commands_of
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.optimisers import make_optimiser
-from neurosim.loop.search import Search
+from neurosim.loop.search import Search, new_optimiser
 from neurosim.loop.settings import EvolveSettings
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
@@ -215,13 +214,9 @@ class Replanner:
         more needs to be done, the plan is that.
         """
         how, onward = self._settings, self._onward
-        optimiser = make_optimiser(
-            "ga",
-            self._plan,
-            EvolveSettings(genetic=how.genetic),
-            int(self._rng.integers(2**31)),
-            self._first()[None],
-        )
+        seed = int(self._rng.integers(2**31))
+        settings = EvolveSettings(genetic=how.genetic)
+        optimiser = new_optimiser(self._plan, settings, seed, self._first()[None])
         uncertain = self._simulator.uncertain
         search = Search(
             onward,
@@ -229,7 +224,7 @@ class Replanner:
             objective="probability",
             outcomes=how.draws if uncertain else 0,
             refresh=how.generations,
-            rng=self._rng,
+            seed=[seed, 0],
         )
         while search.done < how.generations:
             search.generation()

@@ -14,34 +14,42 @@ Evolutionary Computation 9, 2005; Jakobi, Husbands and Harvey, Noise and the rea
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
-from neurosim.base.checkpoint import random_state, set_random_state
-from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws
+from neurosim.controllers.base import Controller
+from neurosim.evolution.climb import resumable
+from neurosim.evolution.command_sets import PlanSettings
+from neurosim.evolution.optimisers import make_optimiser
+from neurosim.evolution.space import Optimiser, SearchSpace
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.objectives import Merit, is_behind, repeats_of
-from neurosim.loop.optimisers import Optimiser
+from neurosim.loop.settings import EvolveSettings
 
 #: Of a stage with drawn outcomes so many candidates of each run are looked at again: the best of
 #: the last population, and the best of each set of outcomes before.
 FINALISTS = 24
+#: What a stage is resumed from, beside the optimiser's own state.
+_STATE = ("best", "mean", "population", "merit", "top", "top_merit")
 
 
 class Search:
     """One stage: what an optimiser asks for is judged, generation after generation.
 
     Attributes:
-        done: generations so far.
-        rng: source of the outcomes.
+        optimiser: the optimiser, or its :class:`~neurosim.evolution.climb.Replay`.
         best, mean: of what is shown, in every generation, [N] each.
         shown: [N, P] of the population judged last: its fitness, or what stands for it.
+        population, merit: [N, P, G] and [N, P] of it.
         top: [N, G] the best individual of each run so far; with drawn outcomes it may have been
             lucky, see :meth:`choose`.
+        top_merit: [N] its merit.
     """
 
     def __init__(
@@ -49,10 +57,10 @@ class Search:
         evaluator: Evaluator,
         optimiser: Optimiser,
         *,
+        seed: Sequence[int],
         objective: str = "fitness",
         outcomes: int = 0,
         refresh: int = 1,
-        rng: np.random.Generator,
         kept: NDArray[np.float64] | None = None,
         unsupported: float | None = None,
     ):
@@ -60,52 +68,53 @@ class Search:
 
         Args:
             evaluator: judges.
-            optimiser: asks and is told.
+            optimiser: has ask() and tell().
+            seed: of the outcomes.
             objective: what is maximised.
             outcomes: trials that every individual is tried in; 0: what the simulator expects.
             refresh: the outcomes are drawn anew every so many generations.
-            rng: source of the outcomes.
             kept: [N, G] a candidate from before for each run; the best of each set of outcomes
                 is then remembered too, to be looked at again.
             unsupported: see :meth:`Evaluator.merit`.
         """
-        self._evaluator, self.optimiser = evaluator, optimiser
-        self._objective, self._outcomes, self._refresh = objective, outcomes, refresh
+        self._evaluator, self.optimiser = evaluator, resumable(optimiser)
+        self._seed, self._refresh = list(seed), refresh
+        self._objective, self._outcomes = objective, outcomes
         self._unsupported = unsupported
-        self.rng, self._draws = rng, None if outcomes else evaluator.expectation()
+        self._draws = None if outcomes else evaluator.expectation()
         self._hints = tuple(getattr(optimiser, "hints", ()))
-        self.done = 0
         self.best: list[NDArray[np.float64]] = []
         self.mean: list[NDArray[np.float64]] = []
-        self.shown = np.empty((0, 0))
-        self.top = np.empty((0, 0))
-        self._top_merit = np.empty(0)
-        self._population = np.empty((0, 0, 0))
-        self._merit = np.empty((0, 0))
+        self.shown = self.merit = self.top = np.empty((0, 0))
+        self.population, self.top_merit = np.empty((0, 0, 0)), np.empty(0)
         self._keeps = kept is not None
         self._kept = [] if kept is None else [kept]
-        self._drawn_from = random_state(rng)
+
+    @property
+    def done(self) -> int:
+        """How many generations there were so far."""
+        return len(self.best)
 
     def generation(self) -> str:
         """Judge a population, let the optimiser make the next, and say how it stands."""
         asked = np.asarray(self.optimiser.ask(), np.float64)
         genes = asked.reshape(-1, *asked.shape[-2:])
-        if self._outcomes and self.done % self._refresh == 0:
-            self._drawn_from = random_state(self.rng)
+        if self._outcomes and (self._draws is None or self.done % self._refresh == 0):
             self._draws = self._draw()
         assert self._draws is not None
         with self._evaluator.threads_for(genes.shape[0] * genes.shape[1] * len(self._draws)):
             merit, hints = self._judge(genes, self._draws)
             self.optimiser.tell(merit.merit.reshape(asked.shape[:-1]), **hints)
         self._remember(genes, merit)
-        self.done += 1
         if self._outcomes and self._objective == "probability":
             return f"completes in {100 * merit.success.max():.0f} % of {len(self._draws)} outcomes"
         return f"best {np.max(self.best[-1]):z.1f}"
 
     def _draw(self) -> Draws:
+        """Draw the outcomes of this generation and those that share them."""
         repeats = repeats_of(self._objective) if self._evaluator.simulator.uncertain else 1
-        return self._evaluator.draw(self._outcomes, self.rng, repeats)
+        rng = np.random.default_rng([*self._seed, self.done // self._refresh])
+        return self._evaluator.draw(self._outcomes, rng, repeats)
 
     def _judge(self, genes: NDArray, draws: Draws) -> tuple[Merit, dict[str, NDArray]]:
         """Return what populations [N, P, G] are worth, [N, P] each, and what else is to be told."""
@@ -117,27 +126,27 @@ class Search:
         return Merit(*(part.reshape(runs, size) for part in merit)), shaped
 
     def _remember(self, genes: NDArray, merit: Merit) -> None:
+        self.population, self.merit, self.shown = genes, merit.merit, merit.shown
+        runs, index = np.arange(len(genes)), merit.merit.argmax(axis=1)
+        found, value = genes[runs, index], merit.merit[runs, index]
+        if not self.done:
+            self.top, self.top_merit = found.copy(), value.copy()
+        better = value > self.top_merit
+        self.top[better], self.top_merit[better] = found[better], value[better]
+        if self._keeps and (self.done + 1) % self._refresh == 0:
+            self._kept.append(found)
         # Who ranks behind the others is not the best of them, however high the fitness.
         shown = np.where(is_behind(merit.merit), -np.inf, merit.shown)
         best = shown.max(axis=1)
         self.best.append(np.where(np.isfinite(best), best, merit.shown.max(axis=1)))
         self.mean.append(merit.shown.mean(axis=1))
-        self._population, self._merit, self.shown = genes, merit.merit, merit.shown
-        runs, index = np.arange(len(genes)), merit.merit.argmax(axis=1)
-        found, value = genes[runs, index], merit.merit[runs, index]
-        if not self.done:
-            self.top, self._top_merit = found.copy(), value.copy()
-        better = value > self._top_merit
-        self.top[better], self._top_merit[better] = found[better], value[better]
-        if self._keeps and (self.done + 1) % self._refresh == 0:
-            self._kept.append(found)
 
     def candidates(self) -> NDArray[np.float64]:
         """Return the individuals [N, C, G] among which the best of each run is to be found."""
         if not self._keeps:
-            return self._population
-        order = np.argsort(-self._merit, axis=1, kind="stable")[:, :FINALISTS]
-        last = np.take_along_axis(self._population, order[..., None], axis=1)
+            return self.population
+        order = np.argsort(-self.merit, axis=1, kind="stable")[:, :FINALISTS]
+        last = np.take_along_axis(self.population, order[..., None], axis=1)
         return np.concatenate([np.stack(self._kept[-FINALISTS:], axis=1), last], axis=1)
 
     def choose(self, draws: Draws) -> NDArray[np.float64]:
@@ -154,47 +163,62 @@ class Search:
         return candidates[np.arange(len(candidates)), best]
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that the next generations depend on, as arrays.
-
-        Raises:
-            UserError: if the optimiser has no state to be kept.
-        """
-        if not hasattr(self.optimiser, "state"):
-            raise UserError("this optimiser cannot be interrupted and resumed: it has no state()")
+        """Return all that the next generations depend on, as arrays."""
         found = {f"optimiser.{name}": value for name, value in self.optimiser.state().items()}
-        found |= {
-            "done": np.array([self.done]),
-            "best": np.array(self.best, float),
-            "mean": np.array(self.mean, float),
-            "random": random_state(self.rng),
-            "drawn_from": self._drawn_from,
-        }
-        if self.done:
-            found |= {"population": self._population, "merit": self._merit}
-            found |= {"top": self.top, "top_merit": self._top_merit}
-        if self._kept:
-            found["kept"] = np.stack(self._kept)
-        return found
+        found |= {name: np.array(getattr(self, name)) for name in _STATE}
+        return found | ({"kept": np.stack(self._kept)} if self._kept else {})
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Go on from what :meth:`state` returned.
 
         Raises:
             KeyError, ValueError: if it is the state of something else.
+            UserError: if the optimiser asks for others than it did before.
         """
-        prefix = "optimiser."
-        self.optimiser.load(  # type: ignore[attr-defined]
-            {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
-        )
-        self.done = int(state["done"][0])
-        self.best, self.mean = list(state["best"]), list(state["mean"])
-        if self.done:
-            self._population, self._merit = state["population"], state["merit"]
-            self.top, self._top_merit = state["top"].copy(), state["top_merit"].copy()
-        self._kept = list(state["kept"]) if "kept" in state else []
-        self._drawn_from = state["drawn_from"]
-        if self._outcomes and self.done % self._refresh:
-            # The outcomes of the generations before are those of the next ones too.
-            set_random_state(self.rng, self._drawn_from)
-            self._draws = self._draw()
-        set_random_state(self.rng, state["random"])
+        self.optimiser.load(part_of(state, "optimiser."))
+        for name in _STATE:
+            setattr(self, name, state[name].copy())
+        self.best, self.mean = list(self.best), list(self.mean)
+        self._kept = list(state.get("kept", ()))
+
+
+def part_of(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
+    """Return what stands in a state under names with this prefix, without it."""
+    return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
+
+
+def new_optimiser(
+    controller: Controller,
+    settings: EvolveSettings,
+    seed: int,
+    first: NDArray[np.float64] | None = None,
+) -> Optimiser:
+    """Return an optimiser of a controller's genes.
+
+    Args:
+        controller: whose genes.
+        settings: which optimiser, population, rates and runs.
+        seed: random seed.
+        first: a first population [N, P, G], or None: the controller draws one.
+
+    Raises:
+        UserError: if there is no such optimiser.
+    """
+    genetic, blind = settings.genetic, controller.blind
+    shape = settings.runs, genetic.population, controller.genes
+    if first is None and controller.kind == "plan":
+        first = np.random.default_rng([seed, 0x91A4]).random(shape)
+    elif first is None:
+        generator = torch.Generator().manual_seed(seed)
+        first = controller.first(shape[0] * shape[1], generator).numpy().reshape(shape)
+    if controller.kind == "plan":
+        genetic = PlanSettings(**asdict(genetic), insertion=settings.insertion)
+    space = SearchSpace(
+        first.mean(axis=1),
+        (seed,),
+        genetic,
+        float(max(first.std(axis=1).mean(), 0.05)),
+        controller.gene_range if blind else None,
+        given=first,
+    )
+    return make_optimiser(settings.optimiser, space)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -63,3 +64,11 @@ def named(simulator: str | Path) -> dict[str, Any]:
     about = {"path": str(simulator), "sha256": sha256(path)}
     known = {"virtual": is_virtual(content), "perimeter": content.get("perimeter")}
     return {**about, **{name: value for name, value in known.items() if value is not None}}
+
+
+def digest(simulator: str | Path) -> str:
+    """Return the SHA-256 of a simulator's files: their names and contents, weights included."""
+    folder, found = Path(simulator), hashlib.sha256()
+    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+        found.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
+    return found.hexdigest()

@@ -5,14 +5,15 @@ import signal
 import numpy as np
 import pytest
 import torch
+from hill_climber import HillClimber
 from ideal_simulator import SlippingWheels
 from sliding_block import Block, Push, Slide, reality_of
 
 from neurosim.back_to_reality import (
     Alternation,
+    Journal,
     Simulated,
     Tracked,
-    Trials,
     settings_named,
 )
 from neurosim.back_to_reality.adapt import (
@@ -25,11 +26,12 @@ from neurosim.back_to_reality.adapt import (
     poses_apart,
     similar,
 )
-from neurosim.back_to_reality.climb import Climb, make_search
 from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
-from neurosim.back_to_reality.genetic import BitSettings, decode, encode
-from neurosim.back_to_reality.reality import read_trials
 from neurosim.base.errors import FileError, UserError
+from neurosim.evolution.bits import BitSettings, decode, encode
+from neurosim.evolution.climb import Climb
+from neurosim.evolution.optimisers import OPTIMISERS
+from neurosim.loop.journal import read_trials
 
 START = np.array([0.5, 0.5])
 SMALL = {"generations": 15, "adapt_generations": 25, "candidates": 12, "policy_steps": 1}
@@ -40,7 +42,7 @@ def simulated():
 
 
 def alternation(path, settings, **others):
-    trials = Trials(reality_of(), path)
+    trials = Journal(reality_of(), path)
     return Alternation(simulated(), trials, START, settings, progress=False, **others)
 
 
@@ -112,7 +114,7 @@ def remembered(tmp_path, **changes):
     model, path = Remembering(), tmp_path / "trials.jsonl"
     settings = settings_named("paper", **{**SMALL, "trials": 1, "genetic": COPIES, **changes})
     run = Alternation(
-        model, Trials(reality_of(), path, each=1), START, settings, seed=5, progress=False
+        model, Journal(reality_of(), path, each=1), START, settings, seed=5, progress=False
     )
     found = run.run()
     return model.asked, read_trials(path), found
@@ -207,7 +209,7 @@ def test_a_controller_works_in_both_if_it_is_alike_by_a_quarter_of_the_larger(
     def real(genes):
         return share * float(model.fitness(genes[None], model.as_is)[0])
 
-    trials = Trials(real, tmp_path / "trials.jsonl", each=1)
+    trials = Journal(real, tmp_path / "trials.jsonl", each=1)
     found = Alternation(model, trials, START, settings, progress=False).run()
     assert min(found.cycles[0]["transfer"]["real"]) > 0.0
     assert found.cycles[0]["transfer"]["works"] == works
@@ -253,7 +255,7 @@ def test_poses_are_compared_where_they_were_tracked(tmp_path, compare):
     settings = settings_named(
         "paper", compare=compare, adapt_genetic=BitSettings(20, mutation=0.02), **SMALL
     )
-    trials = Trials(TrackedBlock(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    trials = Journal(TrackedBlock(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
     found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
     adapted = found.cycles[0]["L3"]
     assert adapted["compared"]["after"]["poses"] < 0.25 * adapted["compared"]["before"]["poses"]
@@ -268,7 +270,7 @@ def test_lost_trials_do_not_keep_the_others_from_being_compared(tmp_path, compar
             found = super().trial(genes, number)
             return 0.0 if number in (5, 15) else found  # one of each round
 
-    trials = Trials(Lost(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
+    trials = Journal(Lost(2.0, 0.2), tmp_path / "trials.jsonl", each=1)
     settings = settings_named("paper", **SMALL, compare=compare, compared=20)
     found = Alternation(simulated(), trials, START, settings, seed=3, progress=False).run()
     adapted = found.cycles[0]["L3"]
@@ -287,14 +289,14 @@ def test_fitness_alone_adapts_nothing_where_poses_are_asked_for(tmp_path):
 def test_other_poses_than_the_simulator_gives_are_refused(tmp_path):
     path, said = tmp_path / "trials.jsonl", "tracked 3 poses in a trial; expected 2, one after each"
     settings = settings_named("paper")
-    trials = Trials(TrackedBlock(2.0, 0.2, steps=3), path, each=1)
+    trials = Journal(TrackedBlock(2.0, 0.2, steps=3), path, each=1)
     run = Alternation(simulated(), trials, START, settings, progress=False)
     with pytest.raises(UserError, match=said):
         run.run()
     assert read_trials(path) == []
-    Trials(TrackedBlock(2.0, 0.2, steps=3), path, each=1).evaluate(START[None], "before")
+    Journal(TrackedBlock(2.0, 0.2, steps=3), path, each=1).evaluate(START[None], "before")
     with pytest.raises(FileError, match=f"line 2, field 'poses': reality {said}"):
-        Alternation(simulated(), Trials(TrackedBlock(2.0, 0.2), path), START, settings)
+        Alternation(simulated(), Journal(TrackedBlock(2.0, 0.2), path), START, settings)
 
 
 @pytest.mark.parametrize("search", ["ga", "cma"])
@@ -359,7 +361,7 @@ def test_a_lucky_controller_is_found_out(tmp_path):
         return 5.0 if genes[0] < 0.6 and seen[genes.tobytes()] <= 3 else real(genes)
 
     settings = settings_named("paper", **SMALL | {"policy_steps": 0}, confirm=3, finalists=60)
-    trials = Trials(lucky, tmp_path / "trials.jsonl")
+    trials = Journal(lucky, tmp_path / "trials.jsonl")
     found = Alternation(simulated(), trials, START, settings, progress=False).run()
     assert found.record.leader().count == 3
     assert found.fitness < 5.0
@@ -395,8 +397,14 @@ def test_without_adapting_the_simulator_stays_as_it_is(tmp_path):
     assert (found.sets == simulated().as_is).all()
 
 
-def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(tmp_path):
-    settings = settings_named("paper", **SMALL)
+@pytest.mark.parametrize("name", ["ga", "cma", "own"])
+def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(
+    tmp_path, name, monkeypatch
+):
+    if name == "cma":
+        pytest.importorskip("cma")
+    monkeypatch.setitem(OPTIMISERS._registered, "own", HillClimber)
+    settings = settings_named("paper", search=name, adapt=name, **SMALL)
     whole = alternation(tmp_path / "whole.jsonl", settings, seed=4).run()
     path, states = tmp_path / "cut.jsonl", []
     count = 0
@@ -411,11 +419,11 @@ def test_the_same_seed_gives_the_same_and_an_interruption_changes_nothing(tmp_pa
 
     with pytest.raises(KeyboardInterrupt):
         Alternation(
-            simulated(), Trials(breaks, path), START, settings, seed=4, save=states.append,
+            simulated(), Journal(breaks, path), START, settings, seed=4, save=states.append,
             progress=False,
         ).run()  # fmt: skip
     assert len(read_trials(path)) == 49
-    trials = Trials(real, path)
+    trials = Journal(real, path)
     model = simulated()
     again = Alternation(
         model, trials, START, settings, seed=4, state=states[-1], progress=False
@@ -450,7 +458,7 @@ def test_an_interruption_changes_nothing_where_noisy_trials_are_tracked(tmp_path
     )  # fmt: skip
 
     def run(path, reality, state=None):
-        trials, states = Trials(reality, path, each=1), []
+        trials, states = Journal(reality, path, each=1), []
         runs = Alternation(
             simulated(), trials, START, settings, seed=2, state=state, save=states.append,
             progress=False,
@@ -482,30 +490,10 @@ def test_ctrl_c_between_generations_saves_and_stops(tmp_path, monkeypatch):
         return fitness(genes, parameters)
 
     monkeypatch.setattr(model, "fitness", interrupted)
-    trials = Trials(reality_of(), tmp_path / "trials.jsonl")
+    trials = Journal(reality_of(), tmp_path / "trials.jsonl")
     with pytest.raises(KeyboardInterrupt):
         Alternation(model, trials, START, settings, save=states.append, progress=False).run()
-    assert states[-1]["0.L1"].shape == (5, 15)
-
-
-def test_a_search_is_gone_on_with_by_what_it_was_told():
-    def hill(genes):
-        return -np.linalg.norm(genes - 0.3, axis=1)
-
-    for name in ("ga", "cma"):
-        if name == "cma":
-            pytest.importorskip("cma")
-        made = [make_search(name, START, BitSettings(8), 0.1, 7) for _ in range(2)]
-        whole = Climb(made[0], hill)
-        for _ in range(6):
-            whole.generation()
-        again = Climb(made[1], hill, before=np.stack(whole.fitness[:4]))
-        for _ in range(2):
-            again.generation()
-        np.testing.assert_array_equal(again.asked, whole.asked)
-        assert again.history() == whole.history()
-        with pytest.raises(ValueError, match="another search"):
-            Climb(make_search(name, START, BitSettings(8), 0.1, 7), hill, before=np.zeros((1, 5)))
+    assert states[-1]["0.L1.fitness"].shape == (5, 15)
 
 
 def test_kept_sets_differ():
@@ -537,7 +525,7 @@ def test_cma_of_a_single_parameter_is_refused_before_any_trial(tmp_path):
 
     model = Simulated(Heavy(), Slide(), Push())
     with pytest.raises(UserError, match="two parameters at least: take ga"):
-        Alternation(model, Trials(reality_of(), tmp_path / "a.jsonl"), START,
+        Alternation(model, Journal(reality_of(), tmp_path / "a.jsonl"), START,
                     settings_named("paper", adapt="cma"))  # fmt: skip
 
 
@@ -547,7 +535,7 @@ def test_what_was_started_from_is_told_by_all_its_trials(tmp_path):
     settings = settings_named(
         "paper", **SMALL | {"candidates": 4, "policy_steps": 0}, adapt="none", confirm=3, budget=8
     )
-    trials = Trials(lambda genes: next(answers), tmp_path / "trials.jsonl", each=1)
+    trials = Journal(lambda genes: next(answers), tmp_path / "trials.jsonl", each=1)
     found = Alternation(simulated(), trials, START, settings, progress=False).run()
     assert found.genes.tolist() == START.tolist()
     assert found.start == found.fitness == pytest.approx(0.6)
@@ -564,9 +552,7 @@ def test_what_does_not_fit_is_refused():
 
 @pytest.mark.parametrize(
     ("change", "said"),
-    [({"search": "hill"}, "search: .* 'ga', 'cma', found 'hill'"),
-     ({"adapt": "hill"}, "adapt: .* 'ga', 'cma', 'none', found 'hill'"),
-     ({"spread": 0.0}, "spread: .* found 0"),
+    [({"spread": 0.0}, "spread: .* found 0"),
      ({"compare": "all"}, "compare: .* 'similar', 'recent', 'tracked', found 'all'")],
 )  # fmt: skip
 def test_settings_that_cannot_be_are_refused(change, said):
@@ -574,3 +560,14 @@ def test_settings_that_cannot_be_are_refused(change, said):
         settings_named("paper", **change)
     with pytest.raises(UserError, match="paper and better"):
         settings_named("best")
+
+
+@pytest.mark.parametrize("which", ["search", "adapt"])
+def test_an_optimiser_that_does_not_suit_is_refused_before_any_trial(tmp_path, which, monkeypatch):
+    class Keyed(HillClimber):
+        hints = ("keys",)
+
+    monkeypatch.setitem(OPTIMISERS._registered, "keyed", Keyed)
+    for name, said in (("hill", "there is no optimiser 'hill'"), ("keyed", "needs keys besides")):
+        with pytest.raises(UserError, match=said):
+            alternation(tmp_path / "trials.jsonl", settings_named("paper", **{which: name}))

@@ -9,16 +9,16 @@ import pytest
 from sliding_block import Block, Push, Slide, reality_of
 
 from neurosim.back_to_reality import settings_named
-from neurosim.back_to_reality.by_hand import ByHand
-from neurosim.back_to_reality.reality import read_trials
 from neurosim.back_to_reality.run import back_to_reality, start_genes
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.controllers import CONTROLLERS, read_controller
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.loop.journal import read_trials
 from neurosim.reports import alternation
 from neurosim.reports.report import write_report
 from neurosim.reports.svg import drawing
 from neurosim.tasks.registry import TASKS
+from neurosim.trials.by_hand import ByHand
 
 START = np.array([0.5, 0.5])
 SMALL = settings_named(
@@ -126,7 +126,7 @@ def test_another_simulator_is_not_gone_on_with(tmp_path):
     with pytest.raises(RobotError):
         run(tmp_path / "out", Real(breaks=20))
     for other in (Block(mass=1.1), Block(friction=0.2)):
-        with pytest.raises(UserError, match=r"was begun with simulator = 'block \w{12}', not"):
+        with pytest.raises(UserError, match=r"was begun with simulator\.parameters\.\w+\.value = "):
             back_to_reality(
                 other, Slide(), Push(), Real(), out=tmp_path / "out", start=START, settings=SMALL,
                 seed=3, resume=True, progress=False,

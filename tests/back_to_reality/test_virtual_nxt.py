@@ -11,19 +11,22 @@ import torch
 from ideal_simulator import IdealWheels
 from motion_networks import NAMES
 
-from neurosim.back_to_reality import make_reality, settings_named
+from neurosim.back_to_reality import settings_named
 from neurosim.back_to_reality.run import back_to_reality, start_genes
 from neurosim.base.errors import RobotError, UserError
 from neurosim.cli.main import main
 from neurosim.controllers import FixedPlan, Network, Plan, SavedController, read_controller
+from neurosim.controllers.gait import Gait
 from neurosim.controllers.plan import commands_of
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.adjustable import Adjustable
 from neurosim.simulators.motion.drive import DriveModel
 from neurosim.simulators.registry import write_simulator
+from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.testing import check_reality
+from neurosim.trials.realities import make_reality
 
 FAMILY, TASK = Plan(slots=4), NineRectangles()
 #: Up into the first rectangle and to the right.
@@ -81,8 +84,19 @@ def test_what_a_plan_without_commands_does():
 def test_what_cannot_be_is_refused():
     with pytest.raises(UserError, match=r"slip: expected a number from 0 to 0.9, found 1"):
         make_reality("virtual-nxt", FAMILY, TASK, slip=1.0)
-    with pytest.raises(UserError, match="drives plans; a controller of the kind network"):
-        make_reality("virtual-nxt", Network(("time",)), TASK)
+    with pytest.raises(UserError, match="has two wheels; a controller of the kind gait commands"):
+        make_reality("virtual-nxt", Gait(), TASK)
+
+
+@pytest.mark.slow  # a trial in the lab, filmed
+def test_a_network_is_tracked_at_every_step():
+    task = GoTo(goals=((0.2, 0.1, 0.0),), seconds=1.0)
+    family = Network(("x", "y", "goal_x"))
+    reality = make_reality("virtual-nxt", family, task, lab_seed=3)
+    found = reality.trial(np.full(family.genes, 0.4), 0)
+    assert found.poses.shape == (task.episode.steps + (task.episode.rest > 0), 3)
+    assert np.isfinite(found.poses).all()
+    assert np.ptp(found.poses[:, :2], axis=0).max() > 0.02
 
 
 def write_plan(folder):
@@ -140,7 +154,7 @@ def test_another_network_in_the_same_folder_is_not_gone_on_with(tmp_path):
         run()
     shutil.rmtree(tmp_path / "simulator")
     write_simulator(nxt(forward=1.2), tmp_path / "simulator")
-    with pytest.raises(UserError, match="was begun with simulator = "):
+    with pytest.raises(UserError, match=r"was begun with simulator\.sha256 = "):
         run(resume=True)
 
 

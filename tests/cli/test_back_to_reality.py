@@ -4,10 +4,13 @@ import json
 import sys
 
 import pytest
+from motion_networks import random_motion_network
 
-from neurosim.back_to_reality import REALITIES
+from neurosim.base.errors import RobotError
 from neurosim.cli.main import main
 from neurosim.controllers.gait import HAND_TUNED
+from neurosim.simulators.registry import write_simulator
+from neurosim.trials.realities import REALITIES
 
 pytest.importorskip("mujoco", reason="pip install 'neurosim[mujoco]'")
 
@@ -147,3 +150,42 @@ def test_what_cannot_be_is_refused_in_a_sentence(neurosim, tmp_path, words, said
     assert said in error
     assert error.count("\n") == 1
     assert sorted(path.name for path in tmp_path.iterdir()) == ["far.json", "gait.json"]
+
+
+def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch):
+    """A plan in a motion network; reality is lost once, and is named again to resume."""
+
+    class Robot:
+        left = 3
+
+        def __init__(self, controller, task, simulator):
+            assert (controller.kind, task.name) == ("plan", "nine-rectangles")
+            assert simulator.kind == "motion-network"
+
+        def trial(self, genes, number):
+            Robot.left -= 1
+            if not Robot.left:
+                raise RobotError("the robot is gone")
+            return float(genes[1])
+
+    monkeypatch.setitem(REALITIES._registered, "mine", Robot)
+    write_simulator(random_motion_network(), tmp_path / "sim")
+    words = [
+        "evolve", "sim", "-o", "plan", "--commands", 3, "--generations", 1, "--population", 4,
+        "--tournament", 2, "--robot-generations", 1, "--extrapolate",
+    ]  # fmt: skip
+    code, _, said = neurosim(*words, "--reality", "mine")
+    assert code == 1
+    assert "the robot is gone; the best controller so far is in plan, go on with --resume" in said
+    code, _, said = neurosim("evolve", "sim", "-o", "plan", "--resume")
+    assert "this was begun with --reality mine: give that and its options again" in said
+    Robot.left = 1000
+    code, out, said = neurosim(
+        "evolve", "sim", "-o", "plan", "--resume", "--reality", "mine", "--json"
+    )
+    assert code == 0, said
+    result = json.loads(out)
+    assert (result["transfer"], len(result["best"]), result["runs"]) == (1, 2, 1)
+    assert not (tmp_path / "plan.checkpoint").exists()
+    code, _, said = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
+    assert "the reality virtual-nxt has no camera of yours" in said

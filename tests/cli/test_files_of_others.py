@@ -68,12 +68,13 @@ def test_a_file_does_not_choose_what_is_driven(refused, precious, listener, tmp_
     for url in (f"spy://loop://?file={precious}", f"socket://127.0.0.1:{port}"):
         folder = tmp_path / url.partition(":")[0]
         folder.mkdir()
-        words = made(verb, folder, {"robot": "khepera", "port": url, "camera": "none"})
+        option = "reality" if verb == "evolve" else "robot"
+        words = made(verb, folder, {option: "khepera", "port": url, "camera": "none"})
         os.chdir(folder)
         said = refused(*words)
-        assert "begun with --robot khepera: give that and its options again" in said
+        assert f"begun with --{option} khepera: give that and its options again" in said
         # The robot is named again, and its port is not.
-        assert "--robot khepera needs --port" in refused(*words, "--robot", "khepera")
+        assert f"--{option} khepera needs --port" in refused(*words, f"--{option}", "khepera")
     assert precious.read_text() == "mine\n"
     with pytest.raises(BlockingIOError):
         listener.accept()

@@ -20,7 +20,7 @@ from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.samples import Samples
-from neurosim.trials.reality import RobotTrials
+from neurosim.trials.floor import OnFloor
 
 
 def call(*words):
@@ -109,8 +109,16 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
     [
         ("obstacle-avoidance", ["--commands", 13], "network has no option --commands: leave it ou"),
         ("obstacle-avoidance", ["--longest-arc", 2], "or choose --task nine-rectangles"),
-        ("obstacle-avoidance", ["--port", "COM3"], "--port: leave it out, or choose --robot khep"),
-        ("obstacle-avoidance", ["--lab-seed", 2], "--robot is the robot of --robot-generations"),
+        (
+            "obstacle-avoidance",
+            ["--port", "COM3"],
+            "leave it out, or choose --reality khep",
+        ),
+        (
+            "obstacle-avoidance",
+            ["--lab-seed", 2],
+            "is the reality of --robot-generations",
+        ),
         ("nine-rectangles", ["--steps", 10], "or choose --task obstacle-avoidance"),
     ],
 )
@@ -126,14 +134,14 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
         "--starts", 2, "--robot-generations", 1, "--noise", "none", "--seed", 3,
     ]  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RobotTrials, "fitness", lost)
+        patch.setattr(OnFloor, "trial", lost)
         with pytest.raises(LinkLost, match="go on with --resume"):
             call(*begun)
     with pytest.raises(UserError, match="begun with generations = 2, not 3"):
         call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3)
     for words, message in (
-        (["--lab-seed", 1], "begun with lab_seed = 0, not 1;"),
-        (["--baud", 19200], "begun with baud = 9600, not 19200;"),
+        (["--lab-seed", 1], r"begun with robot\.virtual_lab\.robot_seed = 0, not 1;"),
+        (["--baud", 19200], r"begun with robot\.baud = 9600, not 19200;"),
     ):
         with pytest.raises(UserError, match=message):
             call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", *words)
@@ -154,14 +162,14 @@ def test_a_robot_on_another_line_than_its_samples(folder, tmp_path):
         "evolve", sim, "--task", "obstacle-avoidance", "-o", tmp_path / "net", "--generations", 1,
         "--population", 20, "--steps", 10, "--starts", 1, "--robot-generations", 1,
     ]  # fmt: skip
-    for line in ([], ["--robot", "khepera", "--port", "/dev/no-such-port"]):
+    for line in ([], ["--reality", "khepera", "--port", "/dev/no-such-port"]):
         with pytest.raises(UserError, match=r"measured at 38400 baud.*is at 9600: give --baud 384"):
             call(*words, *line)
     with pytest.raises(UserError, match="virtual-khepera has no option --port"):
         call(*words, "--port", "COM3")
     assert not (tmp_path / "net").exists()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(RobotTrials, "fitness", lambda trials, genes, rng: np.ones(len(genes)))
+        patch.setattr(OnFloor, "trial", lambda reality, genes, number: 1.0)
         call(*words, "--baud", 38400)
     assert read_controller(tmp_path / "net").evolution["robot"]["baud"] == 38400
 
@@ -200,7 +208,7 @@ def test_a_small_population_has_parents_and_children(folder, tmp_path):
     assert read_controller(tmp_path / "net").evolution["settings"]["genetic"]["parents"] == 1
 
 
-def lost(trials, genes, rng):
+def lost(reality, genes, number):
     raise LinkLost("the robot stopped answering")
 
 

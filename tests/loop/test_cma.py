@@ -1,15 +1,12 @@
 """CMA-ES of pycma as an optimiser by name."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from ideal_simulator import SlippingWheels
 
-from neurosim.base.errors import UserError
 from neurosim.controllers import Network, Plan
 from neurosim.loop.evolve import evolve
-from neurosim.loop.optimisers import make_optimiser
+from neurosim.loop.search import new_optimiser
 from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.tasks.go_to import GoTo
 
@@ -20,7 +17,7 @@ TASK = GoTo(goals=((0.3, 0.1, 0.0),), seconds=2.0)
 
 def test_it_finds_the_top_of_a_hill_in_every_run():
     family = Network(("x", "y"))
-    optimiser = make_optimiser("cma", family, EvolveSettings(runs=2), 3)
+    optimiser = new_optimiser(family, EvolveSettings("cma", runs=2), 3)
     top = np.arange(family.genes) / 3.0
     for _ in range(120):
         genes = optimiser.ask()
@@ -32,7 +29,7 @@ def test_it_finds_the_top_of_a_hill_in_every_run():
 
 def test_plans_stay_within_the_range_of_their_genes():
     family = Plan(slots=2)
-    optimiser = make_optimiser("cma", family, EvolveSettings(), 1)
+    optimiser = new_optimiser(family, EvolveSettings("cma"), 1)
     for _ in range(20):
         genes = optimiser.ask()
         assert genes.min() >= 0.0
@@ -41,7 +38,7 @@ def test_plans_stay_within_the_range_of_their_genes():
 
 
 def test_a_fitness_that_is_no_number_is_the_worst():
-    optimiser = make_optimiser("cma", Network(("x",)), EvolveSettings(), 1)
+    optimiser = new_optimiser(Network(("x",)), EvolveSettings("cma"), 1)
     optimiser.tell(np.full(optimiser.ask().shape[:2], np.nan))
     assert np.isfinite(optimiser.ask()).all()
 
@@ -62,12 +59,3 @@ def test_it_evolves_and_the_seed_decides(tmp_path):
     history = first.evolution["history"]["mean"]
     assert np.mean(history[-3:]) > np.mean(history[:3])
     assert not (tmp_path / "net.checkpoint").exists()
-
-
-def test_it_cannot_be_resumed_and_says_so(tmp_path):
-    family = Plan(slots=2)
-    settings = replace(default_settings(family, TASK), optimiser="cma", runs=1, generations=2)
-    with pytest.raises(UserError, match="the optimiser cma cannot be interrupted and resumed"):
-        evolve(
-            SlippingWheels(), TASK, family, out=tmp_path / "plan", settings=settings, resume=True
-        )

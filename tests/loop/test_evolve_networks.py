@@ -4,19 +4,27 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hill_climber import HillClimber
 from khepera_data import made_up
+from motion_networks import random_motion_network
 
 from neurosim.base.errors import LinkLost, UserError
-from neurosim.controllers import Network, read_controller
+from neurosim.controllers import Network, Plan, read_controller
+from neurosim.evolution.genetic import GeneticSettings
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.lab import VirtualKheperaRig
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import evolve
-from neurosim.loop.reality import AGAIN, TRIALS_AGAIN
+from neurosim.loop.journal import read_trials
 from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings
+from neurosim.loop.transfer import AGAIN, TRIALS_AGAIN
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
+from neurosim.tasks.go_to import GoTo
+from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
-from neurosim.trials.reality import RobotTrials
+from neurosim.trials.floor import OnFloor
+from neurosim.trials.realities import open_reality
 
 GENETIC = replace(NETWORK_GENETIC, population=6, parents=2)
 SETTINGS = EvolveSettings(
@@ -27,24 +35,17 @@ FAMILY = Network(tuple(f"sensor_{number}" for number in range(8)))
 
 
 class Judge:
-    """Tries networks as a robot would, from what is drawn; fails once, at the trial ``at``."""
+    """Tries networks as a robot would, with luck; fails once, at the trial ``at``."""
 
     def __init__(self, at=None, error=LinkLost):
         self.at, self.error, self.tried = at, error, []
 
-    def fitness(self, genes, rng):
-        found = []
-        for one in genes:
-            luck = rng.normal()
-            if len(self.tried) == self.at:
-                self.at = None
-                raise self.error("the robot is gone")
-            self.tried.append(one)
-            found.append(one[0] + 0.1 * luck)
-        return np.array(found)
-
-    def compare(self, genes, seed):
-        return []
+    def trial(self, genes, number):
+        if len(self.tried) == self.at:
+            self.at = None
+            raise self.error("the robot is gone")
+        self.tried.append(genes)
+        return genes[0] + 0.1 * np.random.default_rng(number).normal()
 
     def describe(self):
         return {"kind": "judge"}
@@ -71,8 +72,9 @@ def test_a_lost_robot_is_gone_on_with_as_if_nothing_had_been(tmp_path, at):
     done = SETTINGS.generations + at // GENETIC.population
     assert so_far.evolution["history"]["best"] == whole.evolution["history"]["best"][:done]
     resumed = evolved(tmp_path / "net", judge, resume=True)
-    # Nobody was tried twice before the last best were tried again.
-    assert len(judge.tried) == 3 * GENETIC.population + AGAIN * TRIALS_AGAIN
+    # Nobody was tried twice before the last best were tried again; a copy is not tried again.
+    kinds = len({genes.tobytes() for genes in judge.tried})
+    assert len(judge.tried) == kinds + AGAIN * TRIALS_AGAIN <= 3 * GENETIC.population + 20
     assert resumed.evolution["history"] == whole.evolution["history"]
     assert (resumed.genes == whole.genes).all()
     assert not resumed.evolution["interrupted"]
@@ -133,7 +135,7 @@ def test_another_robot_does_not_go_on(tmp_path):
         def describe(self):
             return {"kind": "another"}
 
-    with pytest.raises(UserError, match="begun with robot = 'judge', not 'another'"):
+    with pytest.raises(UserError, match=r"begun with robot\.kind = 'judge', not 'another'"):
         evolved(tmp_path / "net", Other(), resume=True)
     with pytest.raises(UserError, match="begun with real_generations = 3, not 4"):
         evolved(tmp_path / "net", Judge(), resume=True, real_generations=4)
@@ -152,41 +154,109 @@ def test_nothing_is_left_where_nothing_came_of_it(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def on_the_floor(rig, robot):
+    return OnFloor(
+        robot,
+        Evaluator(TableSimulator(made_up()), TASK, FAMILY),
+        place=lambda pose: rig.lab.place(*pose),
+        pose=lambda _: lambda: rig.lab.pose,
+        about={"virtual": True},
+    )
+
+
 def test_the_virtual_robot_is_switched_off_under_way(tmp_path):
-    def on(rig, robot, after=None):
-        class Trials(RobotTrials):
-            count = 0
-
-            def fitness(self, genes, rng):
-                if self.count == after:
-                    rig.switch_off()
-                self.count += 1
-                return super().fitness(genes, rng)
-
-        trials = Trials(
-            robot,
-            Evaluator(TableSimulator(made_up()), TASK, FAMILY),
-            place=lambda pose: rig.lab.place(*pose),
-            pose=lambda _: lambda: rig.lab.pose,
-            about={**robot.describe(), "virtual_lab": rig.describe()},
-        )
-        return evolved(tmp_path / "net", trials, resume=after is None)
-
     with VirtualKheperaRig(1) as rig:
         rig.robot._timeout = 0.2
         with rig.robot as robot, pytest.raises(LinkLost, match=r"stopped answering.*--resume"):
-            on(rig, robot, after=9)
+            reality = on_the_floor(rig, robot)
+            trial = reality.trial
+
+            def ninth_is_the_last(genes, number):
+                if number == 9:
+                    rig.switch_off()
+                return trial(genes, number)
+
+            reality.trial = ninth_is_the_last
+            evolved(tmp_path / "net", reality)
+    assert len(read_trials(tmp_path / "net.checkpoint" / "trials.jsonl")) == 9
     with VirtualKheperaRig(1) as rig, rig.robot as robot:
-        made = on(rig, robot)
+        made = evolved(tmp_path / "net", on_the_floor(rig, robot), resume=True)
     assert len(made.evolution["history"]["best"]) == 6
     assert made.evolution["robot"]["virtual"] is True
 
 
-def test_a_trial_takes_as_long_as_it_says():
-    evaluator = Evaluator(TableSimulator(made_up()), TASK, FAMILY)
+def test_a_trial_takes_as_long_as_it_says_and_a_trial_given_up_ends():
     with VirtualKheperaRig(1) as rig, rig.robot as robot:
-        trials = RobotTrials(robot, evaluator, place=None, pose=None, about={})
+        reality = on_the_floor(rig, robot)
         begin = robot.clock.now()
-        trials.fitness(np.zeros((2, 18)), np.random.default_rng(0))
+        reality.trial(np.zeros(18), 0)
         took = robot.clock.now() - begin
-    assert 2 * trials.seconds <= took < 2.2 * trials.seconds
+        assert reality.seconds <= took < 1.1 * reality.seconds
+        reality.stop()
+        with pytest.raises(LinkLost, match="given up"):
+            reality.trial(np.zeros(18), 1)
+
+
+def test_what_the_floor_does_not_give_is_refused():
+    sim = TableSimulator(made_up())
+    for task, family, said in (
+        (GoTo(), Network(("sensor_0",)), "can only be judged where the robot's poses are known"),
+        (TASK, Network(("x",)), "needs the robot's pose, and nobody knows where it wanders"),
+    ):
+        with pytest.raises(UserError, match=said), VirtualKheperaRig(1) as rig:
+            OnFloor(rig.robot, Evaluator(sim, task, family), place=None, pose=None, about={})
+    with (
+        pytest.raises(UserError, match=r"of the kind motion-network has none: .*--reality"),
+        open_reality("virtual-khepera", Plan(slots=2), NineRectangles(), random_motion_network()),
+    ):
+        pass
+
+
+def test_a_plan_is_driven_on_the_floor():
+    with VirtualKheperaRig(1) as rig, rig.robot as robot:
+        family = Plan(slots=2, durations=(0.2, 0.4))
+        evaluator = Evaluator(TableSimulator(made_up()), TASK, family)
+        reality = OnFloor(robot, evaluator, place=None, pose=None, about={})
+        fast = family.encode([(40.0, 40.0, 0.4), (40.0, 40.0, 0.4)])
+        slow = family.encode([(10.0, 10.0, 0.4), None])
+        assert reality.trial(fast, 0) > reality.trial(slow, 1) > 0.0
+        reality.trial(family.encode([None, None]), 2)
+
+
+@pytest.mark.parametrize("name", ["ga", "cma", "own"])
+def test_plans_and_any_optimiser_go_on_in_reality_and_are_resumed(tmp_path, monkeypatch, name):
+    if name == "cma":
+        pytest.importorskip("cma")
+    monkeypatch.setitem(OPTIMISERS._registered, "own", HillClimber)
+    genetic = GeneticSettings(population=6, tournament=2)
+    settings = EvolveSettings(name, generations=2, runs=1, genetic=genetic, final_draws=8)
+
+    def run(out, judge, **others):
+        return evolve(
+            random_motion_network(), "nine-rectangles", Plan(slots=3), out=tmp_path / out,
+            settings=settings, reality=judge, real_generations=2, seed=3, progress=False, **others,
+        )  # fmt: skip
+
+    (whole,) = run("whole", Judge())
+    judge = Judge(7)
+    # The best in the simulator may be a plan that gives no command.
+    with pytest.raises((LinkLost, UserError), match=r"is gone|so far no plan"):
+        run("cut", judge)
+    (resumed,) = run("cut", judge, resume=True)
+    assert resumed.commands == whole.commands
+    assert resumed.evolution == whole.evolution
+
+
+@pytest.mark.slow  # trials in the lab, filmed
+@pytest.mark.parametrize("family", [Plan(slots=2), Network(("x", "y", "goal_x"))], ids=str)
+def test_an_nxt_of_the_lab_is_where_evolution_goes_on(family):
+    task = GoTo(goals=((0.2, 0.1, 0.0),), seconds=1.0)
+    genetic = GeneticSettings(population=2, tournament=2)
+    with open_reality("virtual-nxt", family, task, lab_seed=2) as reality:
+        (found,) = evolve(
+            random_motion_network(), task, family, generations=1, runs=1, genetic=genetic,
+            outcomes=0, extrapolate=True, reality=reality, real_generations=1, progress=False,
+        )  # fmt: skip
+    assert found.evolution["robot"]["kind"] == "virtual-nxt"
+    assert len(found.evolution["history"]["best"]) == 2
+    assert found.evolution["robot_fitness"]["trials"] == TRIALS_AGAIN

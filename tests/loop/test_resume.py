@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from hill_climber import HillClimber
 from ideal_simulator import SlippingWheels
 from khepera_data import made_up
 
@@ -14,11 +15,13 @@ from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import UserError
 from neurosim.controllers import Network, Plan, read_controller
 from neurosim.evolution.genetic import GeneticSettings
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.loop.evolve import evolve
 from neurosim.loop.search import Search
 from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings, RobustSettings
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, TableSimulator
+from neurosim.simulators.registry import write_simulator
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 
@@ -66,7 +69,25 @@ CASES = {
         Network(SENSORS),
         replace(NETWORKS, robust=replace(ROBUST, generations=5, genetic=FEW)),
     ),
+    "cma": (ensemble, "nine-rectangles", Plan(slots=4), replace(PLANS, optimiser="cma")),
+    "own": (tables, AVOIDANCE, Network(SENSORS), replace(NETWORKS, optimiser="own")),
+    "own, robust": (
+        SlippingWheels,
+        "nine-rectangles",
+        Plan(slots=4),
+        replace(PLANS, optimiser="own", runs=1, robust=ROBUST),
+    ),
 }
+
+
+@pytest.fixture(autouse=True)
+def _registered(monkeypatch):
+    monkeypatch.setitem(OPTIMISERS._registered, "own", HillClimber)
+
+
+def needs(case):
+    if case == "cma":
+        pytest.importorskip("cma")
 
 
 def run(case, out, **others):
@@ -118,9 +139,13 @@ def content(saved):
         ("networks", [5]),
         ("networks, robust", [3]),
         ("networks, robust", [9, 2]),
+        ("cma", [4]),
+        ("own", [5]),
+        ("own, robust", [4, 5]),
     ],
 )
 def test_a_resumed_evolution_ends_as_one_that_was_not_interrupted(tmp_path, interrupting, case, at):
+    needs(case)
     whole, out = run(case, tmp_path / "whole"), tmp_path / "out"
     assert not (tmp_path / "whole.checkpoint").exists()
     for time, generation in enumerate(at):
@@ -152,7 +177,7 @@ def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
         with pytest.raises(UserError, match=message):
             run(case, tmp_path / "out", resume=True, **others)
     another = Plan(slots=5) if case == "plans" else Network(SENSORS, (3,))
-    with pytest.raises(UserError, match="begun with controller = "):
+    with pytest.raises(UserError, match="begun with controller"):
         evolve(
             simulator(), task, another, out=tmp_path / "out", settings=settings, seed=5, resume=True
         )
@@ -165,6 +190,7 @@ def test_a_checkpoint_is_of_its_settings(tmp_path, interrupting, case):
 
 @pytest.mark.parametrize("case", CASES)
 def test_a_damaged_checkpoint_is_named(tmp_path, interrupting, case):
+    needs(case)
     interrupting(2)
     run(case, tmp_path / "out")
     interrupting(0)
@@ -203,3 +229,40 @@ def test_a_plan_that_gives_no_command_is_not_written(tmp_path, interrupting):
 def test_nothing_to_resume_is_said(tmp_path):
     with pytest.raises(UserError, match="no interrupted evolution"):
         run("plans", tmp_path / "out", resume=True)
+
+
+def test_an_optimiser_that_does_not_keep_to_its_seed_is_not_resumed(
+    tmp_path, interrupting, monkeypatch
+):
+    class Unseeded(HillClimber):
+        def __init__(self, space):
+            super().__init__(space)
+            self.rng = np.random.default_rng()
+
+    monkeypatch.setitem(OPTIMISERS._registered, "own", Unseeded)
+    interrupting(3)
+    run("own", tmp_path / "out")
+    interrupting(0)
+    with pytest.raises(UserError, match="asks for other individuals than before"):
+        run("own", tmp_path / "out", resume=True)
+
+
+def test_other_weights_in_the_same_folder_are_not_gone_on_with(tmp_path, interrupting):
+    write_simulator(ensemble(), tmp_path / "simulator")
+
+    def begun(**others):
+        how = {"settings": PLANS, "progress": False, **others}
+        return evolve(
+            tmp_path / "simulator", "nine-rectangles", Plan(slots=4), out=tmp_path / "out", **how
+        )
+
+    interrupting(3)
+    begun()
+    interrupting(0)
+    weights = tmp_path / "simulator" / "weights.safetensors"
+    kept = weights.read_bytes()
+    weights.write_bytes(kept[:-1] + bytes([kept[-1] ^ 1]))
+    with pytest.raises(UserError, match="was begun with simulator_sha256 = "):
+        begun(resume=True)
+    weights.write_bytes(kept)
+    assert not begun(resume=True)[0].evolution["interrupted"]

@@ -11,9 +11,10 @@ from khepera_data import made_up
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import Network, read_controller
+from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.evolve import Evolution, evolve
-from neurosim.loop.optimisers import OPTIMISERS, make_optimiser
+from neurosim.loop.search import new_optimiser
 from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings, default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import Arena
@@ -142,7 +143,7 @@ def test_evolution_learns_and_is_repeatable(tmp_path):
 def test_every_parent_has_as_many_children():
     # Without crossover and mutation the next population is copies of the best.
     genetic = replace(NETWORK_GENETIC, population=20, parents=4, crossover=0, mutation=0)
-    optimiser = make_optimiser("ga", FAMILY, EvolveSettings(genetic=genetic), 0)
+    optimiser = new_optimiser(FAMILY, EvolveSettings(genetic=genetic), 0)
     first = optimiser.ask()[0].copy()
     optimiser.tell(np.arange(20.0)[None])
     copies = (optimiser.ask()[0][:, None] == first[None]).all(-1).sum(0)
@@ -199,7 +200,7 @@ class Fixed:
 
     away = np.array([[0, 0, -1, -1, -1, -1, 0, 0, 2], [-6, -6, -6, -6, 0, 0, 0, 0, 2.0]]).ravel()
 
-    def __init__(self, controller, settings, seed, first):
+    def __init__(self, space):
         pass
 
     def ask(self):
@@ -217,7 +218,7 @@ def test_the_choice_is_not_the_lucky_one(monkeypatch):
     evolution.run(progress=False)
     # In its generation the one that stands still had luck.
     evolution.stages[0].top[:] = 0.0
-    evolution.stages[0]._merit[:] = [[500.0, 0.0]]
+    evolution.stages[0].merit[:] = [[500.0, 0.0]]
     (found,) = evolution.results(False)
     assert (found.genes == Fixed.away).all()
     assert found.fitness > 200

@@ -166,7 +166,7 @@ PLACES = {
 class VirtualWalker:
     """A walking robot of the lab: controllers in, one number a trial out.
 
-    It is the reality of :mod:`neurosim.back_to_reality`.
+    It is a :class:`~neurosim.loop.journal.Reality`.
 
     Attributes:
         controller: whose genes it is given; its commands are angles of the joints by time.

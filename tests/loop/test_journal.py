@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 from sliding_block import Push
 
-from neurosim.back_to_reality import REALITIES, Tracked, Trials, make_reality
-from neurosim.back_to_reality.by_hand import ByHand
-from neurosim.back_to_reality.reality import read_trials
 from neurosim.base.errors import FileError, RobotError, UserError
+from neurosim.base.trajectory import Tracked
+from neurosim.loop.journal import Journal, read_trials
+from neurosim.trials.by_hand import ByHand
+from neurosim.trials.realities import REALITIES, make_reality, open_reality
 
 ONE, TWO = np.array([0.25, 0.5]), np.array([0.75, 0.1])
 
@@ -33,7 +34,7 @@ class Counting:
 
 def test_every_trial_is_written_before_it_is_used_and_none_is_made_twice(tmp_path):
     reality, path = Counting(), tmp_path / "trials.jsonl"
-    trials = Trials(reality, path, each=3)
+    trials = Journal(reality, path, each=3)
     assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([1.0, 4.0])
     assert trials.evaluate(ONE[None], "again") == pytest.approx([1.0])
     assert (trials.used, trials.made, trials.evaluations) == (6, 6, 2.0)
@@ -56,12 +57,12 @@ def test_an_interrupted_run_goes_on_without_repeating_a_trial(tmp_path):
             return super().trial(genes, number)
 
     with pytest.raises(KeyboardInterrupt):
-        Trials(Breaks(), path).evaluate(np.stack([ONE, TWO]), "first")
+        Journal(Breaks(), path).evaluate(np.stack([ONE, TWO]), "first")
     assert len(read_trials(path)) == 4
     with path.open("a") as file:
         file.write('{"number": 4, "gen')  # killed within a line
     reality = Counting()
-    trials = Trials(reality, path)
+    trials = Journal(reality, path)
     assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([1.0, 4.0])
     assert [number for _, number in reality.seen] == [4, 5]
     assert (trials.used, trials.made) == (6, 2)
@@ -70,7 +71,7 @@ def test_an_interrupted_run_goes_on_without_repeating_a_trial(tmp_path):
 @pytest.mark.parametrize("answer", [None, float("nan"), float("inf"), "fast"])
 def test_a_reality_that_returns_no_number_is_refused(tmp_path, answer):
     answers = iter([0.5, answer])
-    trials = Trials(lambda genes: next(answers), tmp_path / "trials.jsonl")
+    trials = Journal(lambda genes: next(answers), tmp_path / "trials.jsonl")
     with pytest.raises(UserError, match=r"reality returned .* in trial 2, not a fitness"):
         trials.evaluate(ONE[None], "first")
     assert len(read_trials(tmp_path / "trials.jsonl")) == 1
@@ -78,7 +79,7 @@ def test_a_reality_that_returns_no_number_is_refused(tmp_path, answer):
 
 def test_a_reality_that_hangs_is_given_up(tmp_path):
     wait = threading.Event()
-    trials = Trials(lambda genes: wait.wait(60), tmp_path / "trials.jsonl", patience=0.1)
+    trials = Journal(lambda genes: wait.wait(60), tmp_path / "trials.jsonl", patience=0.1)
     with pytest.raises(RobotError, match=r"did not answer in trial 1 within 0\.1 s"):
         trials.evaluate(ONE[None], "first")
     wait.set()
@@ -99,7 +100,7 @@ def test_several_at_once_have_the_time_of_all_and_reality_is_told_to_stop(tmp_pa
             self.stopped = True
 
     reality = Slow()
-    trials = Trials(reality, tmp_path / "trials.jsonl", each=1, patience=0.1)
+    trials = Journal(reality, tmp_path / "trials.jsonl", each=1, patience=0.1)
     trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
     assert not reality.stopped
     with pytest.raises(RobotError, match=r"in trial 4 to 5 within 0\.2 s"):
@@ -112,7 +113,7 @@ def test_several_at_once_have_the_time_of_all_and_reality_is_told_to_stop(tmp_pa
 def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
     tmp_path, monkeypatch, grace, kept
 ):
-    monkeypatch.setattr("neurosim.back_to_reality.reality.GRACE", grace)
+    monkeypatch.setattr("neurosim.loop.journal.GRACE", grace)
 
     class Slow:
         def trial(self, genes, number):
@@ -121,7 +122,7 @@ def test_after_ctrl_c_a_trial_under_way_is_seen_to_its_end_if_it_is_short(
             return 1.5
 
     reality = Slow()
-    trials = Trials(reality, tmp_path / "trials.jsonl", each=3)
+    trials = Journal(reality, tmp_path / "trials.jsonl", each=3)
     with pytest.raises(KeyboardInterrupt):
         trials.evaluate(ONE[None], "first")
     assert [row["fitness"] for row in read_trials(tmp_path / "trials.jsonl")] == [1.5] * kept
@@ -134,7 +135,7 @@ def test_what_a_reality_raises_comes_through(tmp_path):
         raise RobotError("the robot is gone")
 
     with pytest.raises(RobotError, match="the robot is gone"):
-        Trials(lost, tmp_path / "trials.jsonl").evaluate(ONE[None], "first")
+        Journal(lost, tmp_path / "trials.jsonl").evaluate(ONE[None], "first")
 
 
 def seen(*poses):
@@ -144,7 +145,7 @@ def seen(*poses):
 def test_poses_are_written_and_read_again(tmp_path):
     path, nan = tmp_path / "trials.jsonl", np.nan
     answers = [seen((1, 2, 3), (nan, 0, 0)), seen((2, 2, 3.1), (nan, nan, nan)), 0.25, 0.75]
-    trials = Trials(lambda genes: answers.pop(0), path, each=2)
+    trials = Journal(lambda genes: answers.pop(0), path, each=2)
     assert trials.evaluate(np.stack([ONE, TWO]), "first") == pytest.approx([0.5, 0.5])
     trials.close()
     assert [row.get("poses") for row in read_trials(path)] == [
@@ -153,7 +154,7 @@ def test_poses_are_written_and_read_again(tmp_path):
         None,
         None,
     ]
-    for known in (trials, Trials(lambda genes: None, path, each=2)):
+    for known in (trials, Journal(lambda genes: None, path, each=2)):
         known.evaluate(np.stack([ONE, TWO]), "again")  # makes no trial
         expected = [[[1.5, 2.0, 3.05], [nan] * 3]]
         np.testing.assert_allclose(known.poses(ONE[None]), expected)
@@ -164,7 +165,7 @@ def test_poses_are_written_and_read_again(tmp_path):
 
 def test_headings_are_averaged_as_directions(tmp_path):
     answers = [seen((0, 0, 3.0)), seen((0, 0, -3.0 - 4 * np.pi)), seen((nan := np.nan, 0, nan))]
-    trials = Trials(lambda genes: answers.pop(0), tmp_path / "trials.jsonl")
+    trials = Journal(lambda genes: answers.pop(0), tmp_path / "trials.jsonl")
     trials.evaluate(ONE[None], "first")
     assert abs(trials.poses(ONE[None])[0, 0, 2]) == pytest.approx(np.pi)
 
@@ -173,8 +174,8 @@ def test_headings_are_averaged_as_directions(tmp_path):
 def test_what_are_no_poses_is_refused(tmp_path, poses):
     path = tmp_path / "trials.jsonl"
     with pytest.raises(UserError, match=r"poses of shape .* in trial 1, not \[K, 3\]"):
-        Trials(lambda genes: Tracked(0.5, np.array(poses, object)), path).evaluate(ONE[None], "")
-    trials = Trials(lambda genes: seen((1, 2, 3)), path, each=1)
+        Journal(lambda genes: Tracked(0.5, np.array(poses, object)), path).evaluate(ONE[None], "")
+    trials = Journal(lambda genes: seen((1, 2, 3)), path, each=1)
     trials.evaluate(ONE[None], "first")
     head, line = path.read_text().splitlines()
     path.write_text("\n".join([head, json.dumps(json.loads(line) | {"poses": poses})]) + "\n")
@@ -186,8 +187,8 @@ def test_a_person_is_asked_before_every_trial(tmp_path):
     asked, typed = [], iter(["fast", "0.5", "0.7", "0"])
     reality = ByHand(Push(), type_in=lambda message: next(typed))
     with pytest.raises(UserError, match="needs a person"):
-        Trials(reality, tmp_path / "trials.jsonl")
-    trials = Trials(reality, tmp_path / "trials.jsonl", ask=asked.append)
+        Journal(reality, tmp_path / "trials.jsonl")
+    trials = Journal(reality, tmp_path / "trials.jsonl", ask=asked.append)
     assert trials.evaluate(ONE[None], "first") == pytest.approx([0.4])
     assert len(asked) == 3
     assert "Put the robot back" in asked[0]
@@ -200,7 +201,7 @@ def test_several_at_once_get_numbers_of_their_own(tmp_path):
             return numbers * 1.0
 
     reality = Many()
-    trials = Trials(reality, tmp_path / "trials.jsonl")
+    trials = Journal(reality, tmp_path / "trials.jsonl")
     found = trials.evaluate(np.stack([ONE, TWO, ONE + 0.1]), "first")
     assert found == pytest.approx([1.0, 4.0, 7.0])
     assert reality.seen == [6, 3]  # an interruption loses six trials at most
@@ -208,7 +209,7 @@ def test_several_at_once_get_numbers_of_their_own(tmp_path):
 
 def test_an_individual_that_is_asked_for_twice_at_once_is_tried_once(tmp_path):
     reality = Counting()
-    trials = Trials(reality, tmp_path / "trials.jsonl")
+    trials = Journal(reality, tmp_path / "trials.jsonl")
     trials.evaluate(ONE[None], "first")
     found = trials.evaluate(np.stack([ONE, ONE, TWO, TWO]), "second", 2)
     assert found == pytest.approx([2.5, 2.5, 8.5, 8.5])
@@ -217,21 +218,25 @@ def test_an_individual_that_is_asked_for_twice_at_once_is_tried_once(tmp_path):
 
 def test_a_file_of_another_reality_or_a_damaged_one_is_refused(tmp_path):
     path = tmp_path / "trials.jsonl"
-    Trials(Counting(), path).evaluate(ONE[None], "first")
+    Journal(Counting(), path).evaluate(ONE[None], "first")
     with pytest.raises(FileError, match="reality"):
-        Trials(lambda genes: 0.0, path)
+        Journal(lambda genes: 0.0, path)
     lines = path.read_text().splitlines()
     path.write_text("\n".join([lines[0], "nonsense", *lines[1:]]) + "\n")
     with pytest.raises(FileError, match="line 2: expected a JSON object"):
-        Trials(Counting(), path)
+        Journal(Counting(), path)
     row = json.loads(lines[1]) | {"fitness": "fast"}
     path.write_text("\n".join([lines[0], json.dumps(row)]) + "\n")
     with pytest.raises(FileError, match="line 2, field 'fitness'"):
-        Trials(Counting(), path)
+        Journal(Counting(), path)
 
 
-def test_realities_have_names():
-    REALITIES.register("counting-test", lambda controller: Counting())
+def test_realities_have_names(monkeypatch):
+    monkeypatch.setitem(REALITIES._registered, "counting-test", lambda controller: Counting())
     assert isinstance(make_reality("counting-test", Push()), Counting)
+    with open_reality("counting-test", Push()) as reality:
+        assert isinstance(reality, Counting)
     with pytest.raises(UserError, match="there is no reality 'moon'"):
         make_reality("moon", Push())
+    with pytest.raises(UserError, match="has no camera of yours"):
+        make_reality("counting-test", Push(), camera="0")

@@ -1,14 +1,13 @@
 """Trials in reality: each is written down before it is used, and none is made twice.
 
 A reality is anything with ``trial(genes, number)`` that returns a fitness, and poses besides where
-it is tracked (:class:`~neurosim.base.trajectory.Tracked`). It may also say what it is
-(``describe``), what a person is to do before a trial (``instruction``), and try several at once
-(``trials``).
+it is tracked (:class:`~neurosim.base.trajectory.Tracked`). Whoever searches in reality asks an
+optimiser, has the journal evaluate what it asks for, and tells it; after an interruption the same
+is done again, and the journal answers what it knows.
 """
 
 from __future__ import annotations
 
-import inspect
 import math
 import queue
 import threading
@@ -24,14 +23,15 @@ from neurosim.base.declared import Mismatch, convert
 from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.base.files import JsonLines, read_json_lines
 from neurosim.base.formats import TrialRow
-from neurosim.base.registry import Registry
 from neurosim.base.trajectory import Tracked
 
 FORMAT, VERSION = "neurosim-real-trials", 1
+#: The file's name.
+TRIALS = "trials.jsonl"
 #: No more trials are made at once: what an interruption loses.
 AT_ONCE = 6
 #: After Ctrl-C a trial that is under way has so long to end, s; then it is not waited for.
-GRACE = 10.0
+GRACE = 3.0
 _KEPT = "the trials before it are kept: fix the problem and continue with --resume"
 
 
@@ -39,10 +39,11 @@ _KEPT = "the trials before it are kept: fix the problem and continue with --resu
 class Reality(Protocol):
     """Where controllers are tried for real.
 
-    Optional besides: ``describe() -> dict``, what it is, for JSON; ``instruction``, a sentence
-    for the person who puts the robot back before every trial; ``trials(genes [N, G], numbers
-    [N]) -> [N]``, where several can be made at once; ``stop()``, called from another thread when
-    a trial under way is given up.
+    Optional besides: ``describe() -> dict``, which one it is, for JSON, the same when it is
+    resumed; ``instruction``, a sentence for the person who puts the robot back before every trial;
+    ``patient = True``, where that person may take any time; ``trials(genes [N, G], numbers [N]) ->
+    [N]``, where several can be made at once; ``stop()``, called from another thread when a trial
+    under way is given up. See also :class:`Comparing`.
     """
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float | Tracked:
@@ -55,43 +56,16 @@ class Reality(Protocol):
         ...
 
 
-#: By name: what takes a controller and its options as keywords and returns a :class:`Reality`; it
-#: is given the task, too, if it has a parameter of this name.
-REALITIES = Registry(
-    "reality",
-    "neurosim.realities",
-    {
-        "virtual-walker": "neurosim.lab.walker:VirtualWalker",
-        "virtual-nxt": "neurosim.trials.nxt:VirtualNxt",
-        "by-hand": "neurosim.back_to_reality.by_hand:ByHand",
-    },
-)
+@runtime_checkable
+class Comparing(Protocol):
+    """A reality that shows its path beside the simulator's."""
+
+    def compare(self, genes: NDArray[np.float64], seed: int) -> list[dict[str, list]]:
+        """Return paths of an individual [G], each ``simulated`` and ``robot`` from one start."""
+        ...
 
 
-def make_reality(name: str, controller: Any, task: Any = None, **options: Any) -> Reality:
-    """Return a reality.
-
-    Args:
-        name: of it.
-        controller: whose genes it is given.
-        task: that is to be done there.
-        options: of it.
-
-    Raises:
-        UserError: if there is none of this name, it does not take the options, or what has the
-            name is none.
-    """
-    given = {"controller": controller, **options}
-    maker = REALITIES.get(name)
-    if callable(maker) and "task" in inspect.signature(maker).parameters:
-        given["task"] = task
-    found = REALITIES.make(name, given)
-    if not isinstance(found, Reality):
-        raise UserError(f"the reality {name!r} has no trial()")
-    return found
-
-
-class Trials:
+class Journal:
     """The trials of one run, and the file in which they stand.
 
     Attributes:
@@ -128,8 +102,7 @@ class Trials:
             raise UserError(
                 f"this reality needs a person ({self._instruction}): give a function that asks one"
             )
-        about = self._reality.describe() if hasattr(self._reality, "describe") else {}
-        self._file = JsonLines(path, FORMAT, VERSION, {"reality": about})
+        self._file = JsonLines(path, FORMAT, VERSION, {"reality": about_reality(self._reality)})
         self._known: dict[bytes, list[_Trial]] = {}
         for line, row in enumerate(self._file.rows, 2):
             genes, trial = _checked(row, self._file.path, line)
@@ -166,12 +139,18 @@ class Trials:
     def evaluate(
         self, genes: NDArray[np.float64], why: str, evaluations: int = 1
     ) -> NDArray[np.float64]:
-        """Return the mean fitness [P] of individuals [P, G], making the trials that lack.
+        """Return the mean fitness [P] of individuals [P, G]; see :meth:`fitness`."""
+        return self.fitness(genes, why, evaluations).mean(axis=1)
+
+    def fitness(
+        self, genes: NDArray[np.float64], why: str, evaluations: int = 1
+    ) -> NDArray[np.float64]:
+        """Return the fitness [P, T] of individuals [P, G] in T trials, making those that lack.
 
         Args:
             genes: a row for each individual.
             why: what the trials are for, to stand in the file.
-            evaluations: the mean is over the first so many of them; what was tried before counts.
+            evaluations: so many of each; trials that were made before count.
 
         Raises:
             UserError: if the reality returned no finite number.
@@ -186,7 +165,7 @@ class Trials:
             self._taken[key] = max(wanted, self._taken.get(key, 0))
         self._make(missing, why)
         each = [self._known[row.tobytes()][:wanted] for row in genes]
-        return np.array([np.mean([trial.fitness for trial in trials]) for trials in each])
+        return np.array([[trial.fitness for trial in trials] for trials in each])
 
     def poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
         """Return where individuals [P, G] that were tried were, [P, K, 3].
@@ -208,26 +187,21 @@ class Trials:
         return found if np.isfinite(found).any() else None
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
-        if not rows:
-            return
-        numbers = self._count + np.arange(len(rows))
-        if hasattr(self._reality, "trials") and self._instruction is None:
-            for first in range(0, len(rows), AT_ONCE):
-                part = rows[first : first + AT_ONCE]
-                which = numbers[first : first + AT_ONCE]
-                call = partial(self._reality.trials, np.stack(part), which)
-                found = self._answer(call, len(part), int(which[0]))
-                if np.shape(found) != (len(part),):
-                    raise _no_number(found, int(which[0]))
-                for row, fitness in zip(part, found, strict=True):
-                    self._write(row, fitness, why)
-                self._stop_if_interrupted()
-            return
-        for row, number in zip(rows, numbers, strict=True):
+        together = hasattr(self._reality, "trials") and self._instruction is None
+        size = AT_ONCE if together else 1
+        for first in range(0, len(rows), size):
+            part = np.stack(rows[first : first + size])
+            number = self._count
             if self._ask is not None and self._instruction is not None:
                 self._ask(self._instruction)
-            call = partial(self._reality.trial, row, int(number))
-            self._write(row, self._answer(call, 1, int(number)), why)
+            call = partial(self._reality.trial, part[0], number)
+            if together:
+                call = partial(self._reality.trials, part, number + np.arange(len(part)))
+            found = self._answer(call, len(part), number)
+            if together and np.shape(found)[:1] != (len(part),):
+                raise _no_number(found, number)
+            for row, one in zip(part, found if together else [found], strict=True):
+                self._write(row, one, why)
             self._stop_if_interrupted()
 
     def _stop_if_interrupted(self) -> None:
@@ -300,6 +274,17 @@ class Trials:
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    def __enter__(self) -> Journal:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+
+def about_reality(reality: Any) -> dict[str, Any]:
+    """Return what a reality says of itself; nothing of one that says nothing."""
+    return reality.describe() if hasattr(reality, "describe") else {}
 
 
 class _Trial(NamedTuple):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neurosim.back_to_reality.policy_gradient import PolicyGradient, PolicySettings, gradient
+from neurosim.evolution.policy_gradient import PolicyGradient, PolicySettings, gradient
 
 
 def test_gradient_by_hand():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neurosim.back_to_reality.genetic import (
+from neurosim.evolution.bits import (
     BitGenetic,
     BitSettings,
     decode,

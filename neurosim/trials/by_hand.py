@@ -36,7 +36,7 @@ class ByHand:
             task: whose fitness is asked for.
             type_in: shows a message and returns the answer; by default on stderr and from stdin.
         """
-        self._controller, self._type_in = controller, type_in or _asked
+        self._controller, self._type_in = controller, type_in or answer_to
         unit = getattr(task, "fitness_unit", "")
         self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
 
@@ -60,6 +60,7 @@ class ByHand:
             asked = "A number, please: "
 
 
-def _asked(message: str) -> str:
+def answer_to(message: str) -> str:
+    """Return what a person types."""
     print(message, end="", file=sys.stderr, flush=True)
     return input()

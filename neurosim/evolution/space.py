@@ -1,0 +1,75 @@
+"""What an optimiser is made of, and what it must be able to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.evolution.bits import BitSettings
+from neurosim.evolution.command_sets import PlanSettings
+from neurosim.evolution.genetic import GeneticSettings
+
+
+@dataclass(frozen=True, eq=False)
+class SearchSpace:
+    """What an optimiser is to search, and where it begins; N independent runs of it.
+
+    Attributes:
+        start: [N, G] where each run begins.
+        seed: of ``numpy.random.default_rng``; all random numbers come from it.
+        settings: of the genetic algorithm. Other optimisers need not know them.
+        spread: standard deviation of the first population around the start, in every gene.
+        bounds: lowest and highest of every gene, or None.
+        population: how many individuals there should be; None: as the optimiser likes.
+        given: [N, P, G] first populations, or None; see :meth:`first`.
+    """
+
+    start: NDArray[np.float64]
+    seed: tuple[int, ...]
+    settings: GeneticSettings | PlanSettings | BitSettings
+    spread: float
+    bounds: tuple[float, float] | None = None
+    population: int | None = None
+    given: NDArray[np.float64] | None = None
+
+    @property
+    def runs(self) -> int:
+        """How many independent runs there are."""
+        return len(self.start)
+
+    @property
+    def genes(self) -> int:
+        """How many genes an individual has."""
+        return self.start.shape[1]
+
+    def first(self) -> NDArray[np.float64]:
+        """Return first populations [N, P, G]: those that are given, else drawn around the start."""
+        if self.given is not None:
+            return self.given
+        shape = self.runs, self.settings.population, self.genes
+        drawn = np.random.default_rng([*self.seed, 0xF125]).standard_normal(shape)
+        found = self.start[:, None] + self.spread * drawn
+        found[:, 0] = self.start
+        return found if self.bounds is None else np.clip(found, *self.bounds)
+
+
+@runtime_checkable
+class Optimiser(Protocol):
+    """Asked for a population, told its fitness; N independent runs of it at once, or one.
+
+    An optimiser of your own needs ``ask`` and ``tell``, and all its random numbers from the seed.
+    Two things may be there besides: ``hints``, names of what else ``tell`` takes as keywords
+    (``keys``, by which crossover of plans pairs commands), and ``state()`` with ``load(state)``,
+    arrays by name, where these are smaller than all that it was told.
+    """
+
+    def ask(self) -> Any:
+        """Return the population to evaluate: [P, G], or [N, P, G] of N runs."""
+        ...
+
+    def tell(self, fitness: NDArray[np.float64], *args: Any, **hints: Any) -> None:
+        """Take the fitness [P] or [N, P] of the population asked for, the higher the better."""
+        ...

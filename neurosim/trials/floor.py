@@ -1,0 +1,304 @@
+"""Trials of a robot that stays on its floor: Lund and Miglino 1996, after the transfer."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import astuple
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base.declared import Baud, Seed, checks
+from neurosim.base.errors import LinkLost, UserError
+from neurosim.base.interrupts import not_suspended
+from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.controllers import SavedController
+from neurosim.lab import LabArena, VirtualKheperaRig
+from neurosim.loop.evaluate import Evaluator, rollouts_of
+from neurosim.loop.objectives import mean_fitness
+from neurosim.recording.commands import Command, Observation
+from neurosim.robots.base import Counters, Proximity, Robot, drive_for
+from neurosim.robots.khepera.dialects import dialect_named
+from neurosim.robots.odometry import Odometry
+from neurosim.trials.by_hand import answer_to
+from neurosim.trials.driver import Driver, missing
+
+#: Between trials the robot wanders for so long, so that each begins elsewhere, s.
+WANDER = 2.0
+#: For so long it then stands still, as it does at the start of a trial in a simulator, s.
+REST = 0.3
+#: Paths are compared for so many seconds, from so many starts.
+SECONDS, STARTS = 10.0, 2
+#: Something is near, by a sensor that looks forward: the robot turns before it wanders on.
+NEAR = 0.3
+
+
+class SeeingRobot(Robot, Proximity, Protocol):
+    """A robot that sees what is near."""
+
+
+class OnFloor:
+    """Tries controllers on a robot, one after the other, in the robot's own time.
+
+    Nobody puts the robot down between trials: it wanders away from what is near, in a direction
+    drawn anew, stands still, and the next trial starts from there. Every step begins with a
+    reading; the command that follows from it is sent a fixed time later, so that the robot is as
+    late in every step as it is in the simulator.
+
+    Attributes:
+        robot: connected.
+        evaluator: the simulator, task and controller; the task is judged by readings and commands
+            alone.
+        hold: from asking for a reading to sending the command, s, or as long as that takes; as in
+            the simulator, see :class:`~neurosim.simulators.tables.reaction.Reaction`.
+    """
+
+    def __init__(
+        self,
+        robot: SeeingRobot,
+        evaluator: Evaluator,
+        *,
+        place: Callable[[NDArray[np.float64]], None],
+        pose: Callable[[NDArray[np.float64]], Callable[[], Any]] | None,
+        about: dict[str, Any],
+        seed: int = 0,
+    ):
+        """Prepare trials.
+
+        Args:
+            robot, evaluator: see the class.
+            place: has the robot put at a pose (m, m, rad), by a person or in the lab.
+            pose: from a start pose on, returns what tells the robot's pose; None: nothing does.
+            about: which robot it is.
+            seed: of where it wanders.
+
+        Raises:
+            UserError: if the robot lacks what the controller or the task needs.
+        """
+        self.robot, self.evaluator = robot, evaluator
+        reaction = getattr(evaluator.simulator, "reaction", None)
+        self.hold = 0.0 if reaction is None else reaction.hold
+        self._place, self._pose, self._about = place, pose, about
+        self._seed, self._given_up = seed, False
+        saved, task = self._saved(np.zeros(evaluator.controller.genes)), evaluator.task
+        lacks = missing(saved, robot, None, task)
+        if Driver(saved, task.episode, {}).needs_pose:
+            lacks.append("the controller needs the robot's pose, and nobody knows where it wanders")
+        if lacks:
+            raise UserError("; ".join(lacks))
+        task.check_scored(False, True)
+
+    @property
+    def seconds(self) -> float:
+        """How long a controller's trial takes, s."""
+        task, episode = self.evaluator.task, self.evaluator.episode
+        return task.trial_starts * (WANDER + REST + episode.steps * episode.step)
+
+    def describe(self) -> dict[str, Any]:
+        """Return which robot it is."""
+        return dict(self._about)
+
+    def stop(self) -> None:
+        """Stop the robot: a trial is given up."""
+        self._given_up = True
+        self.robot.stop()
+
+    def trial(self, genes: NDArray[np.float64], number: int) -> float:
+        """Return the fitness of an individual [G] in a trial, from where the robot stands."""
+        task, rng = self.evaluator.task, np.random.default_rng([self._seed, number, 0xF1])
+        drives = []
+        try:
+            for _ in range(task.trial_starts):
+                self._wander(rng)
+                drives.append(self.drive(genes, self.evaluator.episode.steps))
+        finally:
+            self.robot.stop()
+        driven = Trajectory(
+            None,
+            np.stack([drive.commands for drive in drives])[None],
+            drives[0].durations,
+            np.stack([drive.readings for drive in drives])[None],
+        )
+        return float(mean_fitness(task, task.judge(driven).fitness)[0])
+
+    def compare(self, genes: NDArray[np.float64], seed: int) -> list[dict[str, list]]:
+        """Return paths of an individual [G] from the same starts, simulated and driven."""
+        evaluator, rng = self.evaluator, np.random.default_rng([seed, 2])
+        if self._pose is None or evaluator.controller.blind:
+            return []
+        steps = round(SECONDS / evaluator.episode.step)
+        starts, _ = evaluator.starts(STARTS, rng)
+        episode = Episode(evaluator.episode.step, steps, readings=True)
+        rollouts = rollouts_of(evaluator.simulator, evaluator.controller, episode)
+        paths = rollouts.run(genes[None], Draws(starts)).poses
+        assert paths is not None
+        drives = []
+        for start, path in zip(starts, paths[0], strict=True):
+            self.rest()
+            self._place(start)
+            real = self.drive(genes, steps, self._pose(start))
+            assert real.poses is not None
+            drives.append({"simulated": path.tolist(), "robot": real.poses.tolist()})
+        self.robot.stop()
+        return drives
+
+    def drive(
+        self, genes: NDArray[np.float64], steps: int, pose: Callable[[], Any] | None = None
+    ) -> Trajectory:
+        """Drive an individual [G] from where the robot stands.
+
+        Args:
+            genes: its genes.
+            steps: of the episode's step.
+            pose: tells where the robot is [3] (m, m, rad) before the first step and after each.
+        """
+        step, blind = self.evaluator.episode.step, self.evaluator.controller.blind
+        driver = Driver(self._saved(genes), self.evaluator.episode, {})
+        clock, readings, commands = self.robot.clock, [], []
+        poses = [] if pose is None else [pose()]
+        time = clock.now()
+        for number in range(max(driver.steps, 1) if blind else steps):
+            if self._given_up:
+                raise LinkLost("the trial was given up")
+            seen = self.robot.read_sensors()
+            command = Command(0.0, 0.0, step)  # of a plan without any
+            if driver.steps:
+                command = driver.react(Observation(number * step, None, seen))
+            clock.sleep_until(time + self.hold)
+            drive_for(self.robot, command.left, command.right, command.duration)
+            readings.append(list(seen.values()))
+            commands.append(astuple(command))
+            # A step that took too long shifts those after it rather than shortening them.
+            time = max(time + command.duration, clock.now())
+            clock.sleep_until(time)
+            if pose is not None:
+                poses.append(pose())
+        given, path = np.array(commands), None if pose is None else np.array(poses, float)
+        return Trajectory(
+            path,
+            given if blind else given[:, :2],
+            given[:, 2] if blind else step,
+            np.array(readings),
+        )
+
+    def rest(self) -> None:
+        """Stop and stand still."""
+        self.robot.stop()
+        self.robot.clock.sleep_until(self.robot.clock.now() + REST)
+
+    def _saved(self, genes: NDArray[np.float64]) -> SavedController:
+        task = self.evaluator.task
+        return SavedController(self.evaluator.controller, genes, task.describe(), task.start, {})
+
+    def _wander(self, rng: np.random.Generator) -> None:
+        clock, ahead = self.robot.clock, np.cos(self.robot.angles) > -0.01
+        side = 40.0 * rng.choice((-1.0, 1.0))
+        turning = rng.uniform(0.0, WANDER / 2)
+        begin = clock.now()
+        while (now := clock.now()) < begin + WANDER and not self._given_up:
+            near = self.robot.activations()[ahead].max() > NEAR
+            forward = 0.0 if now - begin < turning or near else 60.0
+            turn = 0.0 if forward else side
+            drive_for(self.robot, forward - turn, forward + turn, self.evaluator.episode.step)
+            clock.sleep_until(now + self.evaluator.episode.step)
+        self.rest()
+
+
+def about_robot(robot: Robot) -> dict[str, Any]:
+    """Return which robot it is: not where it is plugged in, nor what it has counted so far."""
+    return {k: v for k, v in robot.describe().items() if k not in ("port", "reboots")}
+
+
+@contextmanager
+def on_floor(robot: Any, controller: Any, task: Any, simulator: Any) -> Iterator[OnFloor]:
+    """Connect a robot and give the trials on its floor; its path is known by its counters.
+
+    Args:
+        robot: not connected yet.
+        controller, task: see :class:`OnFloor`.
+        simulator: in which the controller is evolved.
+
+    Raises:
+        UserError: if the robot lacks what is needed, or is on a line of another speed than the
+            simulator's reaction time was measured on.
+        RobotError: if it cannot be reached.
+    """
+    evaluator = Evaluator(simulator, task, controller)
+    _check_line(simulator, robot.describe().get("baud"))
+    with not_suspended(), robot:
+        yield OnFloor(
+            robot,
+            evaluator,
+            place=_put_by_a_person,
+            pose=(lambda start: Odometry(robot, start).read)
+            if isinstance(robot, Counters)
+            else None,
+            about=about_robot(robot),
+        )
+
+
+@contextmanager
+@checks
+def virtual_khepera(
+    controller: Any,
+    task: Any,
+    simulator: Any,
+    lab_seed: Seed = 0,
+    baud: Baud | None = None,
+    seed: Seed = 0,
+) -> Iterator[OnFloor]:
+    """Give the trials on a Khepera of the virtual lab, in the simulator's arena.
+
+    Args:
+        controller, task, simulator: as of :func:`on_floor`.
+        lab_seed: Which of the virtual lab's robots.
+        baud: Speed of its serial line; by default the robot's own, 9600.
+        seed: Of the lab's noise.
+
+    Raises:
+        UserError: as :func:`on_floor`.
+    """
+    evaluator, baud = Evaluator(simulator, task, controller), baud or dialect_named("khepera").baud
+    _check_line(simulator, baud)
+    arena = getattr(simulator, "arena", None)
+    if arena is None:
+        raise UserError(
+            f"the virtual Khepera drives in the simulator's arena, and a simulator of the kind "
+            f"{simulator.kind} has none: name another reality (--reality)"
+        )
+    start = tuple(arena.free_poses(1, 0.03, np.random.default_rng(seed))[0])
+    with (
+        VirtualKheperaRig(
+            lab_seed, noise_seed=seed, arena=LabArena.of(arena), start=start, baud=baud
+        ) as rig,
+        rig.robot as robot,
+    ):
+        yield OnFloor(
+            robot,
+            evaluator,
+            place=lambda pose: rig.lab.place(*pose),
+            pose=lambda _: lambda: rig.lab.pose,
+            about={**about_robot(robot), "virtual_lab": rig.describe()},
+            seed=seed,
+        )
+
+
+def _put_by_a_person(start: NDArray[np.float64]) -> None:
+    x, y, heading = 100 * start[0], 100 * start[1], math.degrees(start[2])
+    answer_to(
+        f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees, and press "
+        "Enter: "
+    )
+
+
+def _check_line(simulator: Any, baud: int | None) -> None:
+    """Refuse a robot on a line of another speed than the reaction time was measured on."""
+    sampled = getattr(simulator, "meta", {}).get("baud")
+    if None not in (sampled, baud) and sampled != baud:
+        raise UserError(
+            f"the simulator's reaction time was measured at {sampled} baud, and the robot's line "
+            f"is at {baud}: give --baud {sampled}, or sample again at {baud}"
+        )

@@ -1,0 +1,98 @@
+"""Realities by name: robots of the lab, real ones by their drivers, and a person who types."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+from pathlib import Path
+from typing import Any
+
+from neurosim.base.errors import UserError
+from neurosim.base.registry import Registry
+from neurosim.loop.journal import Reality
+from neurosim.robots.registry import ROBOTS
+from neurosim.simulators.base import Simulator
+from neurosim.trials.filmed import on_robot
+
+#: By name: what takes a controller and its options as keywords, and the task and the simulator if
+#: it has parameters of these names; it returns a reality, or a context that gives one.
+REALITIES = Registry(
+    "reality",
+    "neurosim.realities",
+    {
+        "virtual-walker": "neurosim.lab.walker:VirtualWalker",
+        "virtual-nxt": "neurosim.trials.filmed:VirtualNxt",
+        "virtual-khepera": "neurosim.trials.floor:virtual_khepera",
+        "by-hand": "neurosim.trials.by_hand:ByHand",
+    },
+)
+
+
+class _Named:
+    """Realities, and drivers of robots."""
+
+    def names(self) -> list[str]:
+        """Return all names."""
+        return [*REALITIES.names(), *ROBOTS.names()]
+
+    def get(self, name: str) -> Callable[..., Any]:
+        """Return what has the options as keywords.
+
+        Raises:
+            UserError: if nothing has this name.
+        """
+        if name in ROBOTS.names() and name not in REALITIES.names():
+            return ROBOTS.get(name)
+        return REALITIES.get(name)
+
+
+#: What ``--reality`` takes.
+NAMED = _Named()
+
+
+def make_reality(
+    name: str,
+    controller: Any,
+    task: Any = None,
+    simulator: Simulator | None = None,
+    *,
+    camera: str | None = None,
+    calibration: str | Path | None = None,
+    **options: Any,
+) -> Any:
+    """Return a reality, or a context that gives one.
+
+    Args:
+        name: of it, or of a robot's driver.
+        controller: whose genes it is given.
+        task: that is to be done there.
+        simulator: whose genes' controllers are compared with it.
+        camera, calibration: what films a robot that is named by its driver.
+        options: of it.
+
+    Raises:
+        UserError: if no reality has this name, it does not take the options, or what has the name
+            is no reality.
+    """
+    given = {"controller": controller, "task": task, "simulator": simulator}
+    if name in ROBOTS.names() and name not in REALITIES.names():
+        robot = ROBOTS.make(name, options)
+        return on_robot(robot, **given, camera=camera, calibration=calibration)
+    if camera is not None or calibration is not None:
+        raise UserError(f"the reality {name} has no camera of yours: leave camera and calibration")
+    maker = REALITIES.get(name)
+    takes = inspect.signature(maker).parameters if callable(maker) else {}
+    given = {key: value for key, value in given.items() if key == "controller" or key in takes}
+    found = REALITIES.make(name, {**given, **options})
+    if not isinstance(found, Reality | AbstractContextManager):
+        raise UserError(f"the reality {name!r} has no trial()")
+    return found
+
+
+@contextmanager
+def open_reality(name: str, *given: Any, **options: Any) -> Iterator[Reality]:
+    """Open a reality, and close it where it is to be closed; see :func:`make_reality`."""
+    made = make_reality(name, *given, **options)
+    with made if isinstance(made, AbstractContextManager) else nullcontext(made) as reality:
+        yield reality
