@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 #: The motors are stopped for so long after the last command before a robot is at rest, s.
 RUN_DOWN = 0.5
+
+
+@runtime_checkable
+class OfTime(Protocol):
+    """A controller whose commands depend on time alone, and that can give them all at once."""
+
+    def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the commands [P, T, C] of individuals [P, G] at times [T] s."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ class _Path(click.Path):
     """A path whose name can be written down: UTF-8."""
 
     def convert(self, value: Any, param: Any, ctx: Any) -> Any:
-        """Return the path."""
         check_name(value)
         return super().convert(value, param, ctx)
 

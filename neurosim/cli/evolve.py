@@ -97,12 +97,13 @@ def changed(
         noise: Noise in place of the simulator's own: none; uniform, 5 % of the range; or as wide as
             the samples' own.
     """
+    from neurosim.simulators.base import InArena
     from neurosim.simulators.tables.arena import Arena
 
     changes: dict[str, Any] = {} if arena is None else {"arena": Arena.read(arena)}
     if noise is not None:
         changes["noise"] = noise
-    if changes and not hasattr(simulator, "changed"):
+    if changes and not isinstance(simulator, InArena):
         raise UserError(f"a simulator of the kind {simulator.kind} has neither --arena nor --noise")
     return simulator.changed(**changes) if changes else simulator
 

@@ -185,10 +185,11 @@ def _arena(saved: Any) -> Any:
     """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
     from neurosim.lab import LabArena
     from neurosim.simulators import read_simulator
+    from neurosim.simulators.base import InArena
 
     folder = _simulator(saved)
-    arena = None if folder is None else getattr(read_simulator(folder), "arena", None)
-    return None if arena is None else LabArena.of(arena)
+    found = None if folder is None else read_simulator(folder)
+    return LabArena.of(found.arena) if isinstance(found, InArena) else None
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:

@@ -49,7 +49,6 @@ class Function(Controller):
         return self.name
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return commands [B, C] and the memory, which is none."""
         seen: Mapping[str, NDArray] = dict(
             zip(self.inputs, observation.cpu().numpy().T, strict=True)
         )

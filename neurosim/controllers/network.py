@@ -61,7 +61,6 @@ class Network(Controller):
         return sum(rows * columns for rows, columns in self.shapes)
 
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return commands [B, C] and the memory, which is none."""
         values, first = observation, 0
         for rows, columns in self.shapes:
             weights = genes[:, first : first + rows * columns].unflatten(1, (rows, columns))
@@ -70,11 +69,9 @@ class Network(Controller):
         return _scale(self.scale, values) * values, memory
 
     def arrays(self) -> NetworkArrays:
-        """Return what compiled rollouts compute with."""
         return _arrays(self, FEED_FORWARD)
 
     def settings(self) -> dict[str, Any]:
-        """Return what makes the same family again."""
         return {
             "inputs": list(self.inputs),
             "hidden": list(self.hidden),
@@ -138,11 +135,9 @@ class Recurrent(Controller):
         return _scale(self.scale, out) * out.tanh(), memory
 
     def arrays(self) -> NetworkArrays:
-        """Return what compiled rollouts compute with."""
         return _arrays(self, ELMAN if self.dynamics == "elman" else CTRNN)
 
     def settings(self) -> dict[str, Any]:
-        """Return what makes the same family again."""
         return {
             "inputs": list(self.inputs),
             "units": self.units,

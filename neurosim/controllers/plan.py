@@ -66,7 +66,6 @@ class Plan(Controller):
         return encode(commands, self.max_speed, self.durations)
 
     def settings(self) -> dict[str, Any]:
-        """Return what makes the same family again."""
         return {
             "slots": self.slots,
             "max_speed": self.max_speed,

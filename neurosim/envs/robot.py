@@ -22,7 +22,7 @@ from neurosim.recording.markers import marker_settings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Counters, Sensors, drive_for
 from neurosim.robots.odometry import Odometry
-from neurosim.simulators.base import Simulator
+from neurosim.simulators.base import InArena, Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Interval, Task
 from neurosim.trials.rig import RIGS, Setup, open_rig
@@ -287,5 +287,4 @@ def _ask(pose: Sequence[float]) -> None:
 
 def _arena(simulator: Simulator) -> LabArena | None:
     """Return the simulator's arena for the virtual lab, if it has one."""
-    arena = getattr(simulator, "arena", None)
-    return None if arena is None else LabArena.of(arena)
+    return LabArena.of(simulator.arena) if isinstance(simulator, InArena) else None

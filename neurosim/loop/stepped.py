@@ -44,7 +44,6 @@ class SteppedRollouts:
         return draw_samples(self._simulator, starts, rng, placing, steps)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
         trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
         with torch.no_grad():
             if self._controller.blind:

@@ -24,31 +24,15 @@ from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import OUTPUTS, Dataset
 
-#: What may lie in a folder, the first found counts: a trial is also a recording.
-KINDS = ("trial", "recording", "dataset", "simulator", "controller", "back-to-reality")
-
-_FORMATS = {
-    "trial": formats.Trial,
-    "recording": formats.TrialRecording,
-    "dataset": formats.Dataset,
-    "simulator": formats.Simulator,
-    "controller": formats.Controller,
-    "back-to-reality": formats.BackToReality,
-}
-#: The newest version of each that this page reads.
-_VERSIONS = {
-    "trial": 1,
-    "recording": 1,
-    "dataset": 1,
-    "simulator": SIMULATOR,
-    "controller": 1,
-    "back-to-reality": 1,
-}
-#: What is read of each beside its JSON, and checked by that to the last number.
-_READERS: dict[str, Callable[[Path], Any]] = {
-    "dataset": Dataset.read,
-    "simulator": read_simulator,
-    "controller": read_controller,
+#: What may be in a folder; the first found counts, since a trial is also a recording: what its JSON
+#: holds, the newest version of that, and what reads and checks the other files.
+KINDS: dict[str, tuple[type, int, Callable[[Path], Any] | None]] = {
+    "trial": (formats.Trial, 1, None),
+    "recording": (formats.TrialRecording, 1, None),
+    "dataset": (formats.Dataset, 1, Dataset.read),
+    "simulator": (formats.Simulator, SIMULATOR, read_simulator),
+    "controller": (formats.Controller, 1, read_controller),
+    "back-to-reality": (formats.BackToReality, 1, None),
 }
 
 
@@ -218,12 +202,12 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
             continue
         seen.add(path.resolve())
         kind = _kind(path)
-        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", _VERSIONS[kind], _FORMATS[kind])
+        form, version, reader = KINDS[kind]
+        meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", version, form)
         if kind == "trial":
             found.trials.append(_trial(path, meta))
             continue
-        content = _READERS[kind](path) if kind in _READERS else None
-        artefact = Artefact(kind, path, meta, content)
+        artefact = Artefact(kind, path, meta, None if reader is None else reader(path))
         if kind == "back-to-reality":
             _check_alternation(artefact)
             found.alternations.append(artefact)
@@ -296,18 +280,13 @@ def _trial(path: Path, meta: dict[str, Any]) -> Trial:
                 f"expected {count + 1} poses (the start, and one for each of {count} commands)",
                 field=f"{part}.poses",
             )
-    _check_errors(trial, count)
+    if trial.by_command and (not count or len(meta["errors"]) not in (count, count + 1)):
+        raise FileError(trial.json, f"expected one for each of {count} commands", field="errors")
     if (path / "recording.json").exists():
         trial.recording = read_json(
             path / "recording.json", "neurosim-recording", 1, formats.TrialRecording
         )
     return trial
-
-
-def _check_errors(trial: Trial, count: int) -> None:
-    errors = trial.meta["errors"]
-    if trial.by_command and (not count or len(errors) not in (count, count + 1)):
-        raise FileError(trial.json, f"expected one for each of {count} commands", field="errors")
 
 
 def files_of(artefact: Artefact) -> dict[str, str]:

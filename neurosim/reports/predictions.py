@@ -40,7 +40,6 @@ class HeldOut:
         return errors(self.predicted, self.actual)
 
     def baseline_errors(self) -> dict[str, dict[str, Any]] | None:
-        """Return the ideal robot's errors likewise."""
         return None if self.baseline is None else errors(self.baseline[1], self.actual)
 
 

@@ -28,6 +28,7 @@ from neurosim.reports.artefacts import task_of
 from neurosim.reports.course import Scene, bounds, draw_scene, planned_path, unit_of
 from neurosim.reports.svg import INK
 from neurosim.simulators import Simulator, read_simulator
+from neurosim.simulators.base import InArena
 from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.simulator import RADIUS
 from neurosim.tasks.base import Task
@@ -215,15 +216,16 @@ def _place(
         arena = Arena.read(place)
     elif simulator is None:
         found = read_simulator(place)
-        return found, getattr(found, "arena", None)
+        return found, found.arena if isinstance(found, InArena) else None
     else:
-        arena = getattr(read_simulator(place), "arena", None)
-        if arena is None:
+        other = read_simulator(place)
+        if not isinstance(other, InArena):
             raise UserError(f"{place} has no arena to drive in; name that of --simulator alone")
+        arena = other.arena
     if simulator is None:
         return None, arena
     found = read_simulator(simulator)
-    if not hasattr(found, "changed") or not hasattr(found, "arena"):
+    if not isinstance(found, InArena):
         raise UserError(f"{simulator}: a simulator of the kind {found.kind} has no arena")
     return found.changed(arena=arena), arena
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, Protocol
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -23,6 +24,30 @@ FORMAT, VERSION = "neurosim-simulator", 3
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
+
+
+@runtime_checkable
+class InArena(Protocol):
+    """A simulator of a robot in an arena that can be exchanged.
+
+    Attributes:
+        arena: :class:`neurosim.simulators.tables.arena.Arena`.
+    """
+
+    arena: Any
+
+    def changed(self, *, arena: Any = ..., noise: Any = ...) -> Simulator:
+        """Return the simulator with another arena or noise."""
+        ...
+
+
+@runtime_checkable
+class Writable(Protocol):
+    """A simulator that can be written."""
+
+    def write(self, folder: str | Path) -> None:
+        """Write the simulator as a new folder, whole or not at all."""
+        ...
 
 
 class Rollouts(Protocol):
@@ -99,12 +124,10 @@ class Simulator:
 
     @property
     def bearings(self) -> NDArray[np.float64] | None:
-        """Return where the sensors look; see the class."""
         return None
 
     @property
     def domain(self) -> Mapping[str, tuple[float, float]]:
-        """Return the limits of commands; see the class."""
         return {}
 
     @property

@@ -9,7 +9,7 @@ import torch
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError
 from neurosim.base.registry import Registry
-from neurosim.simulators.base import FORMAT, VERSION, Simulator
+from neurosim.simulators.base import FORMAT, VERSION, Simulator, Writable
 from neurosim.simulators.motion.files import write_motion
 from neurosim.simulators.motion.network import MotionNetwork
 
@@ -51,7 +51,7 @@ def write_simulator(simulator: Simulator, folder: str | Path) -> bool:
     if isinstance(simulator, MotionNetwork):
         with files.new_folder(folder) as partial:
             write_motion(simulator, partial)
-    elif hasattr(simulator, "write"):
+    elif isinstance(simulator, Writable):
         simulator.write(folder)
     else:
         return False

@@ -18,7 +18,6 @@ class FilesAndTasks:
     """What ``--task`` takes."""
 
     def names(self) -> list[str]:
-        """Return the names of all tasks."""
         return TASKS.names()
 
     def get(self, text: str) -> type[Task] | Task:

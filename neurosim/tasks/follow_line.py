@@ -121,7 +121,6 @@ class FollowLine(Task):
         return Judgement.of(laps, most >= self.laps, why, laps=laps, distance=mean)
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return the line."""
         points = np.concatenate([self.line.points, self.line.points[:1]])
         pieces = zip(points[:-1].tolist(), points[1:].tolist(), strict=True)
         return [{"polygon": [list(a), list(b)]} for a, b in pieces]

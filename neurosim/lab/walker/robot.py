@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
+from neurosim.base.trajectory import OfTime
 from neurosim.robots.quadruped import FRAME, JOINTS, standing
 from neurosim.simulators.legged.build import Build, compile_model
 from neurosim.simulators.legged.physics import Physics
@@ -189,7 +190,7 @@ class VirtualWalker:
         """
         if place not in PLACES:
             raise UserError(f"there is no place {place!r} in the lab; there is {', '.join(PLACES)}")
-        if not hasattr(controller, "over") or tuple(controller.outputs) != JOINTS:
+        if not isinstance(controller, OfTime) or tuple(controller.outputs) != JOINTS:
             raise UserError(
                 f"the walking robot of the lab does gaits; a controller of the kind "
                 f"{controller.kind} gives it no angles of its joints"

@@ -26,7 +26,7 @@ from torch import Tensor
 
 from neurosim.base import files, formats
 from neurosim.base.errors import UserError
-from neurosim.base.trajectory import Draws, Episode, Trajectory
+from neurosim.base.trajectory import Draws, Episode, OfTime, Trajectory
 from neurosim.robots.quadruped import FOLD, FRAME, JOINTS, KNEE, SPREAD, SWING
 from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
@@ -145,7 +145,7 @@ class LeggedSimulator(Simulator):
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return rollouts of a controller whose commands depend on time alone (``over``)."""
-        if not hasattr(controller, "over") or episode.step != FRAME or episode.rest:
+        if not isinstance(controller, OfTime) or episode.step != FRAME or episode.rest:
             return None
         return _OpenLoop(self, controller, episode)
 
@@ -197,7 +197,6 @@ class _OpenLoop:
         return draw_samples(self._simulator, starts, rng, placing, len(self._times))
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
         simulator, outcomes = self._simulator, len(draws)
         commands = self._controller.over(genes, self._times)
         poses = simulator.physics.walk(

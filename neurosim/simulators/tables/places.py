@@ -127,7 +127,6 @@ class ManyArenas(Simulator):
 
     @property
     def domain(self) -> Mapping[str, tuple[float, float]]:
-        """The limits of commands."""
         domain: Mapping[str, tuple[float, float]] = self.own.domain
         return domain
 
@@ -146,7 +145,6 @@ class ManyArenas(Simulator):
         return found
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
-        """Return the states [B, 7] of robots that stand at ``pose`` [B, 3]."""
         return self.own.start(pose, generator)
 
     def step(
@@ -156,7 +154,6 @@ class ManyArenas(Simulator):
         generator: torch.Generator | None = None,
         z: Tensor | None = None,
     ) -> Tensor:
-        """Return the states [B, 7] after ``command`` [B, 3]."""
         found = torch.empty_like(state)
         for here, local, place in self._split(state):
             given = None if z is None else z[here]
@@ -168,7 +165,6 @@ class ManyArenas(Simulator):
     def sense(
         self, state: Tensor, generator: torch.Generator | None = None, z: Tensor | None = None
     ) -> Tensor:
-        """Return the readings [B, S] of robots in ``state`` [B, 7]."""
         found = torch.empty(len(state), len(self.reading_names), dtype=torch.float64)
         for here, local, place in self._split(state):
             given = None if z is None else z[here]
@@ -211,7 +207,6 @@ class _Rollouts:
         return self._own.draw(starts, rng, placing)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
         where = _place_of(draws.starts)
         parts = []
         for place in np.unique(where).tolist():

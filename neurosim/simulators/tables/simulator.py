@@ -156,7 +156,6 @@ class TableSimulator(Simulator):
 
     @property
     def noise_kind(self) -> str:  # type: ignore[override]
-        """Of its numbers; see the class."""
         return "uniform" if self.noise == "uniform" else "normal"
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
@@ -236,11 +235,9 @@ class TableSimulator(Simulator):
         return reading.clamp(0.0, 1.0)
 
     def standing(self, poses: np.ndarray, member: np.ndarray | None = None) -> np.ndarray:
-        """Return the states [B, 7] of robots that stand still at poses [B, 3]."""
         return np.concatenate([poses, np.zeros((len(poses), 4))], axis=1)
 
     def compiled(self) -> TableArrays:
-        """Return what the compiled functions take."""
         return self.arrays
 
     @cached_property

@@ -535,7 +535,6 @@ class _ProductUnits:
 
     @property
     def count(self) -> int:
-        """How many product units there are."""
         return len(self._units[0])
 
     def posterior(self, trust: Tensor, output: int) -> tuple[Tensor, Tensor]:

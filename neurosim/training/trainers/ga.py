@@ -58,7 +58,6 @@ class GaTrainer:
         self._ga = GeneticAlgorithm(settings.initial * first, settings, generator)
 
     def advance(self) -> Tensor:
-        """Work one generation; return the least mean squared error so far, [3], in SI units."""
         with one_thread(self._device) if self._error.kernel else nullcontext():
             self._ga.tell(1.0 / self._error(self._ga.ask()))
         return self._scale.square() / self._ga.best_fitness.cpu()
