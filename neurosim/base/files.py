@@ -132,6 +132,8 @@ def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
         number = os.open(path, flags, 0o666)
     except FileExistsError:
         raise UserError(f"{path} exists already; a recording is never overwritten") from None
+    except IsADirectoryError:
+        raise UserError(f"{path} is a folder, and {stay}") from None
     try:
         about = os.fstat(number)
         if not stat.S_ISREG(about.st_mode):
@@ -236,9 +238,10 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
         doing: what is done in it, for the message of another process: ``recorded into``.
 
     Raises:
-        UserError: if another process has it.
+        UserError: if another process has it, or something else than a plain file is in its place.
     """
     path = Path(folder) / _LOCK
+    open_own(path).close()
     lock = FileLock(path, timeout=0)
     try:
         lock.acquire()
@@ -250,8 +253,8 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
             f"{folder} is being {doing} by {holder or 'another process'}: wait for that, or end it"
         ) from None
     try:
-        with suppress(PermissionError):
-            path.write_text(f"process {os.getpid()} on {socket.gethostname()}\n", encoding="utf-8")
+        with suppress(PermissionError), open_own(path, "wb") as file:
+            file.write(f"process {os.getpid()} on {socket.gethostname()}\n".encode())
         yield
     finally:
         with suppress(PermissionError):  # Windows removes no open file

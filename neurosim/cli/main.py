@@ -6,6 +6,7 @@ import importlib.util
 import os
 import sys
 import traceback
+import warnings
 from pathlib import Path
 
 import click
@@ -126,6 +127,10 @@ def main() -> None:
     # OpenCV's own complaints stand beside the one sentence and say less.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # What NumPy says of a division or an overflow in here is for programmers; a number that makes
+    # no sense is refused in a sentence where it is used.
+    ours = r"(neurosim|tracking|numpy)\b"
+    warnings.filterwarnings("ignore", category=RuntimeWarning, module=ours)
     # A closed terminal or a kill must stop the motors as Ctrl-C does.
     answer_signals()
     try:

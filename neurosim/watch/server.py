@@ -30,7 +30,8 @@ from neurosim.watch.viewer import CORNERS, Viewer
 HOST = "127.0.0.1"
 #: A request's body is a click; nothing is as long as this.
 LONGEST_BODY = 4096
-#: So many connections are held at once; a browser has six.
+#: So many connections are held at once; a browser has six. One too many takes the place of the
+#: oldest that has not shown the secret yet.
 CONNECTIONS = 32
 #: What is asked for must have come within so many seconds, or the connection is closed.
 ASK_WITHIN = 10.0
@@ -107,15 +108,19 @@ class _Server(ThreadingHTTPServer):
     block_on_close = False
     # On Windows it would let two servers share the port.
     allow_reuse_address = os.name != "nt"
+    # A browser must not wait behind others until it is accepted.
+    request_queue_size = 128
 
     def __init__(self, *args: Any):
         super().__init__(*args)
         # Of every connection: since when it is waited for what it asks; None while it is answered.
         self.asking: dict[socket.socket, float | None] = {}
+        # Those over which the secret came.
+        self.known: set[socket.socket] = set()
 
     def process_request(self, request: Any, client_address: Any) -> None:
         """Answer in a thread of its own, unless there are too many already."""
-        if len(self.asking) >= CONNECTIONS:
+        if len(self.asking) >= CONNECTIONS and not self._make_room():
             super().shutdown_request(request)
             return
         self.asking[request] = time.monotonic()
@@ -124,7 +129,24 @@ class _Server(ThreadingHTTPServer):
     def shutdown_request(self, request: Any) -> None:
         """Close a connection."""
         self.asking.pop(request, None)
+        self.known.discard(request)
         super().shutdown_request(request)
+
+    def waits(self, request: Any, since: float | None) -> None:
+        """Note since when a connection that keeps its place is waited for; None: it is not."""
+        if request in self.asking:
+            self.asking[request] = since
+
+    def _make_room(self) -> bool:
+        """Close the oldest connection that has not shown the secret; False: all have."""
+        strangers = (each for each in list(self.asking) if each not in self.known)
+        oldest = next(strangers, None)
+        if oldest is None:
+            return False
+        self.asking.pop(oldest, None)
+        with suppress(OSError):
+            oldest.shutdown(socket.SHUT_RDWR)
+        return True
 
     def service_actions(self) -> None:
         """Close connections that ask for nothing, some times a second."""
@@ -160,7 +182,7 @@ class _Handler(BaseHTTPRequestHandler):
 
     def handle_one_request(self) -> None:
         """Wait for what is asked, and answer it."""
-        self.server.asking[self.connection] = time.monotonic()
+        self.server.waits(self.connection, time.monotonic())
         super().handle_one_request()
 
     def do_GET(self) -> None:
@@ -187,7 +209,7 @@ class _Handler(BaseHTTPRequestHandler):
             # What a person did is answered to the person.
             status, headers = HTTPStatus.OK, {}
             body, kind = _json({"error": str(error)})
-        self.server.asking[self.connection] = None
+        self.server.waits(self.connection, None)
         self.send_response(status)
         for name, value in {**_HEADERS, **headers}.items():
             self.send_header(name, value)
@@ -215,6 +237,7 @@ class _Handler(BaseHTTPRequestHandler):
         given = parts[1] if len(parts) == 3 else ""
         if not hmac.compare_digest(given.encode(), self.token.encode()):
             raise _Refused(HTTPStatus.FORBIDDEN, "open the address that neurosim printed")
+        self.server.known.add(self.connection)
         return parts[2]
 
     def _get(self, what: str) -> tuple[bytes, str, dict[str, str]]:

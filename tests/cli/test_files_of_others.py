@@ -13,7 +13,7 @@ import pytest
 import neurosim
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.files import JsonLines, LineLog, check_no_links, open_own, write_json
+from neurosim.base.files import JsonLines, LineLog, check_no_links, locked, open_own, write_json
 from neurosim.cli.main import main
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import _wanted
@@ -183,6 +183,16 @@ def _open_lines(path):
 
 def _open_objects(path):
     JsonLines(path, "neurosim-trials", 1, {}).append({})
+
+
+@links
+@pytest.mark.parametrize("put", [_as_link, _as_hard_link, _as_pipe, lambda path, _: path.mkdir()])
+def test_a_lock_is_a_plain_file_or_refused(precious, tmp_path, put):
+    put(tmp_path / ".lock", precious)
+    with pytest.raises(UserError, match=r"\.lock is a "), locked(tmp_path, "recorded into"):
+        pass
+    assert precious.read_text() == "mine\n"
+    assert (tmp_path / ".lock").exists()
 
 
 @links

@@ -11,12 +11,15 @@ import cv2
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from khepera_data import made_up
 from patience import PATIENCE, wait_until
 
 from neurosim.base.files import write_csv, write_json
 from neurosim.cli.main import cli, main, run_plugin
 from neurosim.lab import VirtualRig
 from neurosim.robots.registry import ROBOTS
+from neurosim.simulators.tables.samples import Samples
+from neurosim.simulators.tables.sensor_table import OBJECTS
 from tracking.datasets.dataset import Dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -583,3 +586,23 @@ def test_a_demo_goes_on_where_it_stopped(tmp_path):
     assert run[:3] == ["run", tmp_path / "controller", "--replan"]
     assert (tmp_path / "interrupted-replanned-1" / "commands.csv").exists()
     assert report[4:6] == [tmp_path / "trial", tmp_path / "replanned"]
+
+
+def test_what_numpy_warns_of_does_not_reach_the_terminal(tmp_path):
+    import subprocess
+
+    table = made_up()
+    samples = [tmp_path / f"{name}.sample" for name in OBJECTS]
+    for mean, path in zip(table.mean, samples, strict=True):
+        Samples(mean, 0.005, 0.005).write(path)
+    rows = [f"{left},{right},1e-320,1000,0,1" for left in (-100, 100) for right in (-100, 100)]
+    motors = tmp_path / "motors.csv"
+    motors.write_text("\n".join(["left,right,duration,dx,dy,dtheta", *rows, ""]))
+    words = ["build-tables", *samples, "--motors", motors, "-o", tmp_path / "s"]
+    child = subprocess.run(
+        [sys.executable, "-m", "neurosim", *words], capture_output=True, text=True, check=False
+    )
+    assert child.returncode == 1
+    said = child.stderr.splitlines()
+    assert len(said) == 1
+    assert "the samples at left -100 %, right -100 % give no speed" in said[0]

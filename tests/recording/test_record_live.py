@@ -398,4 +398,4 @@ def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
     motor = [line for line in recording.commands().itertuples() if line.is_motor]
     assert [line.kind for line in motor[-2:]] == ["cut", "stop"]
     assert motor[-2].time == pytest.approx(4.0 + Guard().unseen, abs=0.3)
-    assert any("or unseen" in words for words in said)
+    assert any("stopped because it was not seen" in words for words in said)

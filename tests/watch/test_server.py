@@ -3,6 +3,8 @@
 import http.client
 import json
 import socket
+import subprocess
+import sys
 from contextlib import suppress
 from urllib.request import urlopen
 
@@ -255,3 +257,52 @@ def test_connections_that_ask_for_nothing_are_few_and_closed(server, monkeypatch
     wait_until(lambda: not server._server.asking, "none")
     with urlopen(server.url, timeout=PATIENCE) as reply:
         assert reply.status == 200
+
+
+CROWD = """
+import selectors, socket, sys
+address = ("127.0.0.1", int(sys.argv[1]))
+held, opened = selectors.DefaultSelector(), 0
+while True:
+    # As many as it can hold, and a new one for each that is closed.
+    while len(held.get_map()) < 64:
+        one = socket.create_connection(address)
+        one.sendall([b"", b"GET / HT", b"GET /x HTTP/1.1\\r\\n\\r\\n"][opened % 3])
+        held.register(one, selectors.EVENT_READ)
+        opened += 1
+        if opened == 200:
+            print("crowded", flush=True)
+    for key, _ in held.select(1):
+        held.unregister(key.fileobj)
+        key.fileobj.close()
+"""
+
+
+def test_a_crowd_that_reconnects_all_the_time_keeps_nobody_out(server):
+    command = [sys.executable, "-c", CROWD, str(server.address[1])]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as crowd:
+        try:
+            assert crowd.stdout.readline() == "crowded\n"
+            for _ in range(20):
+                with urlopen(server.url, timeout=PATIENCE) as reply:
+                    assert reply.status == 200
+                assert len(server._server.asking) <= server_module.CONNECTIONS
+        finally:
+            crowd.kill()
+    wait_until(lambda: not server._server.asking, "none")
+    assert not server._server.known
+
+
+def test_who_has_shown_the_secret_keeps_its_place(server):
+    mine = http.client.HTTPConnection(*server.address, timeout=PATIENCE)
+    place = "/" + server.url.split("/", 3)[3]
+    mine.request("GET", place)
+    assert mine.getresponse().read()
+    for _ in range(2 * server_module.CONNECTIONS):
+        socket.create_connection(server.address).close()
+    held = [socket.create_connection(server.address) for _ in range(server_module.CONNECTIONS)]
+    mine.request("GET", place)
+    assert mine.getresponse().status == 200
+    mine.close()
+    for each in held:
+        each.close()

@@ -84,6 +84,7 @@ class MotorTable:
         return cls(levels, twist, None, 100.0 / units)
 
     @classmethod
+    @np.errstate(over="ignore", invalid="ignore")
     def from_samples(
         cls,
         left: ArrayLike,
@@ -117,6 +118,11 @@ class MotorTable:
                 if not here.any():
                     continue
                 twist[i, j] = integral[here].sum(axis=0) / duration[here].sum()
+                if not np.isfinite(twist[i, j]).all():
+                    raise UserError(
+                        f"the samples at left {at_left:g} %, right {at_right:g} % give no speed: "
+                        "they go further in their time than a number can say"
+                    )
                 if here.sum() > 1:
                     off = integral[here] - twist[i, j] * duration[here, None]
                     variance = (off**2 / duration[here, None]).sum(axis=0) / (here.sum() - 1)
