@@ -1,6 +1,28 @@
-"""``python -m neurosim``: the command line, where the installed script is not on the path."""
+"""The command ``neurosim``, also as ``python -m neurosim``."""
 
-from neurosim.cli import main
+from __future__ import annotations
+
+import os
+import sys
+
+from neurosim.base.interrupts import asked_to_end, own_process
+
+
+def main() -> None:
+    """Run the command line in a process of its own, which ends when it is asked to."""
+    own_process()
+    from neurosim.cli.main import main as command  # takes most of a second
+
+    try:
+        command()
+    except SystemExit as stop:
+        if not asked_to_end():
+            raise
+        # Threads that are still busy must not keep the process from its end.
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(stop.code if isinstance(stop.code, int) else 1)
+
 
 if __name__ == "__main__":
     main()

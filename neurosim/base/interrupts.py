@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any
 
@@ -17,11 +20,120 @@ SIGNALS = [
 ]
 
 
+#: A process that was asked to end is ended after so long, s; where something runs that must not be
+#: interrupted (a generation, a compiled loop), after so long.
+PATIENCE, LONGEST = 4.0, 60.0
+
 #: The one that asked last.
 _last = [int(signal.SIGINT)]
-
+#: How often it was asked, since :func:`forget_signals`.
+_asked = [0]
 #: Whether something runs in the main thread that is not to be interrupted.
 _outer = [False]
+#: How many things run that end by themselves before they answer, and when the last one ended.
+_deferring, _deferred_until = [0], [0.0]
+#: Whether this process is the command line's own, and may be ended by :func:`end_now`.
+_own_process = [False]
+#: What stops motors, for a process that has to be ended.
+_stops: list[Callable[[], object]] = []
+
+
+def own_process() -> None:
+    """Say that this process is the command line's own: one that does not end in time is ended.
+
+    Signals that come before :func:`answer_signals` end it at once: nothing has begun.
+    """
+    _own_process[0] = True
+    for number in SIGNALS:
+        if signal.getsignal(number) != signal.SIG_IGN:
+            signal.signal(number, lambda number, frame: end_now(number))
+    ignored = sys.unraisablehook
+
+    def again(unraisable: Any) -> None:
+        # Raised within a callback of compiled code (Numba's compiler), it came to nothing.
+        if unraisable.exc_type is KeyboardInterrupt:
+            threading.Timer(0.05, os.kill, (os.getpid(), _last[0])).start()
+        else:
+            ignored(unraisable)
+
+    sys.unraisablehook = again
+
+
+def asked_to_end() -> bool:
+    """Return whether something asked this program to end, answered or not."""
+    return _asked[0] > 0
+
+
+def forget_signals() -> None:
+    """Take what was asked so far for answered, as by a program that Ctrl-C ends as it should."""
+    _asked[0] = 0
+
+
+def ended_as_usual() -> None:
+    """Answer Ctrl-C where it is the way to end a program; other signals still interrupt it."""
+    if _last[0] == signal.SIGINT:
+        forget_signals()
+
+
+def ignore_signals() -> None:
+    """Ignore what asks to end from now on: the program is ending."""
+    for number in SIGNALS:
+        with suppress(ValueError):  # not in the main thread
+            signal.signal(number, signal.SIG_IGN)
+
+
+@contextmanager
+def stopped_at_end(stop: Callable[[], object]) -> Iterator[None]:
+    """Have motors stopped by ``stop`` should the process have to be ended meanwhile."""
+    _stops.append(stop)
+    try:
+        yield
+    finally:
+        _stops.remove(stop)
+
+
+def end_now(number: int) -> None:
+    """End this process at once, as the signal asks; motors are stopped as far as they can be."""
+    for stop in list(_stops):
+        thread = threading.Thread(target=_quietly, args=(stop,), daemon=True)
+        thread.start()
+        thread.join(1.0)
+    with suppress(OSError):
+        os.write(2, INTERRUPTED.encode() + b"\n")
+    os._exit(128 + number)
+
+
+#: What a program says that was interrupted.
+INTERRUPTED = (
+    "neurosim: interrupted; what was written so far can be read; where there is a checkpoint, "
+    "re-run with --resume to continue"
+)
+
+
+def _quietly(stop: Callable[[], object]) -> None:
+    with suppress(BaseException):
+        stop()
+
+
+def _note(number: int) -> None:
+    """Note that a signal asked to end, and see to it that the process does."""
+    _last[0] = number
+    _asked[0] += 1
+    if _asked[0] == 1 and _own_process[0]:
+        threading.Thread(target=_watch, name="end", daemon=True).start()
+
+
+def _watch() -> None:
+    began = time.monotonic()
+    while _asked[0]:
+        now = time.monotonic()
+        if _outer[0] or _deferring[0]:
+            late = now > began + LONGEST
+        else:
+            late = now > max(began, _deferred_until[0]) + PATIENCE
+        if late:
+            end_now(_last[0])
+        time.sleep(0.1)
 
 
 def answer_signals() -> None:
@@ -30,6 +142,7 @@ def answer_signals() -> None:
     What is ignored (``nohup``, a shell's background) stays ignored.
     """
     _last[0] = int(signal.SIGINT)
+    forget_signals()
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, _interrupt)
@@ -41,7 +154,7 @@ def exit_code() -> int:
 
 
 def _interrupt(number: int, frame: FrameType | None) -> None:
-    _last[0] = number
+    _note(number)
     raise KeyboardInterrupt
 
 
@@ -88,9 +201,11 @@ def deferred_interrupt() -> Iterator[Interrupt]:
     def answer(number: int, frame: FrameType | None) -> None:
         if interrupt.pending:
             before[number](number, frame)
-        _last[0], interrupt.pending = number, True
+        _note(number)
+        interrupt.pending = True
 
     before = _replaced(answer)
+    _deferring[0] += 1
     try:
         yield interrupt
     except SystemError as error:
@@ -99,6 +214,8 @@ def deferred_interrupt() -> Iterator[Interrupt]:
             raise
         raise found from None
     finally:
+        _deferring[0] -= 1
+        _deferred_until[0] = time.monotonic()
         _put_back(before)
 
 
@@ -120,6 +237,8 @@ def uninterrupted() -> Iterator[None]:
     def answer(number: int, frame: FrameType | None) -> None:
         came.append(number)
         if len(came) > 2:
+            if _own_process[0]:
+                end_now(number)  # an exception here may crash threads of compiled code
             before[number](number, frame)
 
     if _outer[0] or threading.current_thread() is not threading.main_thread():
@@ -130,7 +249,7 @@ def uninterrupted() -> Iterator[None]:
         _outer[0] = True
         yield
     finally:
-        _outer[0] = False
+        _outer[0], _deferred_until[0] = False, time.monotonic()
         _put_back(before)
         for number in came:
             before[number](number, None)

@@ -10,6 +10,7 @@ import click
 
 from neurosim.base.declared import Baud, Seconds
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import emit, is_given, json_option, next_step, seed_option
 from neurosim.cli._types import PATH, POSE, SIZE, Option, ranged
 
@@ -139,7 +140,7 @@ def _stay(rig: Any, seconds: float | None) -> None:
         while time.monotonic() < end and rig.alive:
             time.sleep(0.1)
     except KeyboardInterrupt:
-        pass
+        ended_as_usual()
 
 
 def _ways(address: dict[str, str | int]) -> tuple[dict, str]:

@@ -8,12 +8,20 @@ import sys
 import traceback
 import warnings
 from pathlib import Path
+from typing import NoReturn
 
 import click
 
 import neurosim
 from neurosim.base.errors import FileError, UserError
-from neurosim.base.interrupts import answer_signals, exit_code, interruption_in
+from neurosim.base.interrupts import (
+    INTERRUPTED,
+    answer_signals,
+    asked_to_end,
+    exit_code,
+    ignore_signals,
+    interruption_in,
+)
 from neurosim.base.registry import PLUGIN
 from neurosim.cli._types import PATH
 from neurosim.cli.back_to_reality import back_to_reality
@@ -131,10 +139,12 @@ def main() -> None:
     # no sense is refused in a sentence where it is used.
     ours = r"(neurosim|tracking|numpy)\b"
     warnings.filterwarnings("ignore", category=RuntimeWarning, module=ours)
-    # A closed terminal or a kill must stop the motors as Ctrl-C does.
-    answer_signals()
     try:
+        # A closed terminal or a kill must stop the motors as Ctrl-C does.
+        answer_signals()
         cli.main(standalone_mode=False)
+        if asked_to_end():  # as the last line was written: what follows must not go on
+            _interrupted()
     except click.exceptions.Exit as stop:
         sys.exit(stop.exit_code)
     except click.ClickException as error:
@@ -149,7 +159,7 @@ def main() -> None:
         sys.exit(1)
     except UserError as error:
         click.echo(f"neurosim: {error}", err=True)
-        sys.exit(1)
+        sys.exit(exit_code() if asked_to_end() else 1)
     except BrokenPipeError:
         # The reader of a pipe went away (head, less): not worth a word.
         sys.stderr.close()
@@ -164,12 +174,13 @@ def main() -> None:
         where = f": {error.filename}" if error.filename else ""
         click.echo(f"neurosim: {error.strerror or error}{where}", err=True)
         sys.exit(1)
+    except Exception:
+        if not asked_to_end():
+            raise
+        _interrupted()  # it came out of a compiler as another error
 
 
-def _interrupted() -> None:
-    click.echo(
-        "neurosim: interrupted; what was written so far can be read; where there is a checkpoint, "
-        "re-run with --resume to continue",
-        err=True,
-    )
+def _interrupted() -> NoReturn:
+    ignore_signals()
+    click.echo(INTERRUPTED, err=True)
     sys.exit(exit_code())

@@ -13,6 +13,7 @@ import click
 
 from neurosim.base.declared import Fps, Seconds
 from neurosim.base.errors import UserError
+from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import (
     calibration_option,
     emit,
@@ -140,7 +141,7 @@ def watch(
                     webbrowser.open(server.url)
                 _wait(source, tracker, seconds)
             except KeyboardInterrupt:
-                pass
+                ended_as_usual()
             except UserError as error:
                 viewer.end(str(error))
                 time.sleep(1.0)  # for the page to fetch it

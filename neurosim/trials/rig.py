@@ -15,7 +15,7 @@ from msgspec import Meta
 from neurosim.base.closed_line import SHAPES
 from neurosim.base.declared import Baud, Checked, Fps, Pose, SecondsOrNone, Seed, checks
 from neurosim.base.errors import UserError
-from neurosim.base.interrupts import not_suspended
+from neurosim.base.interrupts import not_suspended, stopped_at_end
 from neurosim.lab import (
     CameraParams,
     LabArena,
@@ -109,7 +109,7 @@ def open_rig(
     if setup.camera == "lab":
         raise UserError("--camera lab is the virtual robot's; name a camera that there is")
     driver = ROBOTS.make(robot, options or {})
-    with not_suspended():
+    with not_suspended(), stopped_at_end(driver.stop):
         try:
             # The robot before the camera: what is wrong with it is said first.
             driver.connect()

@@ -1,5 +1,7 @@
 """What asks a program to end, and when that is answered."""
 
+import contextlib
+import importlib
 import os
 import signal
 import subprocess
@@ -9,14 +11,18 @@ import pytest
 from patience import PATIENCE
 
 from neurosim.base.interrupts import (
+    INTERRUPTED,
     SIGNALS,
     answer_signals,
     deferred_interrupt,
+    ended_as_usual,
     exit_code,
     interruption_in,
     not_suspended,
     uninterrupted,
 )
+
+main_module = importlib.import_module("neurosim.cli.main")  # the package has a function main
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="Windows has other signals")
 
@@ -153,3 +159,125 @@ def test_ctrl_c_while_a_task_is_judged_on_all_cores(delay):
     )
     assert done.returncode == 130, done.stderr
     assert done.stderr == ""
+
+
+OWN = """
+import ctypes, os, signal, sys, time
+from neurosim.base import interrupts
+interrupts.own_process()
+interrupts.answer_signals()
+interrupts.PATIENCE = interrupts.LONGEST = 0.5
+
+def send(number):
+    os.kill(os.getpid(), number)
+
+{body}
+"""
+
+STUBBORN = """
+with interrupts.stopped_at_end(lambda: os.write(1, b"stopped")):
+    while True:
+        try:
+            send(signal.SIGTERM)
+            time.sleep(30)
+        except KeyboardInterrupt:
+            pass
+"""
+
+DEFERRED = """
+with interrupts.deferred_interrupt():
+    send(signal.SIGTERM)
+    time.sleep(30)
+"""
+
+#: As Numba's compiler, which calls Python from machine code: what is raised there is printed.
+CALLBACK = """
+called = ctypes.CFUNCTYPE(None)(lambda: send(signal.SIGHUP))
+try:
+    called()
+    time.sleep(5)
+except KeyboardInterrupt:
+    os._exit(interrupts.exit_code())
+"""
+
+THIRD = """
+with interrupts.uninterrupted():
+    for _ in range(3):
+        send(signal.SIGQUIT)
+    print("went on", flush=True)
+"""
+
+
+@pytest.mark.parametrize(
+    ("body", "number", "prints"),
+    [
+        (STUBBORN, signal.SIGTERM, "stopped"),
+        (DEFERRED, signal.SIGTERM, ""),
+        (CALLBACK, signal.SIGHUP, ""),
+        (THIRD, signal.SIGQUIT, ""),
+    ],
+)
+def test_a_process_that_is_asked_to_end_ends(body, number, prints):
+    done = subprocess.run(
+        [sys.executable, "-c", OWN.format(body=body)],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert done.returncode == 128 + number
+    assert done.stdout == prints
+    assert len(done.stderr.splitlines()) <= 1
+    assert "Traceback" not in done.stderr
+
+
+IMPORTING = """
+import os, signal, sys, threading
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == "neurosim.cli.main":
+            os.kill(os.getpid(), {number})
+sys.meta_path.insert(0, Finder())
+sys.argv = ["neurosim", "--version"]
+from neurosim.__main__ import main
+main()
+"""
+
+
+@pytest.mark.parametrize("number", SIGNALS)
+def test_a_signal_while_modules_are_imported_is_one_line(number):
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTING.format(number=int(number))],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE,
+    )
+    assert (done.returncode, done.stdout) == (128 + number, "")
+    assert done.stderr == f"{INTERRUPTED}\n"
+
+
+def test_what_was_asked_is_not_forgotten_at_the_end(monkeypatch, capsys):
+    monkeypatch.setattr(main_module.cli, "main", lambda **options: _swallow(signal.SIGTERM))
+    with pytest.raises(SystemExit) as stop:
+        main_module.main()
+    assert stop.value.code == 128 + signal.SIGTERM
+    assert capsys.readouterr().err == f"{INTERRUPTED}\n"
+
+
+def _swallow(number):
+    with contextlib.suppress(KeyboardInterrupt):
+        send(number)
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 0), (signal.SIGHUP, 129)])
+def test_ctrl_c_alone_is_the_usual_end_of_what_runs_until_it_is_stopped(monkeypatch, number, code):
+    def run(**options):
+        _swallow(number)
+        ended_as_usual()
+
+    monkeypatch.setattr(main_module.cli, "main", run)
+    if code == 0:
+        main_module.main()
+        return
+    with pytest.raises(SystemExit) as stop:
+        main_module.main()
+    assert stop.value.code == code
