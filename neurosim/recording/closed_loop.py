@@ -25,6 +25,9 @@ from tracking.datasets.recordings import Recording
 
 #: How long a look takes is taken from so many, the longest left out: it may be an accident.
 LOOKS = 5
+#: Before the first command as many looks are rehearsed, fewer (two at the least) where they take
+#: longer together, s: long looks differ little from one another.
+REHEARSED = 0.5
 #: So much more time is left for a look than it takes.
 MARGIN = 1.1
 #: A command that is later than this share of its duration has missed its deadline.
@@ -164,7 +167,7 @@ class ClosedLoopSession(Session):
 
     def _rehearse(self) -> None:
         """Look and ask while the robot stands still, to learn how long that takes."""
-        for _ in range(LOOKS):
+        while len(self._took) < 2 or (len(self._took) < LOOKS and sum(self._took) < REHEARSED):
             looked = self._clock.now()
             _, seen = self._observe(looked, 0.0)
             if seen.pose is not None or not self._seeing.needs_pose:
