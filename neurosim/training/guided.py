@@ -22,6 +22,7 @@ from torch import Tensor
 from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.base.files import sha256
+from neurosim.base.threads import one_thread
 from neurosim.recording.commands import Command, CommandSource, RandomCommands
 from neurosim.recording.rounds import Pose
 from neurosim.simulators import MotionNetwork
@@ -74,15 +75,20 @@ class Committee:
 
     def displacements(self, x: Tensor) -> Tensor:
         """Return what every member says, [M, N, 3] (m, m, rad), of inputs [N, I]."""
-        members = range(self._ensemble.members)
-        return torch.stack([self._ensemble.displacement(x, member) for member in members])
+        members, rows = self._ensemble.members, len(x)
+        each = torch.arange(members).repeat_interleave(rows)
+        return self._ensemble.displacement(x.repeat(members, 1), each).view(members, rows, 3)
 
-    def worth(self, x: Tensor) -> Tensor:
+    def worth(self, x: Tensor, displacements: Tensor) -> Tensor:
         """Return how much of the disagreement the outcomes of inputs [N, I] would take away, [N].
 
         The three outputs count in units of their usual noise.
+
+        Args:
+            x: inputs [N, I].
+            displacements: what every member says of them, [M, N, 3].
         """
-        variance = self.displacements(x).var(0)
+        variance = displacements.var(0)
         return (taken_away(variance, self._noise(x).square()) / self._usual).sum(1)
 
 
@@ -161,11 +167,12 @@ def choose(
         x = torch.tensor(
             [[*speeds, c.left, c.right, c.duration] for c in drawn], dtype=torch.float64
         )
-        worth = committee.worth(x).numpy()
+        told = committee.displacements(x)
+        worth = committee.worth(x, told).numpy()
         if place is None or pose is None:
             best = int(worth.argmax())
         else:
-            moved = committee.displacements(x).mean(0)
+            moved = told.mean(0)
             path = se2.compose(pose, [se2.arc(moved.numpy(), part) for part in _PARTS])
             inside = _inside(path, place)
             if inside.any():
@@ -212,7 +219,10 @@ def choose_round(
     committee = Committee(motor_data(x, y), source.seed, settings)
     board = made[-1].meta["board"]
     place = Place(pose, board["length"] - 2 * MARGIN, board["width"] - 2 * MARGIN)
-    return choose(committee, source, numbers, place, settings), {
+    # Little at a time: a second thread would only wait.
+    with one_thread():
+        chosen = choose(committee, source, numbers, place, settings)
+    return chosen, {
         "chosen_by": "disagreement",
         "choice": asdict(settings),
         "rows": len(x),

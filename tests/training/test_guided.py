@@ -31,7 +31,7 @@ class Believer:
         forward = 0.5 * x[:, 2] / 100 * x[:, 4]
         return torch.stack([forward, 0 * forward, 0 * forward], dim=1)[None]
 
-    def worth(self, x):
+    def worth(self, x, told):
         return (x[:, 2] * x[:, 4]).abs()
 
 
@@ -41,7 +41,8 @@ def test_what_was_never_seen_is_worth_most():
     assert forwards.sum() > 30
     committee = Committee(replace(data.part(forwards), within=None), 1, QUICK)
     fresh = drive_data(400, seed=3).x.numpy()
-    worth = committee.worth(torch.tensor(fresh)).numpy()
+    inputs = torch.tensor(fresh)
+    worth = committee.worth(inputs, committee.displacements(inputs)).numpy()
     moving = np.abs(fresh[:, 2:4]).sum(1) > 0
     seen = moving & (fresh[:, 2:4] >= 0).all(1)
     unseen = moving & (fresh[:, 2:4] < 0).all(1)
@@ -76,7 +77,8 @@ def test_each_command_is_the_best_of_its_candidates_after_the_one_before(committ
     ):
         drawn = [source.command(6 * number + k) for k in range(6)]
         x = torch.tensor([[*speeds, c.left, c.right, c.duration] for c in drawn])
-        assert command == drawn[int(committee.worth(x.double()).argmax())]
+        told = committee.displacements(x.double())
+        assert command == drawn[int(committee.worth(x.double(), told).argmax())]
         speeds = (command.left, command.right)
 
 
