@@ -1,4 +1,4 @@
-"""Checkpoints: what an interrupted training or evolution goes on from."""
+"""Checkpoints: what an interrupted search goes on from."""
 
 from __future__ import annotations
 

@@ -65,8 +65,6 @@ Placing = tuple[MetresOrNone, Turn]
 FullSpeed = Annotated[float, Meta(ge=0.001, le=20)]
 #: Time between two commands of a controller that sees, s.
 Step = Annotated[float, Meta(ge=0.001, le=10)]
-#: A factor or a weight without unit.
-Factor = Annotated[float, Meta(ge=1e-9, le=1e9)]
 #: Frames per second.
 Fps = Annotated[float, Meta(ge=1, le=240)]
 #: Bits per second of a serial line.

@@ -257,15 +257,13 @@ def _wanted(
     source: CommandSource | SeeingSource,
     settings: RecordSettings,
 ) -> dict[str, Any]:
-    # What recordings of earlier versions say nothing of is said where it is not as it was then.
-    guard = {k: v for k, v in asdict(settings.guard).items() if (k, v) != ("by", "both")}
     wanted = {
         "robot": robot.describe(),
         "camera": camera.describe() if camera is not None else {"kind": "none"},
         "settings": {
             "commands": settings.commands,
             "source": source.describe(),
-            "guard": guard,
+            "guard": asdict(settings.guard),
             **({"readings": True} if settings.readings else {}),
             "battery_limit": settings.battery_limit,
             "flashes": [list(flash) for flash in FLASHES],

@@ -91,12 +91,6 @@ def test_poses_are_read_as_they_were_written(recording):
     assert len(again.of_session(2).time) == 0
 
 
-def test_poses_of_earlier_versions_are_not_doubtful(recording):
-    header = "session,frame,time,x,y,theta,quality\n"
-    (recording.path / "poses.csv").write_text(header + "1,0,0.5,0.1,0.2,0.3,0.9\n")
-    assert recording.poses().doubtful.tolist() == [False]
-
-
 def test_a_recording_that_was_not_tracked_says_what_to_do(recording):
     with pytest.raises(FileError, match="run neurosim track on it first"):
         recording.poses()

@@ -381,9 +381,7 @@ class Recording:
             raise FileError(self.path, "has no poses.csv; run neurosim track on it first")
         parsers = dict.fromkeys(_POSE_COLUMNS[:-1], number)
         parsers |= {"session": integer, "frame": integer}
-        parsers |= dict.fromkeys(("x", "y", "theta"), optional_number)
-        if "doubtful" in read_header(path):  # not in those of earlier versions
-            parsers["doubtful"] = flag
+        parsers |= dict.fromkeys(("x", "y", "theta"), optional_number) | {"doubtful": flag}
         table = read_csv(path, parsers)
         backwards = (table["time"].diff() <= 0) & (table["session"].diff() == 0)
         refuse_lines(path, table, backwards, "the clock goes backwards", "time")
@@ -393,7 +391,7 @@ class Recording:
             table["time"].to_numpy(),
             table[["x", "y", "theta"]].to_numpy(),
             table["quality"].to_numpy(),
-            np.array(table.get("doubtful", ()), bool),
+            table["doubtful"].to_numpy(bool),
         )
 
     def write_poses(self, poses: Poses) -> None:
