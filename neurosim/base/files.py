@@ -553,7 +553,11 @@ _PARSED: dict[Column, tuple[str, Any]] = {
 
 
 def read_csv(
-    path: str | Path, columns: Mapping[str, Column], *, drop_torn_line: bool = False
+    path: str | Path,
+    columns: Mapping[str, Column],
+    *,
+    drop_torn_line: bool = False,
+    rows: int | None = None,
 ) -> pd.DataFrame:
     """Read the named columns of a CSV file, checking every field.
 
@@ -562,6 +566,7 @@ def read_csv(
         columns: column name -> parser (``number``, ``optional_number``, ``integer``, ``flag``,
             ``str``, or any function that raises ValueError).
         drop_torn_line: pass over a last line without a line end: a writer was killed in it.
+        rows: how many there are, where the JSON beside the file says it.
 
     Returns:
         The columns, in the order of ``columns``; the index says on which line of the file a row
@@ -581,6 +586,9 @@ def read_csv(
     if not lines.get(1):
         raise FileError(path, "is empty; expected a line with the column names", line=1)
     table = table_of_lines(path, lines.pop(1), lines)
+    if rows is not None and len(table) != rows:
+        what = f"holds {len(table)} rows where its JSON says {rows}; it may have been cut short"
+        raise FileError(path, what)
     for name in columns:
         if name not in table:
             found = ", ".join(table.columns)

@@ -373,10 +373,10 @@ def test_bad_csv_is_named_by_line_and_field(folder, old, new, message):
 def test_datasets_without_rows_or_cut_short(folder, tmp_path):
     lines = (folder / "dataset.csv").read_text().splitlines(keepends=True)
     (folder / "dataset.csv").write_text("".join(lines[:-1]))
-    with pytest.raises(FileError, match=r"4 rows where dataset\.json says 5"):
+    with pytest.raises(FileError, match=r"4 rows where its JSON says 5"):
         Dataset.read(folder)
     (folder / "dataset.csv").write_text(lines[0])
-    with pytest.raises(FileError, match="holds no rows"):
+    with pytest.raises(FileError, match="holds 0 rows where"):
         Dataset.read(folder)
     with pytest.raises(FileError, match="no such dataset"):
         Dataset.read(tmp_path / "nowhere")
@@ -441,7 +441,7 @@ def test_a_dataset_without_poses_within(folder, seen):
         ("2,0.5,", "2,0.25,", r"line 4, field 'time': expected times that increase"),
         ("2,0.5,0.5", "2,0.5,nan", r"line 4, field 'dx': expected a finite number"),
         (",dtheta", ",turn", r"field 'dtheta': this column is missing"),
-        ("3,0.75,0.75,0.0,-0.75\n", "", r"within\.csv: holds 4 poses where dataset\.json says 5"),
+        ("3,0.75,0.75,0.0,-0.75\n", "", r"within\.csv: holds 4 rows where its JSON says 5"),
     ],
 )
 def test_bad_poses_within_are_named(seen, old, new, message):

@@ -141,13 +141,7 @@ def read(path: Path, expected: Any) -> pd.DataFrame:
     if names[: len(COLUMNS)] != COLUMNS or not all(sensors) or not sensors:
         raise FileError(path, f"expected the columns {', '.join(COLUMNS)} and sensors", line=1)
     columns = {"recording": str} | dict.fromkeys(names[1:], files.number)
-    readings = files.read_csv(path, columns)
-    if expected is not None and len(readings) != expected:
-        raise FileError(
-            path,
-            f"holds {len(readings)} readings where dataset.json says {expected}; "
-            "it may have been cut short",
-        )
+    readings = files.read_csv(path, columns, rows=expected)
     for name in sensors:
         wrong = ~readings[name].between(0, 1)
         files.refuse_lines(path, readings, wrong, "expected a reading from 0 to 1", name)

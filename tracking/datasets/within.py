@@ -24,7 +24,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.base import files, se2
-from neurosim.base.errors import FileError
 
 COLUMNS = ("row", "time", "dx", "dy", "dtheta")
 
@@ -133,13 +132,7 @@ def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
     if not path.exists() and not expected:
         return none_within()
     columns = {"row": files.integer} | dict.fromkeys(COLUMNS[1:], files.number)
-    within = files.read_csv(path, columns)
-    if expected is not None and len(within) != expected:
-        raise FileError(
-            path,
-            f"holds {len(within)} poses where dataset.json says {expected}; "
-            "it may have been cut short",
-        )
+    within = files.read_csv(path, columns, rows=expected)
     row, time = within["row"].to_numpy(), within["time"].to_numpy()
     same = np.diff(row, prepend=-1) == 0
     outside = (row < 0) | (row >= len(table))
