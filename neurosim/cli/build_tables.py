@@ -43,6 +43,12 @@ def build_tables(
         "distances": distances,
         "repeated": simulator.sensors.spread is not None,
         "motors": "ideal" if motors is None else str(motors),
+        "body": {
+            "radius": simulator.radius,
+            "wheel_base": simulator.motors.wheel_base,
+            "full_speed": simulator.motors.full_speed,
+            "from": simulator.meta["body"],
+        },
         "ambient": simulator.sensors.ambient,
         "reaction": simulator.reaction.to_json(),
     }
@@ -51,5 +57,27 @@ def build_tables(
         as_json,
         f"{out}: {sensors} sensors at {angles} angles and {distances} distances, "
         f"{'an ideal robot' if motors is None else f'motors of {motors}'}.\n"
+        + _body(result["body"])
         + next_step("evolve", out, "--task", "obstacle-avoidance", "-o", "CONTROLLER"),
     )
+
+
+#: Of what says how large the robot is and how fast: its words, and the option that gives it.
+_BODY = {
+    "radius": ("radius {:.1f} mm", "--radius"),
+    "wheel_base": ("{:.1f} mm between its wheels", "--wheel-base"),
+    "full_speed": ("{:.0f} mm/s at full speed", "--full-speed"),
+}
+
+
+def _body(body: dict[str, Any]) -> str:
+    """Return how large and fast the robot is, and a question where that was guessed."""
+    parts = [
+        f"{words.format(1000 * body[name])} ({body['from'][name]})"
+        for name, (words, _) in _BODY.items()
+    ]
+    text = f"The robot: {', '.join(parts)}.\n"
+    guessed = [option for name, (_, option) in _BODY.items() if body["from"][name] == "guessed"]
+    if guessed:
+        text += f"Is it a Khepera? If not, build again with its {', '.join(guessed)}.\n"
+    return text

@@ -70,6 +70,10 @@ def build_tables(
             right from row to row; or as evorobotpy2 does, rows the other way round and cylinders
             twice the first distance nearer.
 
+    Returns:
+        The simulator. ``meta["body"]`` says where its ``radius``, ``wheel_base`` and ``full_speed``
+        come from: given, sampled, or guessed, which are a Khepera's.
+
     Raises:
         UserError: if ``out`` is taken, an object has no samples, the ideal robot is described
             although there are motor samples, or nothing says how large the robot is.
@@ -87,6 +91,11 @@ def build_tables(
         raise UserError("give the samples of a wall and of a cylinder, .sample files")
     sampling = (used[0] if motors is None else Path(motors)).parent
     baud, (whole, sampled_radius) = sampled_baud(sampling), sampled_body(sampling)
+    body = {
+        "radius": _source(radius, sampled_radius),
+        "wheel_base": _source(wheel_base, motors),
+        "full_speed": _source(full_speed, motors),
+    }
     radius = sampled_radius if radius is None else radius
     # An ideal robot's table has a row and a column for each speed: only as many as asked for.
     units = units or (None if motors is None else whole) or UNITS
@@ -117,12 +126,17 @@ def build_tables(
             **sources(used),
             "convention": convention,
             **({} if baud is None else {"baud": baud}),
+            "body": body,
         },
     )
     if out is not None:
         with files.new_folder(out) as partial:
             simulator.write(partial)
     return simulator
+
+
+def _source(given: object, sampled: object) -> Literal["given", "sampled", "guessed"]:
+    return "given" if given is not None else "guessed" if sampled is None else "sampled"
 
 
 def sampled_reaction(folder: str | Path) -> Reaction:

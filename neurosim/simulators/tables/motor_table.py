@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,6 +65,18 @@ class MotorTable:
                 f"the motor table has a speed of {fastest:g} m/s or rad/s; no robot that this "
                 f"is for is faster than {FASTEST:g}"
             )
+
+    @property
+    def full_speed(self) -> float:
+        """Return the speed straight on at the highest setting of both motors, m/s."""
+        return float(self.twist[-1, -1, 0])
+
+    @property
+    def wheel_base(self) -> float:
+        """Return the distance between the wheels that turning on the spot tells, m."""
+        turn = self.twist[0, -1, 2] - self.twist[-1, 0, 2]
+        forward = self.twist[-1, -1, 0] - self.twist[0, 0, 0]
+        return math.inf if turn == 0 else abs(float(2 * forward / turn))
 
     @classmethod
     def ideal(
