@@ -87,6 +87,7 @@ def test_our_optimisers(name):
 
 
 @pytest.mark.parametrize("name", TRAINERS.names())
+@pytest.mark.slow
 def test_our_trainers(name):
     check_trainer(TRAINERS.get(name))
 

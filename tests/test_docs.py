@@ -58,6 +58,7 @@ def test_commands_take_these_options(page, words):
 
 
 @pytest.mark.parametrize(("page", "block"), PYTHON, ids=lambda x: x if ".md" in x else "")
+@pytest.mark.slow
 def test_python_runs(page, block, made, tmp_path, monkeypatch):
     for folder in made.iterdir():
         (tmp_path / folder.name).symlink_to(folder)

@@ -55,6 +55,7 @@ def nxt(forward=1.0, turn=1.0, yaw=0.0):
     )
 
 
+@pytest.mark.slow
 def test_a_trial_is_judged_and_tracked():
     reality = make_reality("virtual-nxt", FAMILY, TASK, lab_seed=3)
     genes = FAMILY.encode(COMMANDS)
@@ -134,6 +135,7 @@ def run_in_wheels(out, reality, start):
     )
 
 
+@pytest.mark.slow
 def test_another_network_in_the_same_folder_is_not_gone_on_with(tmp_path):
     answers = iter([0.5])
 

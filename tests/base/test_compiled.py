@@ -40,6 +40,7 @@ def test_or_in_the_users_cache_or_in_a_folder_of_the_process(kept, tmp_path, mon
     folder.rmdir()
 
 
+@pytest.mark.slow
 def test_an_edited_function_that_a_compiled_one_calls_is_compiled_anew(tmp_path):
     (tmp_path / "callee.py").write_text(
         "import numba\n\n@numba.njit\ndef f(x):\n    return x + 1\n"

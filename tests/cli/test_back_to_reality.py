@@ -40,6 +40,7 @@ def neurosim(tmp_path, monkeypatch, capsys):
     return run
 
 
+@pytest.mark.slow
 def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
     code, out, said = neurosim("back-to-reality", "-o", "found", *SMALL, "--json")
     assert code == 0, said
@@ -57,6 +58,7 @@ def test_a_run_of_test_size_and_its_report(neurosim, tmp_path):
     assert "not empty" in said
 
 
+@pytest.mark.slow
 def test_our_own_choices_are_the_default(neurosim, tmp_path):
     pytest.importorskip("cma")
     words = ("--seconds", 1, "--generations", 2, "--sets", 2, "--budget", 4, "--trials", 1)

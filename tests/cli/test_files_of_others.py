@@ -280,6 +280,7 @@ def test_a_folder_of_files_is_no_folder_of_links(tmp_path):
         ["record", "\udcff", "--commands", "1"],
     ],
 )
+@pytest.mark.slow
 def test_a_name_that_is_not_utf_8(refused, tmp_path, words):
     for name in (b"\xff.avi", b"\xff.jpg"):
         (tmp_path / os.fsdecode(name)).write_bytes(b"x")

@@ -124,6 +124,7 @@ def flat(value):
 
 
 @pytest.mark.parametrize("value", ["nan", "1e308"])
+@pytest.mark.slow
 def test_an_impossible_number_ends_a_command_in_a_sentence_and_nothing_is_written(
     value, tmp_path, monkeypatch
 ):

@@ -56,6 +56,7 @@ def test_simulator_and_network(folder):
     assert network.evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
 
 
+@pytest.mark.slow
 def test_generations_on_a_robot(folder):
     done = call(
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "driven",
@@ -81,6 +82,7 @@ def test_generations_on_a_robot(folder):
 
 
 @pytest.mark.parametrize("virtual", [True, False, None])
+@pytest.mark.slow
 def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
     for name in ("wall", "cylinder"):
         shutil.copy(folder / f"{name}.sample", tmp_path)
@@ -352,6 +354,7 @@ def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path,
         (["evaluate", "sim", "dataset"], "is no motion network"),
     ],
 )
+@pytest.mark.slow
 def test_refusals(folder, words, message):
     whole = (folder / "cylinder.sample").read_bytes()
     (folder / "cut-cylinder.sample").write_bytes(whole[: len(whole) // 2])

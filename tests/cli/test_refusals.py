@@ -81,6 +81,7 @@ def test_a_camera_that_is_not_there(refused):
         assert "nowhere.mp4" in refused("record", "r", *words, "--camera", "nowhere.mp4")
 
 
+@pytest.mark.slow
 def test_a_brick_that_stops_answering(tmp_path, monkeypatch, capsys):
     from neurosim.lab.nxt import rig as rig_module
 

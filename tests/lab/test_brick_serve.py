@@ -104,6 +104,7 @@ def test_radio_refuses_nonsense():
         Radio(world.brick, world.clock)
 
 
+@pytest.mark.slow
 def test_same_seed_same_times_over_the_line(kind):
     def drive():
         world = World(seed=7)

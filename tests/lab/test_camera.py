@@ -120,6 +120,7 @@ def glow(frame, camera, pose):
     return colours[beyond].mean() - 20.0
 
 
+@pytest.mark.slow
 def test_lamp_is_as_bright_as_its_share_of_the_exposure(camera):
     pose = POSES[1]
     dark, half, full = (

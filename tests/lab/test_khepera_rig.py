@@ -92,6 +92,7 @@ def test_the_line_takes_its_time():
 
 
 @pytest.mark.parametrize("device", DEVICES)
+@pytest.mark.slow
 def test_a_client_to_the_manuals_letter(device):
     with VirtualKheperaRig(0, device=device, real_time=True) as rig, Pacer(rig.lab):
         for _ in range(2):  # The second comes after the first has gone.
@@ -198,6 +199,7 @@ def test_from_the_command_line(tmp_path):
         process.communicate(timeout=PATIENCE)
 
 
+@pytest.mark.slow
 def test_a_start_outside_the_arena():
     process = run("lab", "khepera", "--start", 50, 0, 0, "--seconds", 1)
     _, error = process.communicate(timeout=PATIENCE)

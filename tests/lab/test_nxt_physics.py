@@ -40,6 +40,7 @@ def paper_commands(count, rng):
     return commands
 
 
+@pytest.mark.slow
 def test_ideal_robot_runs_straight_after_its_lag():
     end = drive(IDEAL, (40, 40, 2.0))[-1]
     assert end == pytest.approx([path(0, 0.4 * FULL, 2.0), 0.0, 0.0], abs=1e-9)

@@ -99,6 +99,7 @@ def test_what_breaks_inside_the_lab_is_told_and_not_a_lost_link(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no controlling terminals")
+@pytest.mark.slow
 def test_a_line_that_closes_does_not_hang_up_a_notebook(tmp_path):
     """A session's leader without a terminal, as a notebook's kernel is, survives the line."""
     program = (

@@ -164,6 +164,7 @@ def on_the_floor(rig, robot):
     )
 
 
+@pytest.mark.slow
 def test_the_virtual_robot_is_switched_off_under_way(tmp_path):
     with VirtualKheperaRig(1) as rig:
         rig.robot._timeout = 0.2

@@ -91,6 +91,7 @@ def go(seed, push=(0.0, 0.0), commands=()):
 
 
 @pytest.mark.parametrize("push", [(0.0, 0.0), (-0.06, 0.08)])
+@pytest.mark.slow
 def test_a_robot_arrives_though_it_slips_and_is_pushed(push):
     there = [go(seed, push) for seed in range(2, 5)]
     assert all(away < 0.02 and off < math.radians(3.0) for away, off, *_ in there)

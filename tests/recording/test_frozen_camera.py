@@ -68,6 +68,7 @@ def stream():
         server.shutdown()
 
 
+@pytest.mark.slow
 def test_a_camera_that_freezes_has_stalled_and_can_be_left(stream):
     camera, frames = OpenCVCamera(stream, time.monotonic), []
     camera.start(lambda time, frame: frames.append(time))

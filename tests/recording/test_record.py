@@ -365,6 +365,7 @@ def calibration_of(tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no kill -9")
+@pytest.mark.slow
 def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path, monkeypatch):
     monkeypatch.setattr(files, "_STALE", 0.0)
     calibration, resumed, steps = calibration_of(tmp_path), 0, 0

@@ -86,6 +86,7 @@ def test_a_robot_without_light_sensors_stays_on_the_board(kept):
     assert turns == {-1.0, 1.0}
 
 
+@pytest.mark.slow
 def test_light_sensors_that_see_no_line_do_not_let_it_leave(tmp_path):
     # The line that the lab's sensors could see lies well outside of this board's edge.
     recording, _, truth = make(tmp_path / "r", RandomCommands(seed=3), 10, sensors=True)
@@ -114,6 +115,7 @@ def test_the_poses_are_there_and_are_what_a_second_pass_gives(kept, tmp_path):
     assert np.sqrt(((live.pose[both] - true)[:, :2] ** 2).mean()) < 4e-3
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_files(kept, tmp_path):
     first, _, _ = kept
     second, _, _ = make(tmp_path / "recording", RandomCommands(seed=3), 16)
@@ -167,6 +169,7 @@ def taken_away(begin, end):
 STEADY = FixedCommands([Command(15, 18, 1.0)] * 8)
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_lost_is_told_of_at_once_and_without_sensors_stopped(tmp_path):
     away = taken_away(6.0, 12.0)
     recording, said, truth = make(tmp_path / "r", STEADY, 8, prepare=away, settings={})
@@ -202,6 +205,7 @@ def test_with_light_sensors_it_drives_on(tmp_path):
     assert doubt.startswith(f"{poses.doubtful.sum()} poses may be of another pair")
 
 
+@pytest.mark.slow
 def test_a_robot_that_stays_away_ends_the_session_which_resumes(tmp_path):
     folder = tmp_path / "r"
     with pytest.raises(UserError, match=r"not seen for 60 s.*--resume"):
@@ -217,6 +221,7 @@ def test_a_robot_that_stays_away_ends_the_session_which_resumes(tmp_path):
     assert len(poses.of_session(1).frame) == len(recording.frame_times(1))
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_never_in_sight_does_not_drive(tmp_path):
     with pytest.raises(UserError, match="neurosim watch"):
         make(tmp_path / "r", STEADY, 8, prepare=taken_away(0.0, np.inf))
@@ -376,6 +381,7 @@ def test_a_controller_that_sees_the_pose_is_driven_by_it(tmp_path):
     assert np.diff(seen.time[:-2]) == pytest.approx(0.15, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_a_controller_is_kept_on_the_board_and_never_driven_unseen(tmp_path):
     recording, said, truth = make(tmp_path / "edge", ToTheEdge(5.0), 30)
     motor = [line.kind for line in recording.commands().itertuples() if line.is_motor]

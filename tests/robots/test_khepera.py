@@ -215,6 +215,7 @@ def test_a_reboot_in_the_middle_of_an_answer(line, robot):
     assert robot.reboots == 1
 
 
+@pytest.mark.slow
 def test_silence_is_a_lost_link(line, robot):
     script, path = line
     script.table = {}

@@ -61,6 +61,7 @@ def rig(params, start=(0.0, 0.0, 0.0)):
 ARENA = LabArena(((3.0, -1.0, 3.0, 1.0),))
 
 
+@pytest.mark.slow
 def test_it_sees_what_counters_do_not(tmp_path):
     wheels = np.array([1.03, 0.98])
     params = KheperaParams.ideal(wheel=wheels)

@@ -65,6 +65,7 @@ def sampled(
 
 
 @pytest.mark.parametrize("nominal", [8333.0, 8000.0])
+@pytest.mark.slow
 def test_counters_of_another_number_of_pulses_are_refused(tmp_path, nominal):
     """The robot's are 10,000 a metre; it is taken for one of fewer, 12 or 12.5 to their 10."""
     arena, poses = sampling_places()
@@ -166,6 +167,7 @@ def test_distances_hold_though_wheels_are_unequal(tmp_path):
         assert samples.activations[distance, 0] == pytest.approx(truth, abs=0.08)
 
 
+@pytest.mark.slow
 def test_interrupted_sampling_goes_on(tmp_path, whole):
     out = tmp_path / "out"
     with pytest.raises(Interrupted):

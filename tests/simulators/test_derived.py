@@ -46,6 +46,7 @@ def test_the_change_of_direction_in_half_turns(speeds, turns):
 
 
 @pytest.mark.parametrize("swing", [None, 0.03, -0.03])
+@pytest.mark.slow
 def test_the_compiled_form_agrees(swing):
     sim = random_motion_network(swing=swing, drives=False)
     model = sim.compiled()

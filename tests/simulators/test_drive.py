@@ -244,6 +244,7 @@ ARRAYS = random_motion_network(noise=False).compiled()
 
 @settings(max_examples=40, deadline=None)
 @given(drive_models(), speeds(), speeds(), st.floats(1e-4, 3.0))
+@pytest.mark.slow
 def test_the_compiled_form_agrees(drive, before, told, time):
     told = drive.shaped(told)
     arrays = ARRAYS._replace(**{name: getattr(drive, name).numpy() for name in DriveModel.NAMES})

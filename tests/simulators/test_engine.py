@@ -80,10 +80,12 @@ def own(tmp_path, monkeypatch):
     return written
 
 
+@pytest.mark.slow
 def test_a_simulator_of_ones_own_is_what_its_steps_say(own):
     testing.check_simulator(own("2.0"))
 
 
+@pytest.mark.slow
 def test_what_is_compiled_is_kept_and_never_stale(own, tmp_path):
     own("3.0")
     program = """

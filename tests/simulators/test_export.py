@@ -25,6 +25,7 @@ def exported(tmp_path_factory):
 
 
 @pytest.mark.parametrize("rows", [1, 2, 5, 64])
+@pytest.mark.slow
 def test_the_program_is_the_step(exported, rows):
     simulator, folder = exported
     program = torch.export.load(folder / "step.pt2").module()
@@ -36,6 +37,7 @@ def test_the_program_is_the_step(exported, rows):
         torch.testing.assert_close(found, expected, rtol=0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_gradients_flow_through_the_program(exported):
     simulator, folder = exported
     program = torch.export.load(folder / "step.pt2").module()
@@ -50,6 +52,7 @@ def test_gradients_flow_through_the_program(exported):
     torch.testing.assert_close(*slopes)
 
 
+@pytest.mark.slow
 def test_the_page_runs_without_neurosim(exported):
     simulator, folder = exported
     about = json.loads((folder / "export.json").read_text())
@@ -99,6 +102,7 @@ def test_float32_is_near(simulator):
     assert simulator.genes.dtype == torch.float64  # ours stays what it was
 
 
+@pytest.mark.slow
 def test_a_step_of_ones_own(tmp_path):
     class Ideal(Simulator):
         kind, state_names, command_names = "ideal", ("x", "y", "theta"), ("v", "w")

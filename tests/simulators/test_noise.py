@@ -191,6 +191,7 @@ def test_tails_have_a_limit():
 
 @pytest.mark.parametrize("drives", [False, True])
 @pytest.mark.parametrize("central", [False, True])
+@pytest.mark.slow
 def test_compiled_noise_is_that_of_tensors(central, drives):
     noisy = random_motion_network(central=central, drives=drives)
     arrays, before = noisy.compiled(), normal(5, 12, 2) * 30.0

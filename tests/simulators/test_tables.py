@@ -265,6 +265,7 @@ def driven(sim, genes, starts, seeds, steps, duration):
 
 @pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
 @pytest.mark.parametrize("arena", [Arena.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
+@pytest.mark.slow
 def test_kernel_is_the_tensors(simulator, arena, reaction):
     rng = np.random.default_rng(3)
     sim = simulator.changed(arena=arena, reaction=reaction)

@@ -117,6 +117,7 @@ def test_a_network_that_only_drives_ahead_against_one_that_turns_away():
         assert commands.numpy() == pytest.approx(given, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_evolution_learns_and_is_repeatable(tmp_path):
     sim = TableSimulator(made_up())
     task = ObstacleAvoidance(steps=250)
@@ -233,6 +234,7 @@ def test_a_plan_runs_in_tables_as_in_any_simulator():
     assert path[0, 2] == pytest.approx([0.2, 0, -0.1 / 0.053 * 0.5])
 
 
+@pytest.mark.slow
 def test_obstacle_avoidance_in_the_samples_of_a_real_robot(shared_data):
     files = sorted((shared_data / "khepera").glob("*.sample"))
     sim = TableSimulator(SensorTable.from_files(files))

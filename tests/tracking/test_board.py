@@ -60,6 +60,7 @@ def test_a_height_that_cannot_be_is_refused():
 
 
 @pytest.mark.parametrize("height", [None, 2.6])
+@pytest.mark.slow
 def test_what_is_stated_covers_usual_lenses(height):
     """Lenses and heights as they are on the market; corners clicked to half a pixel."""
     rng = np.random.default_rng(6)

@@ -79,6 +79,7 @@ def write_views(folder):
         cv2.imwrite(str(folder / f"{i}.png"), chessboard_view(turn, shift))
 
 
+@pytest.mark.slow
 def test_real_photographs(shared_data):
     model = calibrate(shared_data / "chessboard", pattern=(9, 6), square=0.025)
     assert model.image_size == (640, 512)
@@ -90,6 +91,7 @@ def test_real_photographs(shared_data):
     assert not model.has_board
 
 
+@pytest.mark.slow
 def test_a_rendered_lens_is_recovered_with_its_pose(tmp_path):
     write_views(tmp_path)
     points = points_of(TRUTH, [*CORNERS, (0.0, 0.8), (0.0, -0.8)])
@@ -202,6 +204,7 @@ def test_photographs_that_will_not_do(tmp_path):
         calibrate(tmp_path, pattern=(7, 5), square=np.nan)
 
 
+@pytest.mark.slow
 def test_the_stated_uncertainty_covers_random_halves(shared_data):
     target = Chessboard((9, 6), 0.025)
     pictures = sorted((shared_data / "chessboard").glob("*.jpg"))

@@ -75,6 +75,7 @@ def test_the_stated_deviation_covers_the_errors():
 
 @settings(max_examples=8, deadline=None)
 @given(st.floats(-1000, 1000), st.floats(-2e-4, 2e-4), st.integers(0, 10**6))
+@pytest.mark.slow
 def test_the_clock_is_found_without_a_flash(offset, drift, seed):
     lines = commands(120, seed)
     robot, poses = drive(lines, 0.0, seed, dropped=0.05)

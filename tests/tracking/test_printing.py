@@ -60,6 +60,7 @@ def test_what_is_on_the_page_has_its_true_size(settings):
     assert math.dist(*places) > backing
 
 
+@pytest.mark.slow
 def test_the_page_is_written_once_and_always_the_same(tmp_path):
     for name in ("a.svg", "b.svg", "a.pdf", "b.pdf"):
         done = CliRunner().invoke(verb, [str(tmp_path / name), "--diameter", "50"])

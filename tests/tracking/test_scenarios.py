@@ -35,6 +35,7 @@ def test_colours_that_drift_from_purple_to_red_are_followed():
     assert seen["worst_mm"] < 1
 
 
+@pytest.mark.slow
 def test_hands_and_cables_make_no_pose_and_the_robot_is_found_again():
     seen = tracked("covered", 5.2, every=2)
     assert seen["false"] == 0
@@ -43,6 +44,7 @@ def test_hands_and_cables_make_no_pose_and_the_robot_is_found_again():
     assert seen["tracked"] > 0.95
 
 
+@pytest.mark.slow
 def test_out_of_the_picture_and_back():
     seen = tracked("leaves", 5.2, every=2)
     assert seen["whole"] < seen["frames"]

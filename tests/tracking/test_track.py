@@ -377,6 +377,7 @@ def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(reco
     assert poses.doubtful.any()
 
 
+@pytest.mark.slow
 def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(shared_data, tmp_path):
     def told(colours, video="marker-pushed.avi", *more):
         out = tmp_path / f"{colours}-{video}"

@@ -199,6 +199,7 @@ def test_pushed_plate_in_real_footage(shared_data):
 
 
 @pytest.mark.parametrize(("kind", "sd"), [("sensor", 10), ("sensor", 20), ("webcam", 20)])
+@pytest.mark.slow
 def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
     rng = np.random.default_rng(3)
     clean, noisy = new_tracker(colours=("green", "blue")), new_tracker(colours=("green", "blue"))
@@ -294,6 +295,7 @@ def twins(image, where, **robot):
         scene.robot(image, middle, 0.4, body=(48, 18), **robot)
 
 
+@pytest.mark.slow
 def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
     rng, tracker, found = np.random.default_rng(10), new_tracker(), []
     for i in range(150):

@@ -30,6 +30,7 @@ def errors(simulator, data):
     return (found - data.y).abs().mean(0)
 
 
+@pytest.mark.slow
 def test_the_laws_of_a_robot_that_keeps_them_are_found():
     lag, delay = (0.12, 0.2), 0.06
     data = drive_data(400, lag=lag, delay=delay, bend=(0.1, 0.2), rate=3.0, noise=0.0)
@@ -43,6 +44,7 @@ def test_the_laws_of_a_robot_that_keeps_them_are_found():
     assert drive.rate.tolist() == pytest.approx([3.0, 3.0], rel=0.15)
 
 
+@pytest.mark.slow
 def test_it_is_found_how_a_robot_brakes_and_how_long_it_sticks():
     data = drive_data(600, braking=0.4, stick=0.03, stops=0.25, noise=0.0005)
     longest, columns = float(data.input_scale[4]), CommandFeatures.of(NAMES)
@@ -54,6 +56,7 @@ def test_it_is_found_how_a_robot_brakes_and_how_long_it_sticks():
 
 
 @pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.slow
 def test_lag_and_delay_together_are_found_to_within_milliseconds(seed):
     lag, delay = torch.tensor([0.1, 0.08]).double(), 0.15
     data = drive_data(800, lag=tuple(lag.tolist()), delay=delay, noise=0.001, seed=seed)
@@ -64,6 +67,7 @@ def test_lag_and_delay_together_are_found_to_within_milliseconds(seed):
 
 
 @pytest.mark.parametrize("rows", [20, 30, 60])
+@pytest.mark.slow
 def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
     data = drive_data(rows, noise=0.003)
     fresh = drive_data(300, seed=9, noise=0.0)
@@ -78,6 +82,7 @@ def test_with_few_rows_it_is_no_worse_than_the_fitted_unicycle(rows):
     assert (own < (unicycle - fresh.y).abs().mean(0)).all()
 
 
+@pytest.mark.slow
 def test_networks_learn_what_the_drive_model_cannot_say():
     data = drive_data(500, wobble=0.15)
     fresh = drive_data(300, seed=9, wobble=0.15, noise=0.0)
@@ -87,6 +92,7 @@ def test_networks_learn_what_the_drive_model_cannot_say():
         assert own[2] < 0.6 * plain[2]
 
 
+@pytest.mark.slow
 def test_what_networks_cannot_better_is_left_to_the_drive_model():
     data = drive_data(200, noise=0.004)
     simulator = trained(data)
@@ -94,6 +100,7 @@ def test_what_networks_cannot_better_is_left_to_the_drive_model():
     assert sum(shares.values()) <= 0.3
 
 
+@pytest.mark.slow
 def test_one_row_in_a_hundred_far_off_changes_nothing_that_matters():
     data, fresh = drive_data(600), drive_data(300, seed=9, noise=0.0)
     y = data.y.clone()
@@ -103,6 +110,7 @@ def test_one_row_in_a_hundred_far_off_changes_nothing_that_matters():
     assert (own < 1.5 * clean + torch.tensor([1e-4, 1e-4, 1e-3])).all()
 
 
+@pytest.mark.slow
 def test_poses_within_commands_make_their_beginnings_known():
     data, fresh = drive_data(300), drive_data(200, seed=9, noise=0.0)
     early = fresh.within.time < 0.3
@@ -117,6 +125,7 @@ def test_poses_within_commands_make_their_beginnings_known():
     assert (early_error() < early_error(whole_commands=True)).all()
 
 
+@pytest.mark.slow
 def test_members_differ_and_their_mean_is_the_central_network():
     data = drive_data(300, wobble=0.15)
     simulator = trained(data, members=6, noise=True)
@@ -127,6 +136,7 @@ def test_members_differ_and_their_mean_is_the_central_network():
     assert 0.02 * error < spread < 3.0 * error
 
 
+@pytest.mark.slow
 def test_where_no_row_was_members_differ_most():
     data = drive_data(400, wobble=0.15)
     forwards = (data.x[:, 2:4] >= 0).all(1)

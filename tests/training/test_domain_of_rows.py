@@ -19,6 +19,7 @@ QUICK = {"ga": {"generations": 2}, "combined": {"members": 1, "noise": False, "h
 
 
 @pytest.mark.parametrize("trainer", QUICK)
+@pytest.mark.slow
 def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
     out = tmp_path / "s"
     train(dataset, out, trainer=trainer, progress=False, **QUICK[trainer])
@@ -32,6 +33,7 @@ def test_every_trainer_says_where_there_were_rows(tmp_path, dataset, trainer):
     assert found.supported(inputs).mean() > 0.95
 
 
+@pytest.mark.slow
 def test_no_member_runs_off_where_rows_were_few():
     """Wherever 40 rows support commands, six in a row, members stay beside each other."""
     data = training_data(Dataset.read(REFERENCE)).part(slice(1000, 1040))

@@ -35,6 +35,7 @@ class Believer:
         return (x[:, 2] * x[:, 4]).abs()
 
 
+@pytest.mark.slow
 def test_what_was_never_seen_is_worth_most():
     data = drive_data(900, wobble=0.2)
     forwards = (data.x[:, 2:4] >= 0).all(1)
@@ -61,6 +62,7 @@ def test_what_an_outcome_takes_away_is_what_conditioning_on_it_leaves_out():
     assert taken_away(torch.tensor(0.0), torch.tensor(noise)) == 0.0
 
 
+@pytest.mark.slow
 def test_the_same_seed_chooses_the_same_commands(committee, robot_data):
     again = Committee(motor_data(*robot_data(90, 1)), 5, QUICK)
     source = RandomCommands(seed=3)

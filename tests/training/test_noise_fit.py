@@ -54,6 +54,7 @@ def recorded(rows, seed=0, **planted):
     return simulator, TrainingData(entries, x, y), mean, noise
 
 
+@pytest.mark.slow
 def test_the_size_is_found_again_in_all_its_parts():
     sources = torch.zeros(NoiseModel.SHAPES["sources"])
     # Wheels that slip by 2 % on their own, and something to the side.
@@ -87,6 +88,7 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_members_say_is_not_said_twice():
     simulator, data, mean, noise = recorded(3000)
     alone = fit_noise(simulator, data.x, data.y, mean)

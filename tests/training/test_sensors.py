@@ -39,6 +39,7 @@ def readings(count=3000, seed=0, noise=0.01, after=0.06, mounts=(LEFT, RIGHT)):
     return table
 
 
+@pytest.mark.slow
 def test_mounting_map_and_noise_are_found():
     sensors, about = learn_sensors(readings(), progress=False)
     assert sensors.names == ("eye_0", "eye_1")
@@ -58,12 +59,14 @@ def test_mounting_map_and_noise_are_found():
     assert about["held_out"] == 600
 
 
+@pytest.mark.slow
 def test_the_same_readings_give_the_same_sensors():
     first, again = (learn_sensors(readings(600), progress=False)[0] for _ in range(2))
     assert torch.equal(first.maps, again.maps)
     assert torch.equal(first.mount, again.mount)
 
 
+@pytest.mark.slow
 def test_what_does_not_follow_from_the_place_is_noise():
     table = readings(800, mounts=(LEFT,))
     rng = np.random.default_rng(1)

@@ -75,6 +75,7 @@ def test_the_simulator_says_where_it_came_from(tmp_path, dataset):
 
 
 @pytest.mark.parametrize("trainer", ["ga", "combined"])
+@pytest.mark.slow
 def test_the_held_out_rows_change_nothing(tmp_path, robot_data, make_dataset, trainer):
     inputs, outputs = robot_data(100, 5)
     weights = []
@@ -106,6 +107,7 @@ def test_an_interrupted_training_leaves_nothing(tmp_path, dataset, monkeypatch):
     assert [*tmp_path.iterdir()] == []
 
 
+@pytest.mark.slow
 def test_what_cannot_be_is_refused_before_anything_is_written(
     tmp_path, dataset, robot_data, make_dataset
 ):
@@ -130,6 +132,7 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["few", "taken"]
 
 
+@pytest.mark.slow
 def test_a_robot_that_never_moved_can_be_learned(tmp_path, robot_data, make_dataset):
     inputs, outputs = robot_data(30, 4)
     inputs[:, :4] = 0
@@ -155,6 +158,7 @@ def threads():
     torch.set_num_threads(before)
 
 
+@pytest.mark.slow
 def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
     tmp_path, threads, robot_data, make_dataset
 ):
@@ -168,6 +172,7 @@ def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
 
 
 @pytest.mark.parametrize("way", ["each three times in a row", "all three times"])
+@pytest.mark.slow
 def test_copies_of_rows_change_nothing_and_are_counted(tmp_path, dataset, way):
     """They would be in both parts of every split: in the folds, and held out."""
     whole = Dataset.read(dataset)

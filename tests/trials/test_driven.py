@@ -142,6 +142,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
         compare(other, tmp_path / "t")
 
 
+@pytest.mark.slow
 def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed(tmp_path):
     goal = (0.5, 0.15, 0.6)
     task = GoTo(goals=(goal,), tolerance=0.03, heading_tolerance=0.09)

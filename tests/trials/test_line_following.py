@@ -47,6 +47,7 @@ def made(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_readings_are_kept_all_the_time(made):
     recording = Recording(made / "recording")
     seen = recording.observations()
@@ -64,6 +65,7 @@ def test_readings_are_kept_all_the_time(made):
     assert (seen.readings.min(axis=0) < 0.3).all()
 
 
+@pytest.mark.slow
 def test_a_dataset_says_where_readings_were_taken(made):
     dataset = Dataset.read(made / "dataset")
     assert json.loads((made / "dataset" / "dataset.json").read_text())["readings"] > 300
@@ -88,6 +90,7 @@ def test_a_dataset_says_where_readings_were_taken(made):
         (lambda text: text.replace("\n", "\nx,", 1), "readings.csv"),
     ],
 )
+@pytest.mark.slow
 def test_damaged_readings_are_refused(made, tmp_path, change, words):
     Dataset.read(made / "dataset").write(tmp_path / "d")
     path = tmp_path / "d" / "readings.csv"
@@ -96,6 +99,7 @@ def test_damaged_readings_are_refused(made, tmp_path, change, words):
         Dataset.read(tmp_path / "d")
 
 
+@pytest.mark.slow
 def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp_path):
     simulator = ns.load(made / "simulator")
     assert simulator.reading_names == ("line_left", "line_right")
@@ -127,6 +131,7 @@ def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp
     np.testing.assert_allclose([command[:2] for command in report["commands"]], wanted, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_without_sensors_it_is_another_simulator(made, tmp_path):
     plain = ns.train(
         made / "dataset", tmp_path / "s", members=1, noise=False, sensors=False, progress=False

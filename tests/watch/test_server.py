@@ -241,6 +241,7 @@ def test_a_reader_waits_for_the_next_picture_and_gets_each_once(viewer):
     assert viewer.picture(state["number"], 30.0)[1]["ended"] == "over"
 
 
+@pytest.mark.slow
 def test_connections_that_ask_for_nothing_are_few_and_closed(server, monkeypatch):
     """Over a thousand held ones killed it, and took a recording's descriptors."""
     address = server.address

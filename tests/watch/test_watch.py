@@ -100,6 +100,7 @@ def test_the_labs_camera_shows_a_robot_that_drives_and_films_it(tmp_path):
     assert said == f"film.avi: {frames} frames. Next: neurosim track film.avi -o POSES\n"
 
 
+@pytest.mark.slow
 def test_a_camera_that_stops_is_told_on_the_page_and_in_the_terminal(video, monkeypatch, capsys):
     # OpenCV opens a video as it opens a camera; at its end the camera is gone.
     monkeypatch.setattr(
