@@ -22,6 +22,7 @@ from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
+from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.loop.workers import Name, workers_named
@@ -205,6 +206,14 @@ class Evaluator:
         work = individuals * (self.steps - (self.episode.rest > 0))
         with one_core(work < _WORTH_SHARING), one_thread():
             yield
+
+    def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
+        """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""
+        slots = trajectory.commands.shape[-2] - (self.episode.rest > 0)
+        poses, active = trajectory.poses, trajectory.active
+        assert poses is not None
+        assert active is not None
+        return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
 
 
 @njit(cache=True, nogil=True)
