@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -34,21 +35,25 @@ class Stage(Protocol):
         ...
 
 
-def _says_that_it_compiles(shown: Progress | None, label: str) -> threading.Timer:
-    """Start what says, unless it is cancelled soon, why the first generation takes so long."""
+def says_that_it_compiles(what: str, say: Callable[[str], None] | None = None) -> threading.Timer:
+    """Start what says, unless it is cancelled soon, why the first time takes so long.
+
+    Args:
+        what: is under way: "the first generation".
+        say: takes the message; by default it goes to stderr.
+    """
     message = (
-        f"{label}: the first generation is under way; the first time on a computer its loops are "
-        "compiled, which takes up to half a minute and is kept"
+        f"{what} is under way; the first time on a computer its loops are compiled, which takes "
+        "up to half a minute and is kept"
     )
-
-    def say() -> None:
-        if shown is not None:
-            shown.say(message)
-
-    timer = threading.Timer(COMPILES_AFTER, say)
+    timer = threading.Timer(COMPILES_AFTER, say or _to_stderr, (message,))
     timer.daemon = True
     timer.start()
     return timer
+
+
+def _to_stderr(message: str) -> None:
+    print(message, file=sys.stderr, flush=True)
 
 
 def run_generations(
@@ -78,7 +83,8 @@ def run_generations(
         if shown is not None and stage.done:
             shown.advance(stage.done)
         saved = time.monotonic()
-        slow = _says_that_it_compiles(shown, label)
+        said = (lambda message: None) if shown is None else shown.say
+        slow = says_that_it_compiles(f"{label}: the first generation", said)
         while stage.done < total:
             note = stage.generation()
             slow.cancel()

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.generations import says_that_it_compiles
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
@@ -285,6 +286,7 @@ class Evaluate:
 
     def __init__(self, evaluator: Evaluator, draws: Draws, objective: str):
         self.evaluator, self.draws, self._objective = evaluator, draws, objective
+        self._called = False
 
     @property
     def genes(self) -> int:
@@ -300,8 +302,14 @@ class Evaluate:
             UserError: if there are not as many genes as the controller has, or one is not finite.
         """
         rows, single = self._rows(genes)
-        with self.evaluator.threads_for(len(rows) * len(self.draws)):
-            merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
+        slow = None if self._called else says_that_it_compiles("the first evaluation")
+        try:
+            with self.evaluator.threads_for(len(rows) * len(self.draws)):
+                merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
+        finally:
+            if slow is not None:
+                slow.cancel()
+        self._called = True
         found = merit.merit[0] if single else merit.merit
         return torch.as_tensor(found) if isinstance(genes, Tensor) else found
 

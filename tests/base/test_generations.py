@@ -4,12 +4,15 @@ import os
 import signal
 import threading
 import time
+from contextlib import nullcontext
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import SIGNALS, deferred_interrupt
+from neurosim.loop.evaluate import Evaluate
 
 
 class Counting:
@@ -133,3 +136,25 @@ def test_a_first_generation_that_takes_long_says_why(monkeypatch, capsys):
     monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 600.0)
     run_generations(Counting(), 3, "evolving")
     assert "compiled" not in capsys.readouterr().err
+
+
+class Sleeps:
+    """Stands for an evaluator that takes a while."""
+
+    controller = SimpleNamespace(genes=2)
+
+    def threads_for(self, individuals):
+        return nullcontext()
+
+    def merit(self, rows, *others):
+        time.sleep(0.5)
+        return SimpleNamespace(merit=rows.sum(1)), {}
+
+
+def test_a_first_evaluation_from_python_that_takes_long_says_why(monkeypatch, capsys):
+    monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
+    fitness = Evaluate(Sleeps(), [0], "fitness")
+    assert fitness(np.array([1.0, 2.0])) == 3.0
+    assert capsys.readouterr().err.startswith("the first evaluation is under way")
+    fitness(np.array([1.0, 2.0]))
+    assert capsys.readouterr().err == ""
