@@ -161,7 +161,7 @@ class Evaluator:
         merit = objective_named(objective)(self.task, trajectory, self.scored(trajectory))
         if unsupported is not None and self.simulator.knows_gaps:
             merit = put_behind(merit, self.unsupported(trajectory), unsupported)
-        return merit, [getattr(self, f"_{name}")(trajectory) for name in hints]
+        return merit, [_HINTS[name](self, trajectory) for name in hints]
 
     @uninterrupted()
     def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
@@ -215,6 +215,10 @@ class Evaluator:
         assert poses is not None
         assert active is not None
         return pairing_keys(self.task.region(poses[:, 0, :slots]), active[:, 0, :slots])
+
+
+#: What an optimiser may want to know of individuals besides their merit, by name.
+_HINTS = {"keys": Evaluator._keys}
 
 
 @njit(cache=True, nogil=True)
