@@ -54,6 +54,16 @@ placing_option = click.option(
 )
 
 
+at_line_option = click.option(
+    "--at-line",
+    type=click.Choice(["end", "ignore"]),
+    default="end",
+    show_default=True,
+    help="What a drive does where a light sensor meets a line or the robot reaches the board's "
+    "edge: it ends, on the robot and in the simulator alike, or the guard ignores them.",
+)
+
+
 def is_given(name: str) -> bool:
     """Return whether an option was given to the verb that runs."""
     context = click.get_current_context(silent=True)

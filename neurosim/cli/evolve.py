@@ -15,6 +15,7 @@ from neurosim.base.declared import CountOrNone
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import exit_code
 from neurosim.cli._common import (
+    at_line_option,
     emit,
     is_given,
     json_option,
@@ -190,6 +191,7 @@ def changed(
     "The reality of --robot-generations, by default virtual-nxt for plans, else virtual-khepera.",
 )
 @patience_option
+@at_line_option
 @click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
 @resume_option
 @seed_option
@@ -215,6 +217,7 @@ def evolve(
     camera: str | None,
     calibration: Path | None,
     patience: float,
+    at_line: str,
     judges: dict[str, Any],
     keep_all: bool,
     resume: bool,
@@ -244,6 +247,8 @@ def evolve(
     name, settings = read_task(task)
     made = make_task(name, **{**settings, **task_options})
     found = changed(read_simulator(simulator), **changes)
+    if at_line == "ignore":
+        found.perimeter = None
     family = make_controller(controller, found, made, **controller_options)
     if real_generations:
         evolution = {"runs": 1, **evolution}

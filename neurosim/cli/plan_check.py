@@ -10,6 +10,7 @@ import click
 
 from neurosim.base.declared import Count
 from neurosim.cli._common import (
+    at_line_option,
     emit,
     json_option,
     placing_option,
@@ -27,6 +28,7 @@ if TYPE_CHECKING:
 @click.argument("simulator", type=PATH)
 @click.option("--draws", type=ranged(Count), default=4096, show_default=True)
 @placing_option
+@at_line_option
 @click.option(
     "--extrapolate",
     is_flag=True,
@@ -39,6 +41,7 @@ def plan_check(
     simulator: Path,
     draws: int,
     placing: tuple[float, float],
+    at_line: str,
     extrapolate: bool,
     seed: int,
     as_json: bool,
@@ -48,9 +51,13 @@ def plan_check(
     SIMULATOR need not be the one that the plan was evolved in.
     """
     from neurosim.loop.check import check
+    from neurosim.simulators import read_simulator
 
     how: dict[str, Any] = {"placing": placing, "extrapolate": extrapolate}
-    found = check(controller, simulator, draws=draws, seed=seed, **how)
+    model = read_simulator(simulator)
+    if at_line == "ignore":
+        model.perimeter = None
+    found = check(controller, model, draws=draws, seed=seed, **how)
     emit(found.as_dict(), as_json, lambda: _in_words(found))
     warn_unsupported(found.unsupported)
 

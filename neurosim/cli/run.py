@@ -10,6 +10,7 @@ import click
 
 from neurosim.base.errors import UserError
 from neurosim.cli._common import (
+    at_line_option,
     calibration_option,
     emit,
     json_option,
@@ -28,13 +29,7 @@ from neurosim.cli._types import PATH
 @robot_option
 @camera_options
 @calibration_option()
-@click.option(
-    "--at-line",
-    type=click.Choice(["end", "ignore"]),
-    default="end",
-    show_default=True,
-    help="What happens where a light sensor sees a line.",
-)
+@at_line_option
 @settings_options(
     "guard",
     "neurosim.recording.settings:Guard",

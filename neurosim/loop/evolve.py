@@ -505,7 +505,10 @@ def evolve(
     """
     if isinstance(simulator, str | Path):
         source, simulator = simulator, read_simulator(simulator)
+    perimeter = None if simulator.perimeter is None else simulator.perimeter.describe()
     made_in = {} if source is None else named(source)
+    if perimeter is not None:
+        made_in["perimeter"] = perimeter
     task = make_task(task)
     if controller is None:
         controller = task.usual_controller
@@ -542,6 +545,7 @@ def evolve(
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
         "simulator_sha256": None if source is None else digest(source),
+        "perimeter": perimeter,
         "real_generations": real_generations,
     }
     with checkpoint.held():

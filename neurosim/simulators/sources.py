@@ -53,17 +53,15 @@ def named(simulator: str | Path) -> dict[str, Any]:
     """Return what a controller says of the simulator that it was made in.
 
     Returns:
-        ``path``, ``sha256`` of simulator.json, and, where the simulator says, ``virtual`` and the
-        ``perimeter`` at which drives end in it.
+        ``path``, ``sha256`` of simulator.json, and ``virtual`` where the simulator says.
 
     Raises:
         FileError: if simulator.json is not what it should be.
     """
     path = Path(simulator) / "simulator.json"
-    content = read_json(path, FORMAT, VERSION)
+    told = is_virtual(read_json(path, FORMAT, VERSION))
     about = {"path": str(simulator), "sha256": sha256(path)}
-    known = {"virtual": is_virtual(content), "perimeter": content.get("perimeter")}
-    return {**about, **{name: value for name, value in known.items() if value is not None}}
+    return about if told is None else {**about, "virtual": told}
 
 
 def digest(simulator: str | Path) -> str:
