@@ -247,6 +247,22 @@ def test_the_light_may_change(shared_data, colours, light):
             assert dim.confidence > 0.8 * bright.confidence
 
 
+@pytest.mark.parametrize("grey", [0, 2, 6])
+def test_a_covered_lens_is_no_other_light(grey):
+    rng, tracker, seen = np.random.default_rng(3), new_tracker(), []
+    for i, (middle, heading) in enumerate(drive(60)):
+        frame, truth = picture(middle, heading, rng)
+        if 15 <= i < 40:
+            frame = np.full_like(frame, grey)
+        sighting = tracker.update(frame, i / FPS)
+        seen.append(sighting.found)
+        if sighting.found:
+            assert np.abs(pixels_of(sighting) - truth).max() < 1.0
+    assert seen[:15] == [True] * 15
+    assert not any(seen[15:40])
+    assert sum(seen[40:]) >= 15
+
+
 @pytest.mark.parametrize(("diameter", "noise", "jpeg"), [(6, 4, 75), (8, 8, 60)])
 def test_the_least_size_of_markers(diameter, noise, jpeg):
     rng, tracker, misses = np.random.default_rng(12), new_tracker(), []

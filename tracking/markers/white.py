@@ -19,6 +19,8 @@ _ACROSS = 48
 _DARK, _CLIPPED = 24, 250
 #: The level of the light is taken from pixels at least so bright in the first picture.
 _LIT = 40
+#: A picture with less light than this, as a share of that of the first, is of a covered lens.
+_COVERED = 0.05
 #: Fewer usable pixels say nothing.
 _LEAST = 60
 #: A cast is believed up to this factor.
@@ -60,8 +62,8 @@ class Cast:
         if usable >= _LEAST:
             self.white = _believed(blue * self._base[0], red * self._base[1])
         lit, level = _dimmed(grid, self._reference)
-        if lit >= _LEAST:
-            self.level = max(level, 1 / _CLIPPED)
+        if lit >= _LEAST and level > _COVERED:
+            self.level = level
         return self.white
 
 
