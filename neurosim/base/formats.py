@@ -530,6 +530,14 @@ class BegunSampling(Sampling, kw_only=True):
 # Controllers and what they did
 
 
+class Unmet(Format):
+    """Drives in arenas that a controller was not evolved in."""
+
+    drives: Annotated[int, Meta(ge=1, le=10**9)]
+    touched: Annotated[int, Meta(ge=0, le=10**9)]
+    fitness: float
+
+
 class Outcome(Format):
     """What is predicted of a controller, or came of a trial."""
 
@@ -542,6 +550,7 @@ class Outcome(Format):
     probability: Fraction | None = None
     completes: bool | None = None
     unsupported: float | None = None
+    unmet: Unmet | None = None
 
 
 class Prediction(Outcome):

@@ -297,6 +297,8 @@ def evolve(
 def _say(
     controllers: list[Any], out: Path, simulator: Path, task: Any, keep_all: bool, as_json: bool
 ) -> None:
+    from neurosim.loop.unmet import Unmet
+
     best = controllers[0]
     runs = len(controllers)
     paths = [out]
@@ -312,6 +314,7 @@ def _say(
         "completes": best.predicted["completes"],
         "probability": best.predicted.get("probability"),
         "unsupported": best.predicted["unsupported"],
+        "unmet": best.predicted.get("unmet"),
         "commands": len(best.given) or None,
         "runs": runs,
         "runs_that_complete": complete,
@@ -336,6 +339,9 @@ def _say(
             f"the population's mean went from {history['mean'][0]:.4g} to "
             f"{history['mean'][-1]:.4g}.\n"
         )
+    unmet = best.predicted.get("unmet")
+    if unmet is not None:
+        text += f"{Unmet(**unmet)}\n"
     if chance is not None:
         text += f"Probability of success: {100 * chance:.1f} %.\n"
     if unsupported := best.predicted["unsupported"]:

@@ -32,6 +32,7 @@ from neurosim.loop.objectives import mean_fitness, repeats_of
 from neurosim.loop.search import Search, new_optimiser, part_of
 from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.loop.transfer import Transfer
+from neurosim.loop.unmet import Unmet, in_unmet_arenas
 from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
@@ -62,6 +63,7 @@ class Result:
             evolution also what it maximised, {"robust_best": ..., "robust_mean": ...}.
         run: which of the runs it came from.
         interrupted: whether evolution was stopped before its last generation.
+        unmet: of a controller that avoids obstacles, what it does in other arenas.
     """
 
     controller: Controller
@@ -78,6 +80,7 @@ class Result:
     history: dict[str, Any]
     run: int
     interrupted: bool
+    unmet: Unmet | None = None
 
     @property
     def commands(self) -> list[tuple[float, float, float] | None]:
@@ -259,6 +262,7 @@ class Evolution:
             for name, values in self.real.history().items():
                 history[name] = np.append(history[name], [values], axis=1)
         drawn = self._drawn(best)
+        unmet = in_unmet_arenas(evaluator, best, self._seed)
         unsupported = evaluator.unsupported(expected)
         found = []
         for run in range(len(best)):
@@ -288,6 +292,7 @@ class Evolution:
                     history=self._history(history, run),
                     run=run,
                     interrupted=interrupted,
+                    unmet=None if unmet is None else unmet[run],
                 )
             )
         return sorted(found, key=self._worth, reverse=True)
@@ -320,7 +325,8 @@ class Evolution:
         if limit is not None and self.evaluator.simulator.knows_gaps:
             inside = result.unsupported <= limit
         if robust is None:
-            return inside, result.fitness
+            # Who knows one arena best may know that arena only.
+            return inside, result.fitness if result.unmet is None else result.unmet.fitness
         value = result.expected_fitness if robust.objective == "fitness" else result.probability
         assert value is not None
         return inside, value
@@ -644,6 +650,8 @@ def as_saved(
         "completes": result.completes,
         "unsupported": result.unsupported,
     }
+    if result.unmet is not None:
+        predicted["unmet"] = result.unmet.describe()
     if result.spread is not None:
         predicted["spread"] = result.spread
     if result.probability is not None:
