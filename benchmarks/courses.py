@@ -47,6 +47,7 @@ import numpy as np
 import torch
 from guided_recording import random_rows
 from reality_gap import make_calibration
+from robust_plans import PERIMETER
 
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import FixedPlan, Network, Plan, SavedController
@@ -155,7 +156,7 @@ class Physics:
         active = np.append(np.ones(len(self.began) - 1, bool), False)
         times = np.arange(len(poses))
         driven = Trajectory.of_track(times, poses, segment, np.array(self.commands), active)
-        return bool(TASK.judge(driven).success), poses
+        return bool(TASK.within_perimeter(PERIMETER).judge(driven).success), poses
 
 
 class Prepared:
@@ -168,6 +169,7 @@ class Prepared:
         self.robot, self._options = robot, options
         rows, _ = random_rows(robot, robot, COMMANDS)
         self.simulator = learn(rows, robot)
+        self.simulator.perimeter = PERIMETER
 
     @cached_property
     def plan(self) -> Result:

@@ -18,7 +18,7 @@ import sys
 import numpy as np
 import torch
 from guided_recording import guided_rows, random_rows
-from robust_plans import TASK, drive
+from robust_plans import PERIMETER, TASK, drive
 
 from neurosim.controllers import Plan
 from neurosim.loop.evolve import evolve_in
@@ -56,6 +56,7 @@ def main() -> None:
             else:
                 data, _ = guided_rows(seed, seed, Rounds(options.commands, options.round))
             simulator = learn(data, seed)
+            simulator.perimeter = PERIMETER
             for number in range(options.plans):
                 found.append(
                     {"robot": seed, "kind": kind, **one_plan(simulator, seed, number, options)}

@@ -148,7 +148,9 @@ def learned_from_few(options: argparse.Namespace, number: int):
     some = slice(number * options.rows, (number + 1) * options.rows)
     if some.stop > len(data.x):
         raise SystemExit(f"{options.dataset} has no {some.stop} rows: a smaller --rows or --plans")
-    return learn(data.part(some), number)
+    simulator = learn(data.part(some), number)
+    simulator.perimeter = PERIMETER
+    return simulator
 
 
 def one_set(simulator, length: int, number: int, options: argparse.Namespace) -> list[dict]:

@@ -31,7 +31,7 @@ from typing import Any
 import numpy as np
 import torch
 from guided_recording import random_rows
-from robust_plans import TASK, drive
+from robust_plans import PERIMETER, TASK, drive
 
 from neurosim.back_to_reality import settings_named
 from neurosim.back_to_reality.run import back_to_reality
@@ -144,7 +144,8 @@ def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, 
 
 
 def best_plan(simulator: Any, seed: int, options: argparse.Namespace) -> Result:
-    """Return the plan that is evolved robustly in a simulator."""
+    """Return the plan that is evolved robustly in a simulator, where the guard ends drives."""
+    simulator.perimeter = PERIMETER
     settings = EvolveSettings(runs=options.runs, robust=RobustSettings())
     family = Plan(slots=SLOTS)
     return evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)[0]
