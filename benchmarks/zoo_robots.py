@@ -66,7 +66,7 @@ class Robot:
         lag: time constants of each actuator, s.
         slowing: of the lag where the speed falls.
         rate: the most that an actuator's share of its largest speed changes in a second.
-        delay: s.
+        delay: from a command to its first answer, s; commands given meanwhile wait their turn.
         dead_band: of each actuator, share of the largest command.
         bend: how much less than proportional speeds are at full command.
         slip: v and w lost, and sideways drift, in a curve: shares a rad/s.
@@ -136,27 +136,33 @@ class LabRobot(Robot):
             params = replace(params, slip_draw=0.0, slip_field=0.0, caster_draw=0.0)
         ground = physics.slip_field(params)
         state = physics.new_state(params, int(rng.integers(2**31)), (0.0, 0.0, 0.0))
-        return _lab(state, commands, times, params.coefficients(), ground)
+        return _lab(state, commands, times, params.coefficients(), ground, self.delay)
 
 
 @njit(cache=True)
-def _lab(state, commands, times, p, ground):
+def _lab(state, commands, times, p, ground, delay):
     inputs = np.zeros(6)
     inputs[2:4] = physics.REGULATED
     inputs[4:6] = np.nan
     starts = np.zeros((len(commands), 3))
     poses = np.zeros((len(commands), times.shape[1], 3))
+    given, acts = np.zeros(len(commands) + 1), 0
     for i in range(len(commands)):
-        for wheel in range(2):
-            inputs[wheel] = commands[i, wheel]
-            physics.begin_command(state, wheel, p)
+        given[i], given[i + 1 :] = state[0], np.inf
         # It is put back to the middle before it would leave the board; nothing else changes.
         if abs(state[1]) > 0.6 or abs(state[2]) > 0.4:
             state[1], state[2] = 0.0, 0.0
         starts[i] = state[1:4]
         began = state[0]
         for k in range(times.shape[1]):
-            physics.advance(state, inputs, p, ground, began + times[i, k])
+            until = began + times[i, k]
+            while given[acts] + delay <= until:
+                physics.advance(state, inputs, p, ground, given[acts] + delay)
+                for wheel in range(2):
+                    inputs[wheel] = commands[acts, wheel]
+                    physics.begin_command(state, wheel, p)
+                acts += 1
+            physics.advance(state, inputs, p, ground, until)
             poses[i, k] = state[1:4]
     return starts, poses
 
@@ -165,24 +171,26 @@ def _lab(state, commands, times, p, ground):
 def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, slips, kicks, times):
     slowing, rate, delay, bend, geometry = rest
     actuators = len(scale)
-    speed, target, next_target = np.zeros(actuators), np.zeros(actuators), np.zeros(actuators)
+    speed, target = np.zeros(actuators), np.zeros(actuators)
     starts = np.zeros((len(commands), 3))
     poses = np.zeros((len(commands), times.shape[1], 3))
     x, y, theta = 0.0, 0.0, 0.0
+    began, given, acts = 0.0, np.zeros(len(commands) + 1), 0
     for i in range(len(commands)):
         starts[i, 0], starts[i, 1], starts[i, 2] = x, y, theta
-        for a in range(actuators):
-            u = commands[i, a] / largest[a]
-            u = 0.0 if abs(u) < dead_band[a] else u * (1.0 - bend * abs(u))
-            next_target[a] = u * gain[a]
+        given[i], given[i + 1 :] = began, np.inf
         elapsed = 0.0
         for k in range(times.shape[1]):
             span = times[i, k] - elapsed
             steps = max(math.ceil(span / 0.004 - 1e-9), 1)
             h = span / steps
             for s in range(steps):
-                if elapsed + (s + 0.5) * h >= delay:
-                    target[:] = next_target
+                while given[acts] + delay <= began + elapsed + (s + 0.5) * h:
+                    for a in range(actuators):
+                        u = commands[acts, a] / largest[a]
+                        u = 0.0 if abs(u) < dead_band[a] else u * (1.0 - bend * abs(u))
+                        target[a] = u * gain[a]
+                    acts += 1
                 for a in range(actuators):
                     tau = lag[a] * (slowing if abs(target[a]) < abs(speed[a]) else 1.0)
                     change = (target[a] - speed[a]) * (1.0 - math.exp(-h / tau))
@@ -212,6 +220,7 @@ def _drive(kind, scale, gain, lag, dead_band, largest, rest, slip, commands, sli
             poses[i, k, 1] = y + kicks[i, 1] * share
             poses[i, k, 2] = theta + kicks[i, 2] * share
         x, y, theta = poses[i, -1, 0], poses[i, -1, 1], poses[i, -1, 2]
+        began += elapsed
     return starts, poses
 
 

@@ -1,6 +1,8 @@
 """Results that must not change by more than matters to a user, whatever computes them.
 
-``golden.json`` was written before the compiled loops became one. Poses agree to a micrometre, and
+``golden.json`` was written before the compiled loops became one; but for the results of robots with
+a drive model, which were written anew when commands that wait for the robot's answer became part of
+the state. Those of a robot that answers at once were not. Poses agree to a micrometre, and
 fitness to what such a difference makes of it; a statistic of samples, whose random numbers may be
 others, agrees within its own scatter.
 """
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 import torch
 from khepera_data import made_up
-from motion_networks import random_motion_network
+from motion_networks import drive_model, random_motion_network
 
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network, Plan, Recurrent
@@ -21,6 +23,8 @@ from neurosim.tasks.registry import make_task
 
 RECORDED = Path(__file__).with_name("golden.json")
 GOALS = np.array([[0.4, 0.2, 0.5], [0.1, -0.3, 2.0]])
+#: A robot without delay and static friction, of one lag whether it speeds up or slows down.
+AT_ONCE = {"delay": torch.zeros(1), "slowing": torch.ones(2), "stick": torch.zeros(2)}
 SEEN = ("x", "sin_heading", "goal_x", "goal_y", "goal_bearing", "time")
 
 
@@ -28,6 +32,7 @@ def simulators():
     """Return one of each make, by name."""
     return {
         "driven": random_motion_network(),
+        "driven at once": random_motion_network(drives=drive_model(**AT_ONCE)),
         "average of members": random_motion_network(central=False, units=0, swing=None),
         "displacement": random_motion_network(drives=False, units=0, swing=None, size=0.2),
         "tables": TableSimulator(made_up(2, 0.01)),

@@ -97,20 +97,25 @@ def obvious(sim, family, b, draws, r):
     pose, poses, sent = draws.starts[r], [draws.starts[r]], 0
     member = -1 if draws.member is None else int(draws.member[r])
     each = zip(family.all_commands[b], family.given[b], strict=True)
-    speed, told, lasted = torch.zeros(1, 2).double(), torch.zeros(1, 2).double(), 0.0
+    speed, told, lasted, under = torch.zeros(1, 2).double(), torch.zeros(1, 2).double(), 0.0, None
+    if sim.drive:
+        under = sim.drive.begun(speed, speed)
     for command, is_given in [*each, ((0.0, 0.0, RUN_DOWN), True)]:
         if is_given:
             x = sim.scaled(torch.tensor([[0.0, 0.0, *command]], dtype=torch.float64))
             goes_on = sim.drive and torch.equal(x[:, 2:4], told) and 0 < lasted + command[2] < 3.15
             if not goes_on or lasted == 0.0:
-                if sim.drive:
-                    speed = sim.drive.reached(speed, told, torch.tensor([lasted]))
-                else:
+                if sim.drive and lasted > 0.0:
+                    time = torch.tensor([lasted])
+                    reached = sim.drive.reached(under, told, time)
+                    under = sim.drive.after(under, told, time, reached)
+                    speed = under.speed
+                elif not sim.drive:
                     speed = told
                 began, lasted, number, told = pose, 0.0, sent, x[:, 2:4]
             lasted += command[2]
             x[:, :2], x[:, 4] = speed, lasted / 3.0
-            moved = sim.displacement_of(x, member)
+            moved = sim.displacement_of(x, member, under)
             if draws.noise is not None:
                 moved = sim.disturbed(x, moved, torch.from_numpy(draws.noise[r, number])[None])
             dx, dy, turn = moved[0].tolist()

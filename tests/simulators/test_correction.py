@@ -40,7 +40,7 @@ def instant():
 
 def driven_twist(drive, left, right, time):
     speeds = double([[left, right]])
-    return sum(drive.pieces(speeds, speeds, double([time]))) @ drive.kinematics
+    return sum(drive.pieces(drive.begun(speeds), speeds, double([time]))) @ drive.kinematics
 
 
 @st.composite
@@ -103,7 +103,7 @@ def test_a_robot_may_turn_round_within_a_command():
     before, near = instant(), []
     for time in np.linspace(0.9, 1.1, 41) * math.tau / 5.0:
         moved, twist = correction.of_drive(before).phases(
-            double([[-1.0, 1.0]]), double([[-1.0, 1.0]]), double([time])
+            before.begun(double([[-1.0, 1.0]])), double([[-1.0, 1.0]]), double([time])
         )
         near.append((moved[0, :2].abs() + twist[0, :2].abs()).max())
     assert max(near) < 0.05

@@ -110,7 +110,8 @@ def test_what_departs_from_the_drive_model_is_added_to_the_twist_of_its_last_pie
     x = simulator.scaled(inputs)
     outputs = simulator.outputs(inputs)[0, 1].numpy()
     time = torch.tensor([2.0], dtype=torch.float64)
-    changing, steady = simulator.drive.phases(x[:, :2], x[:, 2:4], time)
+    drive = simulator.drive
+    changing, steady = drive.phases(drive.begun(x[:, :2]), x[:, 2:4], time)
     rest = se2.exp(steady[0].numpy() + outputs * 2.0 / 3.0)
     expected = se2.compose(changing[0].numpy(), rest)
     np.testing.assert_allclose(simulator.displacement(inputs, 1)[0], expected, atol=1e-12)

@@ -5,7 +5,7 @@ import math
 import torch
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.drive import DriveModel, Underway
 from neurosim.training.base import TrainingData, Within
 
 INPUTS = [
@@ -45,14 +45,16 @@ def drive_data(
         torch.tensor(lag), torch.ones(2), torch.full((2,), braking), torch.full((2,), rate),
         torch.tensor(bend).double(), torch.full((2,), stick), torch.tensor([delay]), kinematics,
     )  # fmt: skip
-    speed, before = torch.zeros(2, dtype=torch.float64), torch.zeros_like(u)
     told = drive.shaped(u)
+    under, each = drive.begun(torch.zeros(1, 2, dtype=torch.float64)), []
     for row in range(count):
-        before[row] = speed
-        speed = drive.reached(speed[None], told[row][None], time[row][None])[0]
+        each.append(under)
+        reached = drive.reached(under, told[row : row + 1], time[row : row + 1])
+        under = drive.after(under, told[row : row + 1], time[row : row + 1], reached)
 
     def moved(rows, until):
-        changing, twist = drive.phases(before[rows], told[rows], until)
+        begun = Underway(*(torch.cat(parts)[rows] for parts in zip(*each, strict=True)))
+        changing, twist = drive.phases(begun, told[rows], until)
         turn = wobble * torch.sin(2.0 * math.pi * u[rows, 0] * u[rows, 1]) * until
         twist = twist + torch.stack([0 * turn, 0 * turn, turn], 1)
         scatter = torch.randn(len(rows), 3, generator=g, dtype=torch.float64)

@@ -82,7 +82,7 @@ def random_motion_network(
         names: of the inputs.
         members: how many there are.
         central: whether the mean is a network of its own.
-        drives: whether there is a drive model.
+        drives: whether there is a drive model; or the model.
         units: how many kernel units.
         swing: of :class:`Derived`.
         noise: whether there is a noise model; or the model.
@@ -118,6 +118,6 @@ def random_motion_network(
         dead_zone=torch.tensor([0.05 * (name != "duration") for name in names]),
         central=central,
         derived=derived,
-        drive=drive_model(seed, actuators) if drives else None,
+        drive=drive_model(seed, actuators) if drives is True else drives or None,
         kernel_units=kernel_units(seed, units, inputs, count) if units else None,
     )

@@ -248,7 +248,7 @@ def advance(state, inputs, p, field, until):
 
 
 @njit(cache=True)
-def displacements(state, commands, p, field):
+def displacements(state, commands, p, field, delay=0.0):
     """Drive regulated commands one straight into the next, without a brick or a camera.
 
     Args:
@@ -256,6 +256,8 @@ def displacements(state, commands, p, field):
         commands: float64 [N, 3]: left and right power (%), duration (s).
         p: coefficients.
         field: slip field.
+        delay: from a command to its first answer, s; those given meanwhile wait their turn, and
+            before the first one the motors stand.
 
     Returns:
         float64 [N + 1, 3]: the pose at the start and after every command.
@@ -265,10 +267,17 @@ def displacements(state, commands, p, field):
     inputs[U.LIMIT : U.LIMIT + 2] = np.nan
     poses = np.empty((len(commands) + 1, 3))
     poses[0] = state[S.X : S.X + 3]
+    acts, until = 0, state[S.TIME]
+    starts = until + delay
     for i in range(len(commands)):
-        for wheel in range(2):
-            inputs[U.POWER + wheel] = commands[i, wheel]
-            begin_command(state, wheel, p)
-        advance(state, inputs, p, field, state[S.TIME] + commands[i, 2])
+        until += commands[i, 2]
+        while acts <= i and starts <= until:
+            advance(state, inputs, p, field, starts)
+            for wheel in range(2):
+                inputs[U.POWER + wheel] = commands[acts, wheel]
+                begin_command(state, wheel, p)
+            starts += commands[acts, 2]
+            acts += 1
+        advance(state, inputs, p, field, until)
         poses[i + 1] = state[S.X : S.X + 3]
     return poses

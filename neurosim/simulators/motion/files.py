@@ -32,6 +32,9 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
+#: The first version in which commands that wait for the robot's answer are part of the state.
+_QUEUES = 4
+
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")
 
@@ -127,6 +130,13 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     actuators = len(CommandFeatures.of(tuple(i["name"] for i in inputs)).driven)
     drives, units = content["coordinates"] == "residual-twist", content.get("kernel_units", 0)
     if drives:
+        if content["version"] < _QUEUES:
+            raise FileError(
+                path,
+                "is of a former version, which forgot commands that had not yet acted: train the "
+                "simulator anew",
+                field="version",
+            )
         if content.get("drive") != list(DriveModel.NAMES):
             raise FileError(
                 path,

@@ -19,14 +19,23 @@ from neurosim.base.se2 import compiled as se2
 from neurosim.networks import LOG_LIMIT
 from neurosim.simulators import engine
 from neurosim.simulators.motion.derived import SAME
-from neurosim.simulators.motion.drive import ALIKE, MOVING, PHASES, SETTLED, SHORTEST, STILL
+from neurosim.simulators.motion.drive import (
+    ALIKE,
+    LONG_WAIT,
+    MOVING,
+    PHASES,
+    SETTLED,
+    SHORTEST,
+    SHORTEST_COMMAND,
+    STILL,
+)
 from neurosim.simulators.motion.noise import DRAWS, HEAVIEST, LEAST_CHORD, TINY
 from neurosim.simulators.motion.sensors import read
 
 #: Numbers that the size of the noise is, see :func:`spread`.
 SIZES = 10
 #: Numbers that the law of an actuator is, see :func:`_law`.
-_LAW = 10
+_LAW = 15
 
 #: Sums may be rearranged so that they vectorise; infinities and NaN keep their meaning.
 _FAST = {"contract", "reassoc", "nsz", "arcp"}
@@ -74,7 +83,8 @@ class MotionModel(NamedTuple):
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
-    drives: bool  #: whether there is a drive model; if not, the next ten hold anything
+    drives: bool  #: whether there is a drive model; if not, the next eleven hold anything
+    slots: int  #: as in DriveModel
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray
     braking: np.ndarray
@@ -103,21 +113,25 @@ class MotionModel(NamedTuple):
 def scratch(a):
     """Return the arrays that :func:`step` and :func:`sense` write to, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
-    numbers = np.empty(7 * inputs + (_LAW + 5) * actuators + 6 + len(a.ceiling) + len(a.centres[0]))
+    under = (2 + a.slots) * actuators + a.slots
+    size = 2 * inputs + (_LAW + 6) * actuators + 1 + under + len(a.ceiling) + len(a.centres[0])
+    numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
     log2 = numbers[inputs:end]
     law = numbers[end : end + _LAW * actuators].reshape(actuators, _LAW)
     end += _LAW * actuators
     memory = numbers[end : end + 3 * actuators + 1]
     end += 3 * actuators + 1
-    distance = numbers[end : end + 2 * actuators].reshape(2, actuators)
-    end += 2 * actuators
+    began = numbers[end : end + under]
+    end += under
+    distance = numbers[end : end + 3 * actuators].reshape(3, actuators)
+    end += 3 * actuators
     units = numbers[end : end + len(a.ceiling)]
     end += len(a.ceiling)
     nearness = numbers[end : end + len(a.centres[0])]
     means, sizes = np.empty((networks, 3)), np.empty((networks, SIZES))
     done, moved = np.empty(networks + len(a.group), np.bool_), np.empty((2, 3))
-    return x, log2, law, memory, distance, units, nearness, means, sizes, done, moved
+    return x, log2, law, memory, began, distance, units, nearness, means, sizes, done, moved
 
 
 @kernel(forceinline=True)
@@ -133,20 +147,21 @@ def step(a, states, command, z, work):
         z: [N, DRAWS or more] numbers of the noise; N = 0: there is none.
         work: of :func:`scratch`.
     """
-    x, log2, law, memory, distance, units, nearness, means, sizes, done, moved = work
+    x, log2, law, memory, began, distance, units, nearness, means, sizes, done, moved = work
     first, count = states[0], len(a.driven)
     noisy = a.noisy and len(z) > 0
-    same = _inputs(a, first, command, law, memory, x)
+    same = _inputs(a, first, command, memory, began, x)
     swung(a, x)
     done[:] = False
     known, summed = done[: len(means)], done[len(means) :]
     pattern = _prepare(a, x, log2, nearness)
     if a.drives:
-        phases(a, x, law, distance, moved[0], moved[1])
+        phases(a, x, began, law, distance, memory, moved[0], moved[1])
     if noisy:
         own_spread(a, x, sizes[0])
     scale = sizes[0, 0], sizes[0, 1], sizes[0, 2], sizes[0, 9]
-    behind = 3 + 2 * count + 1  # where the displacement since the command began stands
+    behind = 3 + 3 * count + 1  # where the displacement since the command began stands
+    start = behind + 3 + DRAWS
     for r in range(len(states)):
         own = states[r]
         m = int(own[-1]) + 1 if a.members else 0
@@ -169,8 +184,11 @@ def step(a, states, command, z, work):
         elif a.drives and not same:
             own[behind + 3 : behind + 3 + DRAWS] = 0.0
         if a.drives:
-            for i in range(2 * count + 1):
+            for i in range(3 * count + 1):
                 own[3 + i] = memory[i]
+            if not same:
+                for i in range(len(began)):
+                    own[start + i] = began[i]
             now_x, now_y, now = dx, dy, turn
             if same:
                 gone_x, gone_y, gone = own[behind], own[behind + 1], own[behind + 2]
@@ -203,68 +221,113 @@ def _speed(a, value, c):
 
 
 @kernel(forceinline=True)
-def _law(a, c, before, goal, law):
+def _law(a, c, before, goal, push, law):
     """Write how an actuator goes from a speed to its goal; see :meth:`DriveModel.approach`.
 
     Args:
         a: :class:`MotionModel`.
         c: the actuator.
         before, goal: speeds.
-        law: [_LAW], written: size and sign of the difference, lag, rate, how long the limit of the
-            rate holds, what it leaves, when and how long the actuator is held by static friction
-            and what is left of the difference then, and when the speed has settled.
+        push: as in Underway.
+        law: [_LAW], written: size and sign of the difference, until when (s) the speed is above its
+            goal though it goes the other way, and the lag until then; what is left then, the lag
+            from then on, the rate, how long its limit holds, when and how long the actuator is held
+            by static friction and what is left of the difference then, when the speed has settled,
+            and the goal, its magnitude, and the push.
     """
     difference, speed = goal - before, max(abs(goal), STILL)
-    size, lag, rate = abs(difference), a.lag[c], a.rate[c]
+    size, rate = abs(difference), a.rate[c]
+    lag = slow = a.lag[c]
+    since, fast, until, stands, zero, then = size, 0.0, 0.0, 0.0, 0.0, 0.0
     if speed <= STILL:
         lag *= a.braking[c]
-    elif speed < abs(before) - ALIKE:
-        lag *= a.slowing[c]
+        push = 0.0
+    else:
+        turns = before * goal < 0.0
+        if speed < abs(before) - ALIKE:
+            slow *= a.slowing[c]
+            if turns:
+                linear, since = rate * slow, 2.0 * speed
+                fast = (max(size - linear, 0.0) - max(since - linear, 0.0)) / rate
+                faded = min(size, linear) / max(min(since, linear), STILL)
+                until = fast + slow * math.log(max(faded, 1.0))
+            else:
+                lag = slow
+        if turns and abs(before) > STILL:
+            push = 0.0
+        held = min(1.0 - before * math.copysign(1.0, goal) / MOVING, 1.0)
+        if turns or abs(before) < speed:
+            stands = max(max(held, 0.0) * a.stick[c] - push, 0.0) / speed
     linear = rate * lag
-    ramp, fading = max(size - linear, 0.0) / rate, min(size, linear)
-    stands, zero, left = 0.0, 0.0, 0.0
-    held = 1.0 - before * math.copysign(1.0, goal) / MOVING
-    if a.stick[c] > 0.0 and speed > STILL and held > 0.0:
-        left = size if goal * before > 0.0 else min(size, speed)
-        zero = (size - left) / rate
-        if left < linear:
-            zero = ramp + lag * math.log(max(fading / max(left, STILL), 1.0))
-        stands = min(held, 1.0) * a.stick[c] / speed
-    law[0], law[1], law[2], law[3] = size, math.copysign(1.0, difference), lag, rate
-    law[4], law[5], law[6], law[7], law[8] = ramp, fading, zero, stands, left
-    law[9] = ramp + SETTLED * lag + stands + a.delay[0] if size > ALIKE else 0.0
+    ramp = max(since - linear, 0.0) / rate
+    if stands > 0.0:
+        then = since if goal * before > 0.0 else min(since, speed)
+        zero = (since - then) / rate
+        if then < linear:
+            zero = ramp + lag * math.log(max(min(since, linear) / max(then, STILL), 1.0))
+    law[0], law[1], law[2], law[3] = size, math.copysign(1.0, difference), until, slow
+    law[4], law[5], law[6], law[7] = since, lag, rate, ramp
+    law[8], law[9], law[10] = zero, stands, then
+    law[11] = fast + ramp + SETTLED * lag + stands if size > ALIKE else 0.0
+    law[12], law[13], law[14] = goal, speed, push
 
 
 @kernel(forceinline=True)
-def _follow(a, law, time):
+def _follow(law, time):
     """Return what is left of the difference after a time (s), and its integral until then."""
-    size, sign, lag, rate, ramp = law[0], law[1], law[2], law[3], law[4]
-    if size == 0.0:
+    if law[0] == 0.0 and law[9] == 0.0:
         return 0.0, 0.0
-    t = max(time - a.delay[0], 0.0)
-    stood = min(max(t - law[6], 0.0), law[7])
-    t -= stood
-    on_ramp = min(t, ramp)
-    left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
-    if t > ramp:
-        decay = math.exp(-(t - on_ramp) / lag)
-        left = law[5] * decay
-        missed += law[5] * lag * (1.0 - decay)
-    missed += size * min(time, a.delay[0]) + law[8] * stood
-    return sign * left, sign * missed
+    sign, until = law[1], law[2]
+    if time < until:
+        linear = law[6] * law[3]
+        ramp = max(law[0] - linear, 0.0) / law[6]
+        left, missed = _fallen(law[0], law[3], law[6], ramp, time)
+        return sign * left, sign * missed
+    more = 0.0
+    if until > 0.0:
+        linear = law[6] * law[3]
+        more = _fallen(law[0], law[3], law[6], max(law[0] - linear, 0.0) / law[6], until)[1]
+    rest = time - until
+    stood = min(max(rest - law[8], 0.0), law[9])
+    left, missed = _fallen(law[4], law[5], law[6], law[7], rest - stood)
+    return sign * left, sign * (more + missed + law[10] * stood)
 
 
 @kernel(forceinline=True)
-def _inputs(a, state, command, law, memory, x):
-    """Write the inputs [I] of the networks, and what the actuators remember.
+def _fallen(size, lag, rate, ramp, time):
+    """Return what is left of a difference after a time (s), and its integral until then."""
+    on_ramp = min(time, ramp)
+    left, missed = size - rate * on_ramp, on_ramp * (size - 0.5 * rate * on_ramp)
+    if time > ramp:
+        fading, decay = min(size, rate * lag), math.exp(-(time - on_ramp) / lag)
+        left = fading * decay
+        missed += fading * lag * (1.0 - decay)
+    return left, missed
+
+
+@kernel(forceinline=True)
+def _come(law, time, left):
+    """Return speed and push after a time (s), at which so much is left of the difference."""
+    speed, push = law[12] - left, law[14]
+    if abs(speed) < STILL:
+        speed = 0.0
+    if abs(speed) >= MOVING or law[13] <= STILL:
+        return speed, 0.0
+    return speed, push + min(max(time - law[2] - law[8], 0.0), law[9]) * law[13]
+
+
+@kernel(forceinline=True)
+def _inputs(a, state, command, memory, began, x):
+    """Write the inputs [I] of the networks, and what is under way where the command began.
 
     Args:
         a: :class:`MotionModel`.
         state: [S] before the command.
         command: [C or more].
-        law: [actuators, _LAW], written where there is a drive model.
-        memory: [3 actuators + 1], written: the speeds with which the command began, the command,
-            and how long it has lasted (s).
+        memory: [3 actuators + 1], written from the third part on: the speeds and pushes reached,
+            the command, and how long it has lasted (s).
+        began: [(2 + slots) actuators + slots], written: the speeds and pushes with which it began,
+            when the commands that waited then act (s), and their goals.
         x: [I], written but for what is derived.
 
     Returns:
@@ -275,26 +338,58 @@ def _inputs(a, state, command, law, memory, x):
             source = a.source[i]
             x[i] = _scaled(a, command[source] if source >= 0 else state[-source - 1], i)
         return False
-    count = len(a.driven)
-    time, lasted = command[a.source[a.duration]], state[3 + 2 * count]
+    count, slots = len(a.driven), a.slots
+    told, start = 3 + 2 * count, 3 + 3 * count + 1 + 3 + DRAWS
+    time, lasted = command[a.source[a.duration]], state[told + count]
     same = lasted > 0.0 and lasted + time <= a.longest * (1.0 + _HELD)
     for c in range(count):
-        if state[3 + count + c] != command[a.source[a.driven[c]]]:
+        if state[told + c] != command[a.source[a.driven[c]]]:
             same = False
+    for i in range(len(began)):
+        began[i] = state[start + i]
+    if not same:
+        for i in range(2 * count):
+            began[i] = state[3 + i]
+        if slots > 0 and lasted > 0.0:
+            _queue(a, state[told : told + count], lasted, began[2 * count :])
     for c in range(count):
-        speed = state[3 + c]
-        if not same:
-            goal = _speed(a, state[3 + count + c], c)
-            if lasted > 0.0:
-                _law(a, c, speed, goal, law[c])
-                speed = goal - _follow(a, law[c], lasted)[0]
-            speed = 0.0 if abs(speed) < STILL else speed
-        memory[c], memory[count + c] = speed, command[a.source[a.driven[c]]]
-        x[a.before[c]], x[a.driven[c]] = speed, _speed(a, memory[count + c], c)
-        _law(a, c, speed, x[a.driven[c]], law[c])
-    memory[2 * count] = lasted + time if same else time
-    x[a.duration] = memory[2 * count] / a.longest
+        memory[2 * count + c] = command[a.source[a.driven[c]]]
+        x[a.before[c]], x[a.driven[c]] = began[c], _speed(a, memory[2 * count + c], c)
+    memory[3 * count] = lasted + time if same else time
+    x[a.duration] = memory[3 * count] / a.longest
     return same
+
+
+@kernel(forceinline=True)
+def _queue(a, told, lasted, queue):
+    """Let a command join those that wait, see :meth:`DriveModel.after`.
+
+    Args:
+        a: :class:`MotionModel`.
+        told: the command, [C].
+        lasted: for how long it was given, s.
+        queue: [slots + slots * C] when commands act, and their goals, changed.
+    """
+    count, slots = len(a.driven), a.slots
+    for n in range(slots):
+        queue[n] -= lasted
+    acts, last = a.delay[0] - lasted, queue[slots - 1]
+    short = SHORTEST_COMMAND * (1.0 - 1e-6)
+    join = max(lasted, acts - last) < short and last > 0.0
+    if join or (queue[1] if slots > 1 else acts) > 0.0:
+        waited = max(acts - max(last, 0.0), 0.0)
+        share = waited / max(waited + lasted, 1e-9)
+        for c in range(count):
+            place = slots + (slots - 1) * count + c
+            queue[place] = share * queue[place] + (1.0 - share) * _speed(a, told[c], c)
+        return
+    for n in range(slots - 1):
+        queue[n] = queue[n + 1]
+    queue[slots - 1] = acts
+    for i in range(slots, slots + (slots - 1) * count):
+        queue[i] = queue[i + count]
+    for c in range(count):
+        queue[slots + (slots - 1) * count + c] = _speed(a, told[c], c)
 
 
 @kernel(forceinline=True)
@@ -317,54 +412,84 @@ def swung(a, x):
 
 
 @kernel(forceinline=True)
-def phases(a, x, law, distance, twist, moved):
+def phases(a, x, began, law, distance, memory, twist, moved):
     """Write displacement and twist of the drive model; see :meth:`DriveModel.phases`.
 
     Args:
         a: :class:`MotionModel`.
         x: [I] inputs.
-        law: of :func:`_law`, of each actuator.
-        distance: [2, C] scratch.
+        began: of :func:`_inputs`.
+        law: [C, _LAW] scratch.
+        distance: [3, C] scratch.
+        memory: [2 C or more], written: speeds and pushes at the end.
         twist: [3], written: of the piece after the speeds have settled.
         moved: [3], written: while they change.
     """
-    count, time, settling = len(a.driven), x[a.duration] * a.longest, SHORTEST
-    for c in range(count):
-        settling = max(settling, law[c, 9])
-        distance[0, c] = 0.0
-    settled = min(time, settling)
-    px, py, theta, end = 0.0, 0.0, 0.0, 0.0
-    for phase in range(PHASES + 1):
-        began = end
-        end = settled * (phase + 1) / PHASES if phase < PHASES else time
-        span = end - began
-        if phase == PHASES and span == 0.0:
-            twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
-            break
-        inverse = 1.0 / max(span, 1e-9)
+    count, slots, time = len(a.driven), a.slots, x[a.duration] * a.longest
+    for i in range(2 * count):
+        memory[i] = began[i]
+    twist[0], twist[1], twist[2] = 0.0, 0.0, 0.0
+    px, py, theta, begin = 0.0, 0.0, 0.0, 0.0
+    for n in range(slots + 1):
+        own, until = n == slots, time
+        if not own:
+            acts = began[2 * count + n + 1] if n + 1 < slots else a.delay[0]
+            until = min(max(acts, 0.0), time)
+        span = until - begin
+        if span <= 0.0:
+            continue
+        begin, settling = until, SHORTEST
         for c in range(count):
-            until = x[a.driven[c]] * end - _follow(a, law[c], end)[1]
-            distance[1, c] = until - distance[0, c]
-            distance[0, c] = until
-        vx, vy, turn = 0.0, 0.0, 0.0
-        place = count
-        for c in range(count):
-            w = distance[1, c]
-            vx += w * a.kinematics[c, 0]
-            vy += w * a.kinematics[c, 1]
-            turn += w * a.kinematics[c, 2]
-            mean = w * inverse
-            for d in range(c, count):
-                q = mean * distance[1, d] * inverse * span
-                vx += q * a.kinematics[place, 0]
-                vy += q * a.kinematics[place, 1]
-                turn += q * a.kinematics[place, 2]
-                place += 1
-        if phase < PHASES:
+            goal = x[a.driven[c]] if own else began[2 * count + slots + n * count + c]
+            _law(a, c, memory[c], goal, memory[count + c], law[c])
+            settling = max(settling, law[c, 11])
+            distance[0, c] = 0.0
+        changing = min(span, settling) if own else span
+        pieces = PHASES if own or span > LONG_WAIT else 1
+        end = 0.0
+        for k in range(pieces):
+            last, end = end, changing * (k + 1) / pieces
+            vx, vy, turn = _twist(a, law, last, end, distance)
             px, py, theta = se2.compose_exp(px, py, theta, vx, vy, turn)
-        else:
-            twist[0], twist[1], twist[2] = vx, vy, turn
+        if end < span:
+            twist[0], twist[1], twist[2] = _twist(a, law, end, span, distance)
+        for c in range(count):
+            memory[c], memory[count + c] = _come(law[c], span, distance[2, c])
     moved[0], moved[1], moved[2] = px, py, theta
+
+
+@kernel(forceinline=True)
+def _twist(a, law, begin, end, distance):
+    """Return the mean twist times the time (m, m, rad) from one instant to another.
+
+    Args:
+        a: :class:`MotionModel`.
+        law: of :func:`_law`, of each actuator.
+        begin, end: s.
+        distance: [3, C] of the actuators: until ``begin``, changed to ``end``; scratch; what is
+            left at ``end``, written.
+    """
+    count, span = len(a.driven), end - begin
+    inverse = 1.0 / max(span, 1e-9)
+    for c in range(count):
+        left, missed = _follow(law[c], end)
+        until = law[c, 12] * end - missed
+        distance[1, c], distance[0, c], distance[2, c] = until - distance[0, c], until, left
+    vx, vy, turn = 0.0, 0.0, 0.0
+    place = count
+    for c in range(count):
+        w = distance[1, c]
+        vx += w * a.kinematics[c, 0]
+        vy += w * a.kinematics[c, 1]
+        turn += w * a.kinematics[c, 2]
+        mean = w * inverse
+        for d in range(c, count):
+            q = mean * distance[1, d] * inverse * span
+            vx += q * a.kinematics[place, 0]
+            vy += q * a.kinematics[place, 1]
+            turn += q * a.kinematics[place, 2]
+            place += 1
+    return vx, vy, turn
 
 
 @kernel(forceinline=True)

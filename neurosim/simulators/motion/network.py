@@ -16,7 +16,7 @@ from collections.abc import Mapping, Sequence
 from copy import copy
 from dataclasses import asdict, astuple
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -33,7 +33,7 @@ from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.correction import Correction
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.domain import Domain
-from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.drive import DriveModel, Underway
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.kernels import HALF_LOG2_E, LANES, MotionModel
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures, NoiseModel, disturb, draw
@@ -50,6 +50,29 @@ _LINKS = 4
 #: What the networks' outputs are: the displacement itself; or, beside a drive model, the twist by
 #: which the robot departs from it, in the time of the longest command.
 COORDINATES = ("displacement", "residual-twist")
+
+
+class _State(NamedTuple):
+    """A state with a drive model in parts, [B, ...], in the order of its columns."""
+
+    pose: Tensor
+    speed: Tensor
+    push: Tensor
+    told: Tensor
+    elapsed: Tensor
+    done: Tensor
+    noise: Tensor
+    began_speed: Tensor
+    began_push: Tensor
+    acts: Tensor
+    goals: Tensor
+    member: Tensor
+
+
+def _flat(under: Underway) -> dict[str, Tensor]:
+    """Return what is under way where a command begins as the parts of a state."""
+    names = ("began_speed", "began_push", "goals", "acts")
+    return dict(zip(names, (*under[:2], under.goals.flatten(1), under.acts), strict=True))
 
 
 class MotionNetwork(Simulator):
@@ -172,9 +195,14 @@ class MotionNetwork(Simulator):
             self.state_names = (
                 *("x", "y", "theta"),
                 *(f"speed_{name}" for name in driven),
+                *(f"push_{name}" for name in driven),
                 *(f"told_{name}" for name in driven),
                 *("elapsed", "done_x", "done_y", "done_theta"),
                 *(f"noise_{number}" for number in range(DRAWS)),
+                *(f"began_speed_{name}" for name in driven),
+                *(f"began_push_{name}" for name in driven),
+                *(f"waiting_{n}_acts" for n in range(drive.slots)),
+                *(f"waiting_{n}_{name}" for n in range(drive.slots) for name in driven),
             )
         if self.members > 1:
             self.state_names += ("member",)
@@ -272,12 +300,10 @@ class MotionNetwork(Simulator):
         """Return states [B, S] in which the last command is over: given again, it begins anew."""
         if self.drive is None:
             return state
-        count, state = len(self.columns.driven), state.clone()
-        speed, given = state[:, 3 : 3 + count], state[:, 3 + count : 3 + 2 * count]
-        elapsed = state[:, 3 + 2 * count]
-        state[:, 3 : 3 + count] = self.drive.reached(speed, self._speeds(given), elapsed)
-        state[:, 3 + 2 * count] = 0.0
-        return state
+        parts = self._parts(state)
+        under = self._after(self.drive, parts)
+        parts = parts._replace(elapsed=torch.zeros_like(parts.elapsed), **_flat(under))
+        return torch.cat(parts, dim=1)
 
     def standing(
         self, poses: NDArray[np.float64], member: NDArray[np.int64] | None = None
@@ -315,7 +341,9 @@ class MotionNetwork(Simulator):
             return self._step_within(state, command, member, z)
         given = torch.cat([state[:, self._remembered], command], dim=1)
         x = self.scaled(given[:, self._order])
-        moved = self._moved(x, member, z)
+        moved = self.displacement_of(x, member)
+        if z is not None:
+            moved = self.disturbed(x, moved, z)
         pose = se2.compose(state[:, :3], moved)
         return torch.cat([pose, command[:, self._next], state[:, self._remembered.stop :]], dim=1)
 
@@ -342,27 +370,53 @@ class MotionNetwork(Simulator):
         step, but for where it is already, and the noise is that with which the command began. So
         it does not matter into which steps a command is cut.
         """
-        assert self.drive is not None
-        count = len(self.columns.driven)
-        sizes = [3, count, count, 1, 3, DRAWS, int(self.members > 1)]
-        pose, speed, told, elapsed, done, noise, rest = state.split(sizes, dim=1)
+        drive = self.drive
+        assert drive is not None
+        parts = self._parts(state)
         driven = command[:, self._told]
         step = command[:, [self.command_names.index("duration")]]
         longest = self.input_scale[self.columns.duration]
-        same = (driven == told).all(1, keepdim=True) & (elapsed > 0.0)
-        same &= elapsed + step <= longest * (1.0 + HELD)
-        reached = self.drive.reached(speed, self._speeds(told), elapsed.squeeze(1))
-        speed = torch.where(same, speed, reached)
-        elapsed = torch.where(same, elapsed, 0.0) + step
-        done = torch.where(same, done, 0.0)
-        noise = torch.where(same, noise, 0.0 if z is None else z.to(noise))
+        same = (driven == parts.told).all(1, keepdim=True) & (parts.elapsed > 0.0)
+        same &= parts.elapsed + step <= longest * (1.0 + HELD)
+        began = _flat(self._after(drive, parts))
+        began = {k: torch.where(same, getattr(parts, k), v) for k, v in began.items()}
+        under = self._underway(parts._replace(**began))
+        elapsed = torch.where(same, parts.elapsed, 0.0) + step
+        done = torch.where(same, parts.done, 0.0)
+        noise = torch.where(same, parts.noise, 0.0 if z is None else z.to(state))
         x = state.new_zeros(state.shape[0], len(self.inputs))
-        x[:, list(self.columns.before)] = speed
-        x[:, self._driven] = self._speeds(driven)
+        x[:, list(self.columns.before)] = under.speed
+        x[:, self._driven] = goals = self._speeds(driven)
         x[:, self.columns.duration] = elapsed.squeeze(1) / longest
-        moved = self._moved(x, member, None if z is None else noise)
-        pose = se2.compose(pose, se2.between(done, moved))
-        return torch.cat([pose, speed, driven, elapsed, moved, noise, rest], dim=1)
+        moved = self.displacement_of(x, member, under)
+        if z is not None:
+            moved = self.disturbed(x, moved, noise)
+        pose = se2.compose(parts.pose, se2.between(done, moved))
+        speed, push = drive.reached(under, goals, elapsed.squeeze(1))
+        now = parts._replace(pose=pose, speed=speed, push=push, told=driven, elapsed=elapsed)
+        return torch.cat(now._replace(done=moved, noise=noise, **began), dim=1)
+
+    def _parts(self, state: Tensor) -> _State:
+        """Return states [B, S] in parts."""
+        assert self.drive is not None
+        count, slots = len(self.columns.driven), self.drive.slots
+        sizes = [3, *[count] * 3, 1, 3, DRAWS, *[count] * 2, slots, slots * count]
+        return _State(*state.split([*sizes, int(self.members > 1)], dim=1))
+
+    def _underway(self, parts: _State) -> Underway:
+        """Return what was under way where the last command began."""
+        goals = parts.goals.unflatten(1, (parts.acts.shape[1], len(self.columns.driven)))
+        return Underway(parts.began_speed, parts.began_push, goals, parts.acts)
+
+    def _after(self, drive: DriveModel, parts: _State) -> Underway:
+        """Return what is under way where the last command ends; in a robot that stands, all 0."""
+        under, time = self._underway(parts), parts.elapsed.squeeze(1)
+        after = drive.after(under, self._speeds(parts.told), time, (parts.speed, parts.push))
+        # After a command that was over already nothing is added.
+        over = time <= 0.0
+        pairs = zip(after[2:], under[2:], strict=True)
+        kept = (torch.where(over.reshape(-1, *[1] * (b.ndim - 1)), b, a) for a, b in pairs)
+        return Underway(parts.speed, parts.push, *kept)
 
     def _speeds(self, driven: Tensor) -> Tensor:
         """Return the speeds [B, C] that driven inputs [B, C], in the dataset's units, come to."""
@@ -370,10 +424,6 @@ class MotionNetwork(Simulator):
         scaled = driven / self.input_scale[self._driven]
         scaled = torch.where(scaled.abs() < self.dead_zone[self._driven], 0.0, scaled)
         return self.drive.shaped(scaled)
-
-    def _moved(self, x: Tensor, member: Tensor | int, z: Tensor | None) -> Tensor:
-        mean = self.displacement_of(x, member)
-        return mean if z is None else self.disturbed(x, mean, z)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
         """Return the mean displacements [B, 3] (m, m, rad) that follow from ``inputs`` [B, I].
@@ -386,9 +436,17 @@ class MotionNetwork(Simulator):
         """
         return self.displacement_of(self.scaled(inputs), member)
 
-    def displacement_of(self, x: Tensor, member: Tensor | int = -1) -> Tensor:
-        """Return the mean displacements [B, 3] of inputs [B, I] scaled by :meth:`scaled`."""
-        given = self.derived.append(self.columns, x)
+    def displacement_of(
+        self, x: Tensor, member: Tensor | int = -1, under: Underway | None = None
+    ) -> Tensor:
+        """Return the mean displacements [B, 3] of scaled inputs.
+
+        Args:
+            x: of :meth:`scaled` [B, I], or of :meth:`chained`.
+            member: as in :meth:`displacement`.
+            under: what is under way where the commands begin; None: as ``x`` says.
+        """
+        given = self.derived.append(self.columns, x[:, : len(self.inputs)])
         units = None if self.kernel_units is None else self.kernel_units.units(given)
         if self._predict_mean is not None and isinstance(member, int) and member < 0:
             outputs = self._predict_mean(given) * self.output_scale[0]
@@ -396,7 +454,7 @@ class MotionNetwork(Simulator):
                 outputs = outputs + units @ self.kernel_units.weights[0].T
         else:
             outputs = _of_member(self._outputs_of(given, units), member, self.central)
-        return self.from_outputs(outputs, x)
+        return self.from_outputs(outputs, x, under)
 
     def scaled(self, inputs: Tensor) -> Tensor:
         """Return ``inputs`` [B, I] scaled, those within the dead zone zero.
@@ -411,10 +469,10 @@ class MotionNetwork(Simulator):
         return scaled
 
     def chained(self, inputs: Tensor) -> Tensor:
-        """Return scaled inputs [B, I] of commands, in the dataset's units, in the order of time.
+        """Return scaled inputs of commands [B, I], in the dataset's units, in the order of time.
 
         What an actuator has not reached at the end of a command, it has not at the beginning of
-        the next.
+        the next. With a drive model there are columns more, see :func:`chain`.
         """
         x = self.scaled(inputs)
         if self.drive is None:
@@ -434,19 +492,21 @@ class MotionNetwork(Simulator):
             outputs = outputs + torch.einsum("bk,mok->bmo", units, self.kernel_units.weights)
         return outputs
 
-    def from_outputs(self, outputs: Tensor, x: Tensor) -> Tensor:
+    def from_outputs(self, outputs: Tensor, x: Tensor, under: Underway | None = None) -> Tensor:
         """Return the displacements [B, 3] that networks' outputs [B, O] stand for.
 
         Args:
             outputs: of the networks.
-            x: scaled inputs, [B, I].
+            x: scaled inputs, as in :meth:`displacement_of`.
+            under: likewise.
         """
         if self.drive is None:
             return outputs
         columns, share = self.columns, x[:, self.columns.duration]
-        before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
+        under = rows_underway(self.drive, columns, x) if under is None else under
         assert self._corrected is not None
-        changing, twist = self._corrected.phases(before, told, share * self.longest)
+        time = share * self.longest
+        changing, twist = self._corrected.phases(under, x[:, list(columns.driven)], time)
         if self.correction != Correction():
             outputs = self.correction.of_twists(outputs)
         return se2.compose(changing, se2.exp(twist + share.unsqueeze(1) * outputs))
@@ -569,6 +629,7 @@ class MotionNetwork(Simulator):
             swing=math.nan if self.derived.swing is None else self.derived.swing,
             floor=self.network.floor,
             drives=self.drive is not None,
+            slots=0 if self.drive is None else self.drive.slots,
             longest=self.longest,
             members=self.members > 1,
             noisy=self.noise is not None,
@@ -676,28 +737,36 @@ def follows(names: Sequence[str], inputs: Tensor) -> Tensor:
 def chain(
     drive: DriveModel, columns: CommandFeatures, x: Tensor, follows: Tensor, longest: float
 ) -> Tensor:
-    """Return scaled inputs [B, I] in which commands begin with the speeds really reached.
+    """Return scaled inputs [B, I + C] in which commands begin with the speeds really reached.
+
+    The last C columns are the goals of the commands before, which act until the delay has passed.
+    A command before that one is taken to act no more: it would be shorter than the delay.
 
     Args:
         drive: the drive model.
         columns: of the inputs.
-        x: scaled inputs, speeds before a command as if they had been reached.
+        x: scaled inputs, [B, I], speeds before a command as if they had been reached.
         follows: [B] bool, whether a row's command followed that of the row before it.
         longest: what durations are scaled by, s.
     """
-    if len(x) == 0:
-        return x
     before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
     time = x[:, columns.duration] * longest
     speed = before
     # What is left of a difference dies away within a few commands.
-    for _ in range(_LINKS):
-        reached = drive.reached(speed, told, time)
+    for _ in range(_LINKS if len(x) else 0):
+        reached = drive.reached(drive.begun(speed, before), told, time)[0]
         speed = torch.where(follows[1:, None], reached[:-1], before[1:])
         speed = torch.cat([before[:1], speed])
-    x = x.clone()
+    x = torch.cat([x, before], 1)
     x[:, list(columns.before)] = speed
     return x
+
+
+def rows_underway(drive: DriveModel, columns: CommandFeatures, x: Tensor) -> Underway:
+    """Return what is under way where rows of scaled inputs [B, I] or of :func:`chain` begin."""
+    speed, count = x[:, list(columns.before)], len(columns.driven)
+    inputs = max(*columns.driven, *columns.before, columns.duration) + 1
+    return drive.begun(speed, x[:, inputs:] if x.shape[1] == inputs + count else None)
 
 
 def _in(dtype: torch.dtype, thing: Any) -> Any:

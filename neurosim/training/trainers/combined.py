@@ -32,7 +32,7 @@ from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.kernel_units import KernelUnits
-from neurosim.simulators.motion.network import can_drive
+from neurosim.simulators.motion.network import can_drive, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import PursuitSettings, TrainingData, Units, Within
 from neurosim.training.noise import fit_noise
@@ -187,7 +187,12 @@ class CombinedTrainer:
         enough = len(x) >= settings.swing_rows and "swing" not in settings.without
         if enough and can_swing(self._columns):
             self._derived = find_swing(
-                self._columns, rows.x, rows.left[:, 2], rows.factor[:, 2], settings, settings.floor
+                self._columns,
+                rows.given,
+                rows.left[:, 2],
+                rows.factor[:, 2],
+                settings,
+                settings.floor,
             )
         #: Of which command each row is a part.
         self._command = torch.arange(len(x))
@@ -195,19 +200,22 @@ class CombinedTrainer:
             parts, commands = self._parts(rows.x)
             rows = Residuals(*(torch.cat(pair) for pair in zip(rows, parts, strict=True)))
             self._command = torch.cat([self._command, commands])
-        self._rows = rows._replace(given=self._derived.append(self._columns, rows.x))
+        self._rows = rows._replace(given=self._derived.append(self._columns, rows.given))
 
     def _residuals(self, x: Tensor, y: Tensor, weight: Tensor) -> Residuals:
         columns = self._columns
         share = x[:, columns.duration]
-        before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
-        changing, twist = self._drive.phases(before, told, share * self._longest)
+        under = rows_underway(self._drive, columns, x)
+        changing, twist = self._drive.phases(
+            under, x[:, list(columns.driven)], share * self._longest
+        )
         moved = se2.mid_turn(se2.between(changing, y))
         chord = se2.chord(moved[:, 2])
         chord = torch.where(chord.abs() < _LEAST, 0.0, chord)
         length = torch.stack([chord, chord, torch.ones_like(chord)], dim=1)
         left = torch.where(length == 0.0, 0.0, moved - length * twist)
-        return Residuals(x, y, x, left, length * share.unsqueeze(1), weight)
+        given = x[:, : len(self._data.inputs)]
+        return Residuals(x, y, given, left, length * share.unsqueeze(1), weight)
 
     def _parts(self, x: Tensor) -> tuple[Residuals, Tensor]:
         """Return rows of parts of commands, and the commands that they are of.
@@ -226,13 +234,15 @@ class CombinedTrainer:
         until, since = ~odd & (time >= _SHORTEST), odd & (left >= _SHORTEST)
         begun, rest = x[within.row[until]].clone(), x[within.row[since]].clone()
         begun[:, columns.duration] = time[until] / self._longest
-        before, told = rest[:, list(columns.before)], rest[:, list(columns.driven)]
-        speed = self._drive.reached(before, told, time[since])
+        told = rest[:, list(columns.driven)]
+        under = rows_underway(self._drive, columns, rest)
+        speed, _ = self._drive.reached(under, told, time[since])
         rest[:, list(columns.before)] = speed
+        rest[:, len(self._data.inputs) :] = told  # it acts already
         rest[:, columns.duration] = left[since] / self._longest
         after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
-        # A rest is like a command of its own only if no speed is still waiting to change.
-        alike = ((told - speed).abs().amax(1) < _SETTLED) | (self._drive.delay < _AT_ONCE)
+        # A rest is like a command of its own only if no command is still waiting.
+        alike = ((told - speed).abs().amax(1) < _SETTLED) | (time[since] >= self._drive.delay)
         inputs, y = torch.cat([begun, rest[alike]]), torch.cat([moved[until], after[alike]])
         weight = torch.full_like(y[:, 0], self._settings.part_weight)
         commands = torch.cat([within.row[until], within.row[since][alike]])
@@ -317,7 +327,7 @@ class CombinedTrainer:
 
     def _elsewhere(self, generator: torch.Generator) -> Tensor:
         """Return networks' inputs [M, J] of random commands after random speeds."""
-        x = self._rows.x
+        x = self._rows.x[:, : len(self._data.inputs)]
         low, high = x.amin(0), x.amax(0)
         # What went one way only may go the other.
         for places in (self._columns.driven, self._columns.before):
@@ -611,7 +621,7 @@ def _shares(
 _RANDOM = 1000
 #: Parts of commands that are shorter than this, s, are not learned from.
 _SHORTEST = 0.1
-#: A speed is settled when it is so near, and a delay none when so short, s.
-_SETTLED, _AT_ONCE = 0.05, 0.01
+#: A speed is settled when it is so near.
+_SETTLED = 0.05
 #: The networks must lessen the loss by this share to count.
 _SIMPLER = 0.01

@@ -16,8 +16,8 @@ import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import DriveModel
-from neurosim.simulators.motion.network import chain
+from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.network import chain, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 
@@ -83,7 +83,7 @@ class Motion:
         return Motion(*parts, self.columns, self.longest, within)
 
     def inputs(self, drive: DriveModel) -> Tensor:
-        """Return the inputs that a drive model makes of the rows, [N, I]."""
+        """Return the inputs that a drive model makes of the rows, see :func:`chain`."""
         x = self.x.clone()
         for places in (self.columns.driven, self.columns.before):
             x[:, list(places)] = drive.shaped(x[:, list(places)])
@@ -168,8 +168,8 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, float]:
     """Return a drive model with the best kinematics, and minus the log-likelihood of the rows."""
     x, turn = motion.inputs(drive), motion.y[:, 2]
     columns = motion.columns
-    before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
-    pieces = drive.pieces(before, told, x[:, columns.duration] * motion.longest)
+    under, told = rows_underway(drive, columns, x), x[:, list(columns.driven)]
+    pieces = drive.pieces(under, told, x[:, columns.duration] * motion.longest)
     linear = len(columns.driven)
     rate, cost = _regression(sum(pieces[1:], pieces[0]), turn, linear)
     turns = [piece @ rate for piece in pieces[:-1]]
@@ -188,10 +188,10 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, float]:
     kinematics = torch.stack([*speeds.view(2, -1), rate], dim=1)
     laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
     drive = DriveModel(*laws, kinematics)
-    return drive, cost + more + _cost_within(drive, motion, before, told)
+    return drive, cost + more + _cost_within(drive, motion, under, told)
 
 
-def _cost_within(drive: DriveModel, motion: Motion, before: Tensor, told: Tensor) -> float:
+def _cost_within(drive: DriveModel, motion: Motion, under: Underway, told: Tensor) -> float:
     """Return minus the log-likelihood of poses within commands.
 
     They are from the same commands as the rows, which they are not to outweigh: they count as many
@@ -201,8 +201,9 @@ def _cost_within(drive: DriveModel, motion: Motion, before: Tensor, told: Tensor
     if within is None or len(within.row) == 0:
         return 0.0
     row = within.row
-    changing, twist = drive.phases(before[row], told[row], within.time.to(before))
-    error = se2.compose(changing, se2.exp(twist)) - within.moved.to(before)
+    under = Underway(*(part[row] for part in under))
+    changing, twist = drive.phases(under, told[row], within.time.to(told))
+    error = se2.compose(changing, se2.exp(twist)) - within.moved.to(told)
     # What is short is measured by what is short.
     size = (1.4826 * error.abs().median(0).values).clamp(min=1e-6)
     each = (error / size).square() / _FREEDOM
