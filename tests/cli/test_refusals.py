@@ -589,6 +589,7 @@ def test_a_demo_goes_on_where_it_stopped(tmp_path):
     assert report[4:6] == [tmp_path / "trial", tmp_path / "replanned"]
 
 
+@pytest.mark.slow
 def test_what_numpy_warns_of_does_not_reach_the_terminal(tmp_path):
     import subprocess
 

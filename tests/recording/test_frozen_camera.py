@@ -198,6 +198,7 @@ def stopped_after(folder, begun):
 ON = FixedCommands([Command(50, 40, 3.0), Command(-40, 40, 3.0), Command(40, 50, 3.0)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("noise", [0.0, 3.0])
 @pytest.mark.parametrize("fps", [30.0, 2.2])
 def test_pictures_that_stay_the_same_stop_a_robot_that_drives(tmp_path, fps, noise):
@@ -219,6 +220,7 @@ def test_a_robot_that_is_held_is_stopped(tmp_path, fps, sensors):
     assert stopped_after(tmp_path, sent.time) < (1.3 if sensors else 1.05)
 
 
+@pytest.mark.slow
 def test_a_robot_that_is_commanded_to_stand_may_stand(tmp_path):
     stand = FixedCommands([Command(0, 0, 3.0), Command(8, 10, 2.0), Command(0, 0, 2.0)])
     filmed(tmp_path, stand, 3, since=0.0, noise=3.0, held=True)
@@ -226,6 +228,7 @@ def test_a_robot_that_is_commanded_to_stand_may_stand(tmp_path):
     assert "cut" not in kinds
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fps", [30.0, 2.2])
 def test_a_robot_that_drives_is_not_taken_for_one_that_stands(tmp_path, fps):
     filmed(tmp_path, RandomCommands(seed=4), 12, fps=fps, seed=9)
