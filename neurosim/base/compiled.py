@@ -44,6 +44,11 @@ def keep_compiled(*packages: Path) -> None:
     os.environ["NUMBA_CACHE_DIR"] = folder
 
 
+def compiled_ahead() -> Path:
+    """Return the file that says that all that a demo needs is compiled, beside the machine code."""
+    return Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled-ahead"
+
+
 def _digest(packages: tuple[Path, ...]) -> str:
     """Return a digest of all sources in folders that have compiled functions.
 

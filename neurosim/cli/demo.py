@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import shlex
+import subprocess
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import click
 
+from neurosim.base.compiled import compiled_ahead
 from neurosim.base.errors import UserError
 from neurosim.base.files import is_empty, read_json, write_json
 from neurosim.base.formats import Demo
@@ -41,13 +45,50 @@ def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     if out.exists() and not out.is_dir():
         raise UserError(f"{out} is a file; name a folder")
     commands, seed = _settings(out, commands, seed)
-    for words in _steps(out, commands, seed):
-        text = [str(word) for word in words]
-        if words[0] == "report":
-            click.echo(f"The pipeline took {time.monotonic() - began:.0f} s.\n")
-        click.secho(f"$ neurosim {shlex.join(text)}", bold=True)
-        ctx.find_root().command.main(text, standalone_mode=False)
-        click.echo()
+    with _compiling(out) as compiled:
+        for words in _steps(out, commands, seed):
+            text = [str(word) for word in words]
+            if words[0] == "evolve":
+                compiled()
+            if words[0] == "report":
+                click.echo(f"The pipeline took {time.monotonic() - began:.0f} s.\n")
+            click.secho(f"$ neurosim {shlex.join(text)}", bold=True)
+            ctx.find_root().command.main(text, standalone_mode=False)
+            click.echo()
+
+
+@contextmanager
+def _compiling(out: Path) -> Iterator[Callable[[], None]]:
+    """Compile what evolution needs in another process, if that was not done yet.
+
+    Give what waits for it.
+    """
+    if compiled_ahead().exists():
+        yield lambda: None
+        return
+    click.echo(
+        "The first time on a computer the loops of later stages are compiled, meanwhile and in "
+        "another process; that is kept.\n",
+        err=True,
+    )
+    # It ends when this end of its input is closed, whatever becomes of this process.
+    process = subprocess.Popen(
+        [sys.executable, "-m", "neurosim.cli._ahead", str(out.absolute())],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
+
+    def wait() -> None:
+        if process.poll() is None:
+            click.echo("Waiting until the loops of evolution are compiled.", err=True)
+            process.wait()
+
+    try:
+        yield wait
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
