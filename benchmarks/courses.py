@@ -55,7 +55,7 @@ from neurosim.controllers.base import observe
 from neurosim.controllers.goals import Goals
 from neurosim.lab import Lab, LabParams, Push, VirtualRig
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.evolve import Result, evolve_in
+from neurosim.loop.evolve import evolve
 from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.loop.settings import RobustSettings, default_settings
 from neurosim.simulators.base import Simulator
@@ -172,7 +172,7 @@ class Prepared:
         self.simulator.perimeter = PERIMETER
 
     @cached_property
-    def plan(self) -> Result:
+    def plan(self) -> SavedController:
         """The plan."""
         options = self._options
         robust = RobustSettings(generations=options.robust_generations)
@@ -184,9 +184,11 @@ class Prepared:
         """Of the network, [G]."""
         return self._evolved(self.network, {"generations": self._options.network_generations}).genes
 
-    def _evolved(self, family: Any, how: dict[str, Any]) -> Result:
+    def _evolved(self, family: Any, how: dict[str, Any]) -> SavedController:
         settings = default_settings(family, TASK, **how)
-        found = evolve_in(self.simulator, TASK, family, settings, seed=self.robot, progress=False)
+        found = evolve(
+            self.simulator, TASK, family, settings=settings, seed=self.robot, progress=False
+        )
         return found[0]
 
     @cached_property
@@ -282,8 +284,7 @@ class Prepared:
         if kind == "network":
             family, genes = self.network, self.genes
         else:
-            ends = {"poses": self.plan.poses.tolist(), "rest": self.plan.rest.tolist()}
-            says = {**ends, "fitness": self.plan.fitness, "completes": self.plan.completes}
+            says = self.plan.predicted
             how = {"replan": (self.simulator, ReplanSettings()), "seed": noise}
         name, start = f"{kind}-{noise}", TASK.start
         SavedController(family, genes, TASK.describe(), start, says).write(folder / name)

@@ -21,7 +21,7 @@ from guided_recording import guided_rows, random_rows
 from robust_plans import PERIMETER, TASK, drive
 
 from neurosim.controllers import Plan
-from neurosim.loop.evolve import evolve_in
+from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.rounds import Rounds
 from neurosim.simulators import MotionNetwork
@@ -71,10 +71,10 @@ def one_plan(
     """Evolve a robust plan and drive it; return its chance as said, and as found."""
     settings = EvolveSettings(runs=options.runs, robust=RobustSettings())
     family, seed = Plan(slots=options.length), 77 + number
-    plan = evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)[0]
-    given = [command for command in plan.commands if command is not None]
+    plan = evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)[0]
+    given = plan.given
     done = [drive(given, robot, 1000 * number + n) for n in range(options.drives)]
-    return {"said": plan.probability, "completed": float(np.mean(done))}
+    return {"said": plan.predicted["probability"], "completed": float(np.mean(done))}
 
 
 def words(found: list[dict]) -> str:

@@ -36,6 +36,7 @@ import numpy as np
 import torch
 from numba import njit, prange
 
+from neurosim.base.generations import run_generations
 from neurosim.base.perimeter import Board, Perimeter
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
 from neurosim.controllers import FixedPlan, Plan, SavedController
@@ -43,7 +44,8 @@ from neurosim.lab import VirtualRig
 from neurosim.lab.nxt import physics
 from neurosim.lab.nxt.params import LabParams
 from neurosim.loop.check import check
-from neurosim.loop.evolve import Result, evolve_in, improve
+from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.record import Guard, RecordSettings, record
@@ -160,7 +162,7 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
     robust = replace(settings, robust=RobustSettings(generations=options.robust_generations))
     half = replace(robust, robust=RobustSettings(generations=options.robust_generations // 8))
     family = Plan(slots=length)
-    start = evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)
+    start = evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)
     found = {"without noise": start}
     for kind, how in (("robust", robust), ("halfway", half)):
         found[kind] = improved(simulator, start, family, how, seed)
@@ -175,13 +177,20 @@ def one_set(simulator, length: int, number: int, options: argparse.Namespace) ->
     ]
 
 
-def improved(simulator, start: list[Result], family: Plan, how: EvolveSettings, seed: int):
+def improved(simulator, start: list[SavedController], family: Plan, how: EvolveSettings, seed: int):
     """Evolve plans robustly on, each in a run of its own."""
-    genes = [family.encode(plan.commands) for plan in start]
-    return improve(simulator, TASK, family, genes, how, seed=seed, progress=False)
+    genes = np.stack([family.encode(plan.commands) for plan in start])
+    how = replace(how, runs=len(genes))
+    evaluator = Evaluator(simulator, TASK, family, placing=how.placing)
+    evolution = Evolution(evaluator, how, seed)
+    first = np.repeat(genes[:, None], how.robust.genetic.population, axis=1)
+    stage = evolution.robust_stage(genes, first)
+    evolution.stages.append(stage)
+    run_generations(stage, how.robust.generations, "", progress=False)
+    return evolution.results(False)
 
 
-def bound(start: list[Result], length: int, seed: int, options: argparse.Namespace):
+def bound(start: list[SavedController], length: int, seed: int, options: argparse.Namespace):
     """Evolve plans robustly on in the lab's own physics."""
     how = RobustSettings(generations=options.bound_generations, draws=16, selection_draws=128)
     how = replace(how, genetic=replace(how.genetic, population=50))
@@ -190,9 +199,9 @@ def bound(start: list[Result], length: int, seed: int, options: argparse.Namespa
     return improved(lab, start, Plan(slots=length), settings, seed)
 
 
-def driven(simulator, plan: Result, kind, length, seed, options) -> dict:
+def driven(simulator, plan: SavedController, kind, length, seed, options) -> dict:
     """Return what was predicted of a plan and what happened to it."""
-    given = [command for command in plan.commands if command is not None]
+    given = plan.given
     alone = SavedController(FixedPlan(tuple(given)), np.empty(0), TASK.describe(), TASK.start)
     said = check(alone, simulator, TASK, draws=2048, seed=seed + 77)
     truth = [drive(given, options.lab_seed, 100 * seed + n) for n in range(options.drives)]

@@ -35,9 +35,9 @@ from robust_plans import PERIMETER, TASK, drive
 
 from neurosim.back_to_reality import settings_named
 from neurosim.back_to_reality.run import back_to_reality
-from neurosim.controllers import Plan
+from neurosim.controllers import Plan, SavedController
 from neurosim.evolution.bits import BitSettings
-from neurosim.loop.evolve import Result, evolve_in
+from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.simulators import read_simulator
 from neurosim.training.train import learn
@@ -134,7 +134,7 @@ def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, 
         "L3": [cycle["L3"] for cycle in report["cycles"] if "L3" in cycle],
         "plans": {
             kind: {
-                "said": plan.probability,
+                "said": plan.predicted["probability"],
                 "completed": completed(plan, robot, number, reality.changes, options.drives),
                 "commands": plan.commands,
             }
@@ -143,17 +143,19 @@ def one_floor(number: int, name: str, options: argparse.Namespace) -> dict[str, 
     }
 
 
-def best_plan(simulator: Any, seed: int, options: argparse.Namespace) -> Result:
+def best_plan(simulator: Any, seed: int, options: argparse.Namespace) -> SavedController:
     """Return the plan that is evolved robustly in a simulator, where the guard ends drives."""
     simulator.perimeter = PERIMETER
     settings = EvolveSettings(runs=options.runs, robust=RobustSettings())
     family = Plan(slots=SLOTS)
-    return evolve_in(simulator, TASK, family, settings, seed=seed, progress=False)[0]
+    return evolve(simulator, TASK, family, settings=settings, seed=seed, progress=False)[0]
 
 
-def completed(plan: Result, robot: int, number: int, changes: dict[str, float], drives: int) -> int:
+def completed(
+    plan: SavedController, robot: int, number: int, changes: dict[str, float], drives: int
+) -> int:
     """Return how many drives of a plan complete the course."""
-    given = [command for command in plan.commands if command is not None]
+    given = plan.given
     if not given:
         return 0
     seeds = 1000 * number + np.arange(drives)

@@ -14,7 +14,7 @@ from khepera_data import made_up
 from neurosim.cli.main import cli
 from neurosim.controllers import CONTROLLERS, make_controller
 from neurosim.evolution.optimisers import OPTIMISERS
-from neurosim.loop.evolve import evolve_in
+from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import default_settings
 from neurosim.simulators import TableSimulator
 from neurosim.tasks.registry import TASKS
@@ -107,8 +107,9 @@ def test_networks_are_evolved_for_the_distance_to_a_path():
     family = make_controller("network", tables, task)
     settings = default_settings(family, task, generations=25)
     genetic = replace(settings.genetic, population=40, parents=8)
-    found = evolve_in(tables, task, family, replace(settings, genetic=genetic), progress=False)
-    history = found[0].history
+    settings = replace(settings, genetic=genetic)
+    (found,) = evolve(tables, task, family, settings=settings, progress=False)
+    history = found.evolution["history"]
     assert np.mean(history["mean"][-5:]) > np.mean(history["mean"][:3]) + 0.01
     assert max(history["best"]) < 0
 

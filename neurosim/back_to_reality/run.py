@@ -18,10 +18,9 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import FixedPlan, SavedController, read_controller
+from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.controllers.files import check_readable
-from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import path_of
 from neurosim.loop.journal import TRIALS, Journal, Reality, about_reality
@@ -273,33 +272,31 @@ def _controller(
     evaluator = Evaluator(simulated.adjusted(found.sets[0]), task, controller)
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
-    family, own = controller, genes
     fitness = float(judged.fitness[0].mean())
     poses, rest = path_of(trajectory, 0, evaluator)
     # The best in reality may fall or blow up in the simulator: it stays where it was seen last.
     expected = np.isfinite(poses).all(axis=1)
     if controller.kind == "plan":
-        family, own = FixedPlan(tuple(commands_of(controller, genes))), np.empty(0)
         poses = poses[np.maximum.accumulate(np.where(expected, np.arange(len(poses)), 0))]
         rest = rest if np.isfinite(rest).all() else poses[-1]
     else:
         poses = poses[expected]
         poses = poses[np.unique(np.linspace(0, len(poses) - 1, _POSES).round().astype(int))]
         rest = poses[-1]
-    return SavedController(
-        controller=family,
-        genes=own,
-        task=content["task"],
-        start=tuple(poses[0].tolist()),
-        predicted={
+    return SavedController.of(
+        controller,
+        genes,
+        content["task"],
+        tuple(poses[0].tolist()),
+        {
             "poses": poses.tolist(),
             "rest": rest.tolist(),
             "fitness": fitness if math.isfinite(fitness) else 0.0,
             "completes": bool(judged.success[0].all()),
             "unsupported": 0.0,
         },
-        simulator={"path": simulators[0]} if simulators else {},
-        evolution={
+        {"path": simulators[0]} if simulators else {},
+        {
             "settings": content["settings"],
             "seed": content["seed"],
             "run": 0,

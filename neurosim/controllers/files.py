@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers.base import Controller
-from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan
+from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan, commands_of
 from neurosim.controllers.registry import CONTROLLERS
 
 FORMAT, VERSION = "neurosim-controller", 1
@@ -48,6 +48,21 @@ class SavedController:
     predicted: Mapping[str, Any] = field(default_factory=dict)
     simulator: Mapping[str, Any] = field(default_factory=dict)
     evolution: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, controller: Controller, genes: NDArray[np.float64], *others: Any
+    ) -> SavedController:
+        """Return an individual [G] of a family as it is written: a plan as its commands.
+
+        Args:
+            controller: the family.
+            genes: of the individual.
+            others: from ``task`` on, see the class.
+        """
+        if controller.kind == "plan":
+            controller, genes = FixedPlan(tuple(commands_of(controller, genes))), np.empty(0)
+        return cls(controller, genes, *others)
 
     @property
     def kind(self) -> str:

@@ -39,7 +39,7 @@ class Replay:
 
     def tell(self, fitness: NDArray[np.float64], **hints: NDArray) -> None:
         """Take its fitness [P] or [N, P], and the hints."""
-        checksum = np.array(zlib.crc32(self._asked.tobytes()))
+        checksum = np.array(zlib.crc32(self._asked.data))
         self.told.append({"fitness": fitness, "asked": checksum, **hints})
         self.optimiser.tell(fitness, **hints)
 
@@ -56,7 +56,7 @@ class Replay:
         """
         for row in range(len(state["fitness"]) if state else 0):
             told = {name: values[row] for name, values in state.items()}
-            if told.pop("asked") != zlib.crc32(self.ask().tobytes()):
+            if told.pop("asked") != zlib.crc32(self.ask().data):
                 raise UserError(
                     "the optimiser asks for other individuals than before it was interrupted: it "
                     "cannot be resumed unless all its random numbers come from the seed"

@@ -285,7 +285,7 @@ def _check_columns(simulator: Simulator, controller: Controller) -> None:
         )
 
 
-class Evaluate:
+class Fitness:
     """Fitness of genes, as :func:`evaluate` returns it: call it like a function."""
 
     def __init__(self, evaluator: Evaluator, draws: Draws, objective: str):
@@ -355,7 +355,7 @@ def evaluate(
     placing: tuple[float, float] = PLACING,
     seed: int = 0,
     workers: Name = "local",
-) -> Evaluate:
+) -> Fitness:
     """Return the function that gives the fitness of genes: what any optimiser needs.
 
     Args:
@@ -380,4 +380,4 @@ def evaluate(
         raise UserError(f"outcomes must not be negative, not {outcomes}")
     repeats = repeats_of(objective)
     draws = evaluator.draw(outcomes, seed, repeats) if outcomes else evaluator.expectation(seed)
-    return Evaluate(evaluator, draws, objective)
+    return Fitness(evaluator, draws, objective)

@@ -8,9 +8,9 @@ on robustly: over drawn outcomes from the first stage's populations. While it ru
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,69 +23,21 @@ from neurosim.base.files import check_new_folder
 from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
-from neurosim.controllers import FixedPlan, SavedController, make_controller, read_controller
+from neurosim.controllers import SavedController, make_controller, read_controller
 from neurosim.controllers.base import Controller
-from neurosim.controllers.plan import commands_of
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.journal import TRIALS, Comparing, Journal, Reality, about_reality
 from neurosim.loop.objectives import mean_fitness, repeats_of
 from neurosim.loop.search import Search, new_optimiser, part_of
 from neurosim.loop.settings import EvolveSettings, default_settings
 from neurosim.loop.transfer import Transfer
-from neurosim.loop.unmet import Unmet, in_unmet_arenas
+from neurosim.loop.unmet import in_unmet_arenas
 from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
 from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import digest, named
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
-
-
-@dataclass(frozen=True)
-class Result:
-    """What came of a run, and what the simulator says of it.
-
-    Attributes:
-        controller: the family.
-        genes: [G] of the best individual.
-        poses: [T + 1, 3] the expected path from the (first) start; of a plan, at the start and
-            after each command that is given.
-        rest: [3] the expected pose at the end, where the motors have run down.
-        fitness: of what is expected; where evolution drew outcomes, the mean over fresh ones.
-        spread: standard deviation of a trial's fitness over those; None without.
-        completes: whether what is expected does the task.
-        probability: share of drawn outcomes that succeed; None where nothing is uncertain.
-        expected_fitness: mean fitness over drawn outcomes, likewise.
-        draws: how many outcomes these two are of.
-        unsupported: share of the time in commands unlike any that the simulator was made from; of
-            a controller that sees over drawn outcomes, where there are any.
-        history: best and mean of every generation, {"best": [...], "mean": [...]}; after robust
-            evolution also what it maximised, {"robust_best": ..., "robust_mean": ...}.
-        run: which of the runs it came from.
-        interrupted: whether evolution was stopped before its last generation.
-        unmet: of a controller that avoids obstacles, what it does in other arenas.
-    """
-
-    controller: Controller
-    genes: NDArray[np.float64]
-    poses: NDArray[np.float64]
-    rest: NDArray[np.float64]
-    fitness: float
-    spread: float | None
-    completes: bool
-    probability: float | None
-    expected_fitness: float | None
-    draws: int
-    unsupported: float
-    history: dict[str, Any]
-    run: int
-    interrupted: bool
-    unmet: Unmet | None = None
-
-    @property
-    def commands(self) -> list[tuple[float, float, float] | None]:
-        """The commands of a plan, None for a null one; of other kinds none."""
-        return commands_of(self.controller, self.genes) if self.controller.blind else []
 
 
 class Evolution:
@@ -248,58 +200,70 @@ class Evolution:
         chosen = evaluator.rollouts.draw(np.tile(starts, (repeats, 1)), rng, placing)
         return chosen, evaluator.rollouts.draw(starts, rng, placing)
 
-    def results(self, interrupted: bool) -> list[Result]:
-        """Return the best of every run, the best first; see :class:`Result`."""
-        evaluator, settings = self.evaluator, self.settings
+    def results(
+        self,
+        interrupted: bool,
+        made_in: Mapping[str, Any] | None = None,
+        about: Mapping[str, Any] | None = None,
+    ) -> list[SavedController]:
+        """Return the best of every run, the best first.
+
+        Args:
+            interrupted: whether evolution was stopped before its last generation.
+            made_in: names the simulator.
+            about: of the evolution, beside ``run``, ``interrupted`` and ``history``: best and mean
+                of every generation; after robust evolution also ``robust_best`` and
+                ``robust_mean``, of what it maximised.
+        """
+        evaluator, settings, task = self.evaluator, self.settings, self.evaluator.task
         best = self.best()
         judged, expected = evaluator.judge(best, evaluator.expectation())
-        history: dict[str, NDArray] = {}
-        for prefix, stage in zip(("", "robust_"), self.stages, strict=False):
-            if stage.done:
-                history[prefix + "best"] = np.stack(stage.best, axis=1)
-                history[prefix + "mean"] = np.stack(stage.mean, axis=1)
-        if self.real is not None:
-            for name, values in self.real.history().items():
-                history[name] = np.append(history[name], [values], axis=1)
-        drawn = self._drawn(best)
+        drawn, unsupported = self._drawn(best), evaluator.unsupported(expected)
         unmet = in_unmet_arenas(evaluator, best, self._seed)
-        unsupported = evaluator.unsupported(expected)
         found = []
-        for run in range(len(best)):
-            fitness = float(mean_fitness(evaluator.task, judged.fitness[[run]])[0])
-            probability = expected_fitness = spread = None
-            if drawn is not None:
-                fitnesses, successes, unsupported[run] = drawn[run]
-                probability = float(successes.mean())
-                expected_fitness = float(mean_fitness(evaluator.task, fitnesses[None])[0])
-                if settings.outcomes and not settings.robust:
-                    fitness = expected_fitness
-                    spread = float(fitnesses.std(ddof=1)) * evaluator.task.trial_starts**0.5
+        for run, genes in enumerate(best):
             poses, rest = path_of(expected, run, evaluator)
+            predicted = {
+                "poses": poses.tolist(),
+                "rest": rest.tolist(),
+                "fitness": float(mean_fitness(task, judged.fitness[[run]])[0]),
+                "completes": bool(judged.success[run].all()),
+            }
+            if drawn is not None:
+                fitness, success, unsupported[run] = drawn[run]
+                mean = float(mean_fitness(task, fitness[None])[0])
+                if settings.outcomes and not settings.robust:
+                    spread = float(fitness.std(ddof=1)) * task.trial_starts**0.5
+                    predicted |= {"fitness": mean, "spread": spread}
+                predicted["probability"] = float(success.mean())
+                predicted |= {"expected_fitness": mean, "draws": fitness.size}
+            predicted["unsupported"] = float(unsupported[run])
+            if unmet is not None:
+                predicted["unmet"] = unmet[run].describe()
+            said = {"run": run, "interrupted": interrupted, "history": self._history(run)}
             found.append(
-                Result(
-                    controller=evaluator.controller,
-                    genes=best[run],
-                    poses=poses,
-                    rest=rest,
-                    fitness=fitness,
-                    spread=spread,
-                    completes=bool(judged.success[run].all()),
-                    probability=probability,
-                    expected_fitness=expected_fitness,
-                    draws=0 if drawn is None else drawn[run][0].size,
-                    unsupported=float(unsupported[run]),
-                    history=self._history(history, run),
-                    run=run,
-                    interrupted=interrupted,
-                    unmet=None if unmet is None else unmet[run],
+                SavedController.of(
+                    evaluator.controller,
+                    genes,
+                    task.describe(),
+                    tuple(poses[0].tolist()),
+                    predicted,
+                    dict(made_in or {}),
+                    {**(about or {}), **said},
                 )
             )
         return sorted(found, key=self._worth, reverse=True)
 
-    def _history(self, history: Mapping[str, NDArray], run: int) -> dict[str, Any]:
-        found: dict[str, Any] = {name: values[run].tolist() for name, values in history.items()}
+    def _history(self, run: int) -> dict[str, Any]:
+        """Return best and mean of every generation of a run."""
+        found: dict[str, Any] = {}
+        for prefix, stage in zip(("", "robust_"), self.stages, strict=False):
+            if stage.done:
+                found[f"{prefix}best"] = [float(each[run]) for each in stage.best]
+                found[f"{prefix}mean"] = [float(each[run]) for each in stage.mean]
         if self.real is not None:
+            for name, values in self.real.history().items():
+                found[name] += values
             found["transfer"] = self.settings.generations
         return found
 
@@ -319,17 +283,16 @@ class Evolution:
             found.append((judged.fitness[0], judged.success[0], unsupported))
         return found
 
-    def _worth(self, result: Result) -> tuple[bool, float]:
+    def _worth(self, one: SavedController) -> tuple[bool, float]:
         robust, limit = self.settings.robust, self.settings.most_unsupported
         inside = True
         if limit is not None and self.evaluator.simulator.knows_gaps:
-            inside = result.unsupported <= limit
+            inside = one.predicted["unsupported"] <= limit
         if robust is None:
             # Who knows one arena best may know that arena only.
-            return inside, result.fitness if result.unmet is None else result.unmet.fitness
-        value = result.expected_fitness if robust.objective == "fitness" else result.probability
-        assert value is not None
-        return inside, value
+            return inside, one.predicted.get("unmet", one.predicted)["fitness"]
+        name = "expected_fitness" if robust.objective == "fitness" else "probability"
+        return inside, one.predicted[name]
 
     def state(self) -> dict[str, Any]:
         """Return all that the next generations depend on, as arrays."""
@@ -377,71 +340,6 @@ def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, N
         given = np.flatnonzero(trajectory.active[run, 0, :slots]) + 1
         return poses[[0, *given]], poses[-1]
     return poses, poses[-1]
-
-
-def evolve_in(
-    simulator: Simulator,
-    task: Task,
-    controller: Controller,
-    settings: EvolveSettings | None = None,
-    *,
-    seed: int = 0,
-    progress: bool = True,
-) -> list[Result]:
-    """Evolve controllers for a task in a simulator; nothing is written.
-
-    Ctrl-C after the first generation ends evolution and returns what it has found so far.
-
-    Args:
-        simulator, task, controller: see :class:`Evaluator`.
-        settings: by default those of the paper that the controller is from.
-        seed: random seed; the same one gives the same results.
-        progress: whether to show progress on stderr.
-
-    Returns:
-        The best of every run, the best first: by what robust evolution maximised, else by its
-        fitness.
-
-    Raises:
-        UserError: if one of them needs what another does not offer.
-    """
-    settings = settings or default_settings(controller, task)
-    evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
-    evolution = Evolution(evaluator, settings, seed)
-    return evolution.results(evolution.run(progress=progress))
-
-
-def improve(
-    simulator: Simulator,
-    task: Task,
-    controller: Controller,
-    genes: Sequence[NDArray[np.float64]],
-    settings: EvolveSettings,
-    *,
-    seed: int = 0,
-    progress: bool = True,
-) -> list[Result]:
-    """Evolve individuals [G] robustly that have been evolved already, each in a run of its own.
-
-    Args:
-        simulator, task, controller, seed, progress: as :func:`evolve_in` takes them.
-        genes: one individual for each run.
-        settings: with ``robust``; the first stage's are not used.
-
-    Returns:
-        As :func:`evolve_in`; the history is that of robust evolution alone.
-    """
-    robust = settings.robust
-    assert robust is not None
-    settings = replace(settings, runs=len(genes))
-    evaluator = Evaluator(simulator, task, controller, placing=settings.placing)
-    evolution = Evolution(evaluator, settings, seed)
-    size = robust.genetic.population
-    first = np.repeat(np.stack(genes)[:, None], size, axis=1)
-    stage = evolution.robust_stage(np.stack(genes), first)
-    evolution.stages.append(stage)
-    interrupted = run_generations(stage, robust.generations, "making it robust", progress=progress)
-    return evolution.results(interrupted)
 
 
 def check_uncertain(simulator: Simulator) -> None:
@@ -531,9 +429,9 @@ def evolve(
     if real_generations:
         about["robot"] = about_reality(reality)
 
-    def saved(results: list[Result]) -> list[SavedController]:
-        found = {**about, **_in_reality(evolution.real, reality, results[0], seed)}
-        return [as_saved(result, task, made_in, found) for result in results]
+    def results(interrupted: bool) -> list[SavedController]:
+        found = about | _in_reality(evolution.real, None if interrupted else reality, seed)
+        return evolution.results(interrupted, made_in, found)
 
     def trials_in(folder: Path) -> AbstractContextManager[Journal | None]:
         if reality is None or not real_generations:
@@ -542,7 +440,7 @@ def evolve(
 
     if out is None:
         with tempfile.TemporaryDirectory() as name, trials_in(Path(name)) as journal:
-            return saved(evolution.results(evolution.run(None, progress, journal)))
+            return results(evolution.run(None, progress, journal))
     folders = _folders(Path(out), settings.runs if keep_all else 1)
     checkpoint = Checkpoint(out, "evolution")
     begun = {
@@ -568,7 +466,7 @@ def evolve(
             checkpoint.begin(begun, options)
 
         def written(interrupted: bool) -> list[SavedController]:
-            found = saved(evolution.results(interrupted))
+            found = results(interrupted)
             if controller.blind and not found[0].given:
                 if interrupted:
                     raise UserError("so far no plan gives any command; continue with --resume")
@@ -604,9 +502,7 @@ def evolve(
                 checkpoint.remove()  # nothing came of it
 
 
-def _in_reality(
-    real: Transfer | None, reality: Reality | None, best: Result, seed: int
-) -> dict[str, Any]:
+def _in_reality(real: Transfer | None, reality: Reality | None, seed: int) -> dict[str, Any]:
     """Return what is said of generations in reality, and paths to compare once they are over."""
     if real is None or real.chosen is None:
         return {}
@@ -614,8 +510,8 @@ def _in_reality(
     found: dict[str, Any] = {
         "robot_fitness": {"mean": mean, "spread": spread, "trials": len(real.again)}
     }
-    if isinstance(reality, Comparing) and not best.interrupted:
-        found["trajectories"] = reality.compare(best.genes, seed)
+    if isinstance(reality, Comparing):
+        found["trajectories"] = reality.compare(real.chosen, seed)
     return found
 
 
@@ -630,48 +526,3 @@ def _unfinished(folder: Path) -> bool:
     if not (folder / "controller.json").exists():
         return False
     return bool(read_controller(folder).evolution.get("interrupted"))
-
-
-def as_saved(
-    result: Result, task: Task, source: Mapping[str, Any], about: Mapping[str, Any]
-) -> SavedController:
-    """Return what is written of a result.
-
-    Args:
-        result: of a run.
-        task: that it was evolved for.
-        source: what names the simulator.
-        about: settings and seed of the evolution.
-    """
-    predicted: dict[str, Any] = {
-        "poses": result.poses.tolist(),
-        "rest": result.rest.tolist(),
-        "fitness": result.fitness,
-        "completes": result.completes,
-        "unsupported": result.unsupported,
-    }
-    if result.unmet is not None:
-        predicted["unmet"] = result.unmet.describe()
-    if result.spread is not None:
-        predicted["spread"] = result.spread
-    if result.probability is not None:
-        predicted["probability"] = result.probability
-        predicted["expected_fitness"] = result.expected_fitness
-        predicted["draws"] = result.draws
-    (x, y, heading), controller, genes = result.poses[0], result.controller, result.genes
-    if controller.kind == "plan":
-        controller, genes = FixedPlan(tuple(result.commands)), np.empty(0)
-    return SavedController(
-        controller=controller,
-        genes=genes,
-        task=task.describe(),
-        start=(float(x), float(y), float(heading)),
-        predicted=predicted,
-        simulator=dict(source),
-        evolution={
-            **about,
-            "run": result.run,
-            "interrupted": result.interrupted,
-            "history": dict(result.history),
-        },
-    )

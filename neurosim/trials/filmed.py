@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,9 +18,8 @@ from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended
 from neurosim.base.trajectory import Tracked, planned
-from neurosim.controllers import FixedPlan, SavedController
+from neurosim.controllers import SavedController
 from neurosim.controllers.base import WHEELS
-from neurosim.controllers.plan import commands_of
 from neurosim.lab import LabParams, VirtualRig
 from neurosim.robots.base import Proximity, Robot
 from neurosim.simulators.sampling import trial_steps
@@ -138,17 +137,15 @@ class Driven:
 
     def _saved(self, genes: NDArray[np.float64]) -> SavedController:
         """Return an individual as it is written down; nothing is expected of it."""
-        family, start = self.controller, self.task.start
-        if family.blind:
-            family, genes = FixedPlan(tuple(commands_of(family, genes))), np.empty(0)
-        count = len(family.given) if isinstance(family, FixedPlan) else 0
+        task, start = self.task.describe(), self.task.start
+        saved = SavedController.of(self.controller, genes, task, start)
         nothing = {
-            "poses": [list(start)] * (count + 1),
+            "poses": [list(start)] * (len(saved.given) + 1),
             "rest": list(start),
             "fitness": 0.0,
             "completes": False,
         }
-        return SavedController(family, genes, self.task.describe(), start, nothing)
+        return replace(saved, predicted=nothing)
 
     @contextmanager
     def _opened(self, number: int, folder: Path) -> Iterator[dict[str, Any]]:

@@ -23,6 +23,7 @@ from neurosim.recording.commands import Command, Observation
 from neurosim.robots.base import Counters, Proximity, Robot, drive_for
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
+from neurosim.simulators.base import InArena
 from neurosim.trials.by_hand import answer_to
 from neurosim.trials.driver import Driver, missing
 
@@ -263,12 +264,12 @@ def virtual_khepera(
     """
     evaluator, baud = Evaluator(simulator, task, controller), baud or dialect_named("khepera").baud
     _check_line(simulator, baud)
-    arena = getattr(simulator, "arena", None)
-    if arena is None:
+    if not isinstance(simulator, InArena):
         raise UserError(
             f"the virtual Khepera drives in the simulator's arena, and a simulator of the kind "
             f"{simulator.kind} has none: name another reality (--reality)"
         )
+    arena = simulator.arena
     start = tuple(arena.free_poses(1, 0.03, np.random.default_rng(seed))[0])
     with (
         VirtualKheperaRig(

@@ -16,7 +16,7 @@ from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import FixedPlan, Plan
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.evolve import evolve_in, improve
+from neurosim.loop.evolve import evolve
 from neurosim.loop.search import Search
 from neurosim.loop.settings import PLAN_GENETIC, EvolveSettings, RobustSettings
 from neurosim.loop.stepped import SteppedRollouts
@@ -40,7 +40,7 @@ def rollout(simulator, commands, given):
 
 
 def evolved(simulator, task=TASK, family=FAMILY, settings=SMALL, seed=3):
-    return evolve_in(simulator, task, family, settings, seed=seed, progress=False)
+    return evolve(simulator, task, family, settings=settings, seed=seed, progress=False)
 
 
 def test_a_rollout_by_hand():
@@ -100,36 +100,38 @@ def test_the_pose_at_rest_is_after_the_motors_ran_down():
 def test_evolution_improves_and_says_what_the_simulator_says():
     results = evolved(IdealWheels())
     assert len(results) == 3
-    assert sorted(result.run for result in results) == [0, 1, 2]
-    assert [r.fitness for r in results] == sorted((r.fitness for r in results), reverse=True)
-    assert results[0].fitness > 0
+    fitness = [result.predicted["fitness"] for result in results]
+    assert sorted(result.evolution["run"] for result in results) == [0, 1, 2]
+    assert fitness == sorted(fitness, reverse=True)
+    assert fitness[0] > 0
     for result in results:
-        best = result.history["best"]
-        assert len(best) == len(result.history["mean"]) == SMALL.generations
+        history, poses = result.evolution["history"], np.array(result.predicted["poses"])
+        best = history["best"]
+        assert len(best) == len(history["mean"]) == SMALL.generations
         assert best == sorted(best)
-        assert best[-1] == pytest.approx(result.fitness)
-        assert all(m <= b for m, b in zip(result.history["mean"], best, strict=True))
+        assert best[-1] == pytest.approx(result.predicted["fitness"])
+        assert all(m <= b for m, b in zip(history["mean"], best, strict=True))
         sent = [command for command in result.commands if command is not None]
         assert len(result.commands) == 4
-        assert result.poses.shape == (len(sent) + 1, 3)
-        assert result.poses[0].tolist() == list(TASK.start)
+        assert poses.shape == (len(sent) + 1, 3)
+        assert poses[0].tolist() == list(TASK.start)
         for left, right, duration in sent:
             assert max(abs(left), abs(right)) <= 50
             assert 0.5 <= duration <= 3
         # Without its null commands, one by one, the plan does the same.
         again = rollout(IdealWheels(), np.reshape(sent, (1, -1, 3)), np.ones((1, len(sent)), bool))
-        assert again[0, :-1] == pytest.approx(result.poses)
-        assert again[0, -1] == pytest.approx(result.rest)
+        assert again[0, :-1] == pytest.approx(poses)
+        assert again[0, -1] == pytest.approx(result.predicted["rest"])
         alone = Evaluator(IdealWheels(), TASK, FixedPlan(tuple(sent)))
         judged, _ = alone.judge(np.empty((1, 0)), alone.expectation())
-        assert judged.fitness[0, 0] == pytest.approx(result.fitness)
-        assert not result.interrupted
+        assert judged.fitness[0, 0] == pytest.approx(result.predicted["fitness"])
+        assert not result.evolution["interrupted"]
 
 
 def test_the_same_seed_gives_the_same_plans():
     first, second, other = (evolved(IdealWheels(), seed=seed) for seed in (3, 3, 4))
     assert [r.commands for r in first] == [r.commands for r in second]
-    assert [r.history for r in first] == [r.history for r in second]
+    assert [r.evolution for r in first] == [r.evolution for r in second]
     assert [r.commands for r in first] != [r.commands for r in other]
 
 
@@ -137,10 +139,10 @@ def test_the_same_seed_gives_the_same_plans():
 def test_a_course_is_found():
     settings = EvolveSettings(runs=4, generations=800, genetic=PLAN_GENETIC, final_draws=64)
     results = evolved(IdealWheels(), TASK, Plan(), settings, seed=2)
-    best = results[0]
-    assert best.completes
-    assert TASK.region(best.rest) == 0
-    assert 63 <= best.fitness <= 64
+    best = results[0].predicted
+    assert best["completes"]
+    assert TASK.region(np.array(best["rest"])) == 0
+    assert 63 <= best["fitness"] <= 64
 
 
 @pytest.mark.parametrize("generation", [1, 4])
@@ -155,10 +157,10 @@ def test_interruption_returns_the_best_so_far(monkeypatch, generation):
 
     monkeypatch.setattr(Search, "generation", interrupted)
     results = evolved(IdealWheels())
-    assert all(result.interrupted for result in results)
+    assert all(result.evolution["interrupted"] for result in results)
     # The generation in which it came was worked to its end.
-    assert {result.run: result.history["best"] for result in results} == {
-        result.run: result.history["best"][:generation] for result in whole
+    assert {one.evolution["run"]: one.evolution["history"]["best"] for one in results} == {
+        one.evolution["run"]: one.evolution["history"]["best"][:generation] for one in whole
     }
 
 
@@ -204,17 +206,15 @@ def test_robust_plans_succeed_more_often_and_say_how_often(objective):
     again = evolved(SlippingWheels(), task, family, settings, seed=1)
     assert [r.commands for r in after] == [r.commands for r in again]
     for result in after:
-        assert result.draws == 400
-        assert 0 <= result.probability <= 1
-        assert len(result.history["best"]) == 12
-        assert len(result.history["robust_best"]) == len(result.history["robust_mean"]) == 8
-    merit = (lambda r: r.expected_fitness) if objective == "fitness" else (lambda r: r.probability)
+        history = result.evolution["history"]
+        assert result.predicted["draws"] == 400
+        assert 0 <= result.predicted["probability"] <= 1
+        assert len(history["best"]) == 12
+        assert len(history["robust_best"]) == len(history["robust_mean"]) == 8
+    name = "expected_fitness" if objective == "fitness" else "probability"
+    merit = lambda r: r.predicted[name]  # noqa: E731
     assert [merit(r) for r in after] == sorted(map(merit, after), reverse=True)
     assert merit(after[0]) >= max(map(merit, before)) - 0.02
-    genes = [result.genes for result in before]
-    improved = improve(SlippingWheels(), task, family, genes, settings, seed=1, progress=False)
-    assert len(improved) == 3
-    assert list(improved[0].history) == ["robust_best", "robust_mean"]
 
 
 def test_a_probability_is_that_of_drives_made_one_by_one():
@@ -235,7 +235,7 @@ def test_a_probability_is_that_of_drives_made_one_by_one():
         given = np.arange(len(commands)) < len(commands) - 1
         driven = Trajectory(np.array(poses), np.array(commands), 1.0, active=given)
         successes += int(task.judge(driven).success)
-    assert result.probability == pytest.approx(successes / 500, abs=0.1)
+    assert result.predicted["probability"] == pytest.approx(successes / 500, abs=0.1)
 
 
 def test_robust_evolution_needs_outcomes_that_differ():

@@ -8,7 +8,7 @@ from khepera_data import made_up
 
 from neurosim.controllers import make_controller
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.evolve import Evolution, evolve_in
+from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings
 from neurosim.loop.unmet import DRIVES, Unmet, in_unmet_arenas
 from neurosim.simulators.tables.arena import paper_arena
@@ -52,14 +52,19 @@ def test_other_tasks_have_no_unmet_arenas(evaluator):
 
 def test_the_choice_among_runs_goes_by_arenas_that_were_not_evolved_in(evaluator):
     settings = EvolveSettings(generations=2, runs=3)
-    found = evolve_in(
-        evaluator.simulator, evaluator.task, evaluator.controller, settings, progress=False
+    found = evolve(
+        evaluator.simulator,
+        evaluator.task,
+        evaluator.controller,
+        settings=settings,
+        progress=False,
     )
-    assert len({one.unmet for one in found}) > 1
-    assert [one.unmet.fitness for one in found] == sorted(
-        (one.unmet.fitness for one in found), reverse=True
-    )
+    fitness = [one.predicted["unmet"]["fitness"] for one in found]
+    assert len(set(fitness)) > 1
+    assert fitness == sorted(fitness, reverse=True)
     evolution = Evolution(evaluator, settings, 0)
-    known = replace(found[0], fitness=500.0, unmet=Unmet(20, 18, 30.0))
-    other = replace(found[0], fitness=400.0, unmet=Unmet(20, 0, 350.0))
+    known, other = (
+        replace(found[0], predicted={"fitness": own, "unmet": unmet.describe()})
+        for own, unmet in ((500.0, Unmet(20, 18, 30.0)), (400.0, Unmet(20, 0, 350.0)))
+    )
     assert evolution._worth(other) > evolution._worth(known)

@@ -12,7 +12,7 @@ from neurosim.cli.plan_check import plan_check
 from neurosim.controllers import FixedPlan, Plan, SavedController, make_controller
 from neurosim.loop.check import check
 from neurosim.loop.evaluate import Evaluator
-from neurosim.loop.evolve import evolve_in
+from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import default_settings
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import write_motion
@@ -80,13 +80,14 @@ def test_who_relies_on_them_ranks_behind():
 def test_evolution_keeps_to_what_was_recorded():
     sim, plan = simulator(), Plan(slots=4)
     settings = default_settings(plan, TASK, generations=15, runs=2, final_draws=64)
-    best = evolve_in(sim, TASK, plan, settings, progress=False)
-    assert all(one.unsupported <= 0.1 for one in best)
+    best = evolve(sim, TASK, plan, settings=settings, progress=False)
+    assert all(one.predicted["unsupported"] <= 0.1 for one in best)
     wide = Plan(slots=4, max_speed=80.0)
     with pytest.raises(UserError, match=r"the commands.* lies outside"):
-        evolve_in(sim, TASK, wide, settings, progress=False)
+        evolve(sim, TASK, wide, settings=settings, progress=False)
     free = default_settings(wide, TASK, generations=2, runs=1, final_draws=64, extrapolate=True)
-    assert evolve_in(sim, TASK, wide, free, progress=False)[0].unsupported > 0.0
+    (found,) = evolve(sim, TASK, wide, settings=free, progress=False)
+    assert found.predicted["unsupported"] > 0.0
 
 
 def test_of_a_network_steps_count():

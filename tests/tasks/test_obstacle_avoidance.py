@@ -222,8 +222,8 @@ def test_the_choice_is_not_the_lucky_one(monkeypatch):
     evolution.stages[0].merit[:] = [[500.0, 0.0]]
     (found,) = evolution.results(False)
     assert (found.genes == Fixed.away).all()
-    assert found.fitness > 200
-    assert 0 < found.spread < found.fitness
+    assert found.predicted["fitness"] > 200
+    assert 0 < found.predicted["spread"] < found.predicted["fitness"]
 
 
 def test_a_plan_runs_in_tables_as_in_any_simulator():
