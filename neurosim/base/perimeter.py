@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
@@ -106,6 +106,7 @@ class Perimeter(Checked):
         before: NDArray[np.float64],
         after: NDArray[np.float64],
         duration: NDArray[np.float64] | float,
+        running: NDArray[np.bool_] | None = None,
     ) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
         """Return where the guard ends intervals of K drives.
 
@@ -118,11 +119,13 @@ class Perimeter(Checked):
             before: [K, 3] poses at the beginning (m, m, rad, board frame).
             after: [K, 3] at the end; an interval with a pose that is not known does not end.
             duration: [K] or one for all, s.
+            running: [K] which drives are still to be ended; by default all.
 
         Returns:
             Codes [K] of :data:`ENDS`, 0 where the drive goes on, and poses [K, 3] at the end of
             each interval, or where the robot was stopped.
         """
+        before = np.ascontiguousarray(before, np.float64)
         codes, poses = np.zeros(len(after), np.int64), np.array(after, np.float64)
         seconds = np.ascontiguousarray(np.broadcast_to(np.asarray(duration, float), len(after)))
         board = self.board
@@ -130,7 +133,9 @@ class Perimeter(Checked):
         margin = math.nan if self.margin is None else self.margin
         line = board.line_inset, board.line_width
         half = board.length / 2, board.width / 2
-        _ends(np.ascontiguousarray(before), poses, seconds, half, line, sensors, margin, codes)
+        if running is None:
+            running = np.ones(len(after), np.bool_)
+        _ends(before, poses, seconds, running, half, line, sensors, margin, codes)
         return codes, poses
 
 
@@ -140,11 +145,12 @@ def _inside(x: float, y: float, half: tuple[float, float]) -> float:
     return min(half[0] - abs(x), half[1] - abs(y))
 
 
-@njit(cache=True, nogil=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _ends(
     before: NDArray,
     poses: NDArray,
     seconds: NDArray,
+    running: NDArray,
     half: tuple[float, float],
     line: tuple[float, float],
     sensors: NDArray,
@@ -157,7 +163,9 @@ def _ends(
         reach = max(reach, math.hypot(sensors[i, 0], sensors[i, 1]))
     inner, outer = line[0] + 0.5 * line[1], line[0] - 0.5 * line[1]
     marked = line[1] > 0.0
-    for k in prange(len(poses)):
+    for k in range(len(poses)):
+        if not running[k]:
+            continue
         x, y, heading = before[k, 0], before[k, 1], before[k, 2]
         dx, dy, turn = poses[k, 0] - x, poses[k, 1] - y, poses[k, 2] - heading
         if not (abs(x) + abs(y) + abs(dx) + abs(dy) < 1e3 and abs(heading) + abs(turn) < 1e6):
@@ -168,14 +176,23 @@ def _ends(
         # The guard looks ahead along the same arc.
         ahead = STOPPING / seconds[k] if seconds[k] > 1e-6 else 0.0
         way = length * ahead
-        room = _inside(x, y, half) - length
-        if room > reach + inner and not room - (1.0 + DOUBT) * way < margin:
-            continue
+        # Farther inside than this nothing ends; the middle moves no faster than along the arc.
+        near = reach + inner
+        if margin == margin:
+            near = max(near, margin + (1.0 + DOUBT) * way)
         count = max(math.ceil((length + reach * abs(turn)) / SPACING), 1)
-        for n in range(1, count + 1):
+        n, room = 0, _inside(x, y, half) - near
+        while n < count:
+            n += max(int(room / length * count), 1) if room < length else count
+            if n > count:
+                break
             fraction = n / count
             off_x, off_y = se2.arc(dx, dy, turn, fraction)
             to_x, to_y, theta = x + off_x, y + off_y, heading + fraction * turn
+            here = _inside(to_x, to_y, half)
+            room = here - near
+            if room > 0.0:
+                continue
             cos, sin = math.cos(theta), math.sin(theta)
             code = 0
             for i in range(len(sensors)):
@@ -187,7 +204,6 @@ def _ends(
             if code == 0 and margin == margin:
                 off_x, off_y = se2.arc(dx, dy, turn, fraction + ahead)
                 there = _inside(x + off_x, y + off_y, half)
-                here = _inside(to_x, to_y, half)
                 if there - DOUBT * way < margin and there < here - 1e-4:
                     code = EDGE
             if code > 0:

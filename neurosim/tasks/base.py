@@ -241,9 +241,9 @@ class Task(Checked):
             return
         assert self.perimeter is not None
         running = (guard[:, 3] == 0) & (own[:, 0] == 0)
-        code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration)
+        code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration, running)
         stopped = guard[:, 3] > 0
-        if (hit := running & (code > 0)).any():
+        if (hit := code > 0).any():
             interval = interval._replace(poses=np.where(hit[:, None], poses, interval.poses))
         kept = own[stopped]
         self.advance(own, interval)
