@@ -185,3 +185,14 @@ def test_robots_that_it_cannot_drive_are_refused():
     data = TrainingData([{"name": "left", "unit": "%"}, {"name": "right", "unit": "%"}], x, x)
     with pytest.raises(ValueError, match="needs a duration"):
         CombinedTrainer(data, CombinedSettings(), 0)
+
+
+@pytest.mark.parametrize(("true", "found"), [(0.0, (0.0, 0.0)), (0.15, (0.05, 0.25))])
+def test_a_delay_is_believed_where_the_rows_tell_it_from_a_lag(true, found):
+    """From the ends of a hundred commands alone."""
+    for seed in (0, 2):
+        data = drive_data(100, seed=seed, delay=true, noise=0.003)
+        names = tuple(entry["name"] for entry in data.inputs)
+        columns, longest = CommandFeatures.of(names), float(data.input_scale[-1])
+        drive = fit_drive(Motion(data.scaled_inputs, data.y, data.follows, columns, longest))
+        assert found[0] <= float(drive.delay) <= found[1]

@@ -10,7 +10,9 @@ is usual: a weak prior on every law, and on the products in the kinematics.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import torch
 from torch import Tensor
@@ -33,6 +35,8 @@ _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 _STEPS, _ROUNDS = (0.5, 0.2, 0.08, 0.03, 0.012, 0.005), 6
 #: A step must raise the log-likelihood by this much.
 _GAIN = 0.05
+#: A delay, which is nearly a lag where only the ends of commands are known, must raise it by this.
+_BELIEF = 10.0
 #: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
 #: gets), of slowing, of braking over slowing, and of the rate; bend; stick and delay (s). What is
 #: usual, how far from it, and limits.
@@ -129,30 +133,43 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
             return True
         return False
 
-    for lag in _LAGS:
-        for rate in _RATES:
-            for delay in _DELAYS:
-                coarse = usual.unsqueeze(1).repeat(1, count)
-                coarse[_TOTAL], coarse[_RATE] = math.log(lag + delay), math.log(rate)
-                coarse[_DELAY] = delay
-                tried(coarse)
+    def coarsely(delays: Sequence[float]) -> None:
+        for lag, rate, delay in product(_LAGS, _RATES, delays):
+            coarse = usual.unsqueeze(1).repeat(1, count)
+            coarse[_TOTAL], coarse[_RATE] = math.log(lag + delay), math.log(rate)
+            coarse[_DELAY] = delay
+            tried(coarse)
 
     def followed(change: Tensor) -> None:
         """Go on in a direction for as long as that helps."""
         while tried(best + change):
             pass
 
-    # Pattern search (Hooke and Jeeves 1961): what one round has changed is tried again.
-    for step in _STEPS:
-        for _ in range(_ROUNDS):
-            before = best
-            for direction in directions:
-                for sign in (step, -step):
-                    followed(sign * direction)
-            if torch.equal(best, before):
-                break
-            followed(best - before)
-    return _fitted(_model(best), motion)[0]
+    def refined() -> tuple[Tensor, float]:
+        """Search by patterns (Hooke and Jeeves 1961): a round's change is tried once more."""
+        for step in _STEPS:
+            for _ in range(_ROUNDS):
+                before = best
+                for direction in directions:
+                    for sign in (step, -step):
+                        followed(sign * direction)
+                if torch.equal(best, before):
+                    break
+                followed(best - before)
+        return best, cost
+
+    coarsely(_DELAYS)
+    found, least = refined()
+    if found[_DELAY, 0] > 0.0:
+        highest = highest.clone()
+        highest[_DELAY] = 0.0
+        delayed = found
+        for begin in (lambda: coarsely(_DELAYS[:1]), lambda: tried(delayed)):
+            cost = math.inf
+            begin()
+            if refined()[1] < least + _BELIEF:
+                found, least = best, cost - _BELIEF
+    return _fitted(_model(found), motion)[0]
 
 
 def _model(laws: Tensor) -> DriveModel:
