@@ -19,7 +19,7 @@ from tracking.datasets.recordings import Recording
 
 
 def main(demo: Path, out: Path) -> None:
-    drives = {"driven blind": "trial", "planned again on the way": "replanned"}
+    drives = {"in open loop": "trial", "replanned after every command": "replanned"}
     trials = {
         path: json.loads((demo / path / "trial.json").read_text()) for path in drives.values()
     }
