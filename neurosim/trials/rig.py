@@ -109,7 +109,7 @@ def open_rig(
     if setup.camera == "lab":
         raise UserError("--camera lab is the virtual robot's; name a camera that there is")
     driver = ROBOTS.make(robot, options or {})
-    with not_suspended(), stopped_at_end(driver.stop):
+    with not_suspended(), stopped_at_end(lambda: driver.stop()):
         try:
             # The robot before the camera: what is wrong with it is said first.
             driver.connect()

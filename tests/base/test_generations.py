@@ -12,7 +12,7 @@ import pytest
 
 from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import SIGNALS, deferred_interrupt
-from neurosim.loop.evaluate import Evaluate
+from neurosim.loop.evaluate import Fitness
 
 
 class Counting:
@@ -153,7 +153,7 @@ class Sleeps:
 
 def test_a_first_evaluation_from_python_that_takes_long_says_why(monkeypatch, capsys):
     monkeypatch.setattr("neurosim.base.generations.COMPILES_AFTER", 0.01)
-    fitness = Evaluate(Sleeps(), [0], "fitness")
+    fitness = Fitness(Sleeps(), [0], "fitness")
     assert fitness(np.array([1.0, 2.0])) == 3.0
     assert capsys.readouterr().err.startswith("the first evaluation is under way")
     fitness(np.array([1.0, 2.0]))

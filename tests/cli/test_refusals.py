@@ -548,13 +548,6 @@ def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
         main()
 
 
-def test_a_verb_still_has_the_name_that_it_had():
-    assert cli.get_command(click.Context(cli), "tables") is cli.commands["build-tables"]
-    shown = CliRunner().invoke(cli, ["--help"]).stdout
-    assert "build-tables" in shown
-    assert "\n  tables" not in shown
-
-
 @pytest.mark.parametrize(
     ("words", "says"),
     [

@@ -12,8 +12,8 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.kernels import _LAW, _inputs, swung
-from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.simulators.motion.kernels import _inputs, swung
+from neurosim.simulators.motion.noise import DRAWS, CommandFeatures
 
 #: Inputs, and by how many half turns the direction changes where a reversal may be short of 0.03.
 CHANGES = [
@@ -55,26 +55,27 @@ def test_the_compiled_form_agrees(swing):
     expected = given(sim, torch.tensor(rows, dtype=torch.float64)).numpy()
     for row, wanted in zip(np.array(rows), expected, strict=True):
         state, found = np.array([0.0, 0.0, 0.0, *row[:2]]), np.empty(len(wanted))
-        assert not _inputs(model, state, row[2:], np.empty((2, _LAW)), np.empty(7), found)
+        assert not _inputs(model, state, row[2:], np.empty(7), np.empty(0), found)
         swung(model, found)
         assert found == pytest.approx(wanted, abs=1e-12)
 
 
 @pytest.mark.parametrize("swing", [None, 0.03])
 def test_the_compiled_form_agrees_beside_a_drive_model(swing):
-    """The speeds before are those reached, which turn towards the command's."""
+    """The speeds before are those with which the command began."""
     sim = random_motion_network(swing=swing)
-    model, law = sim.compiled(), np.empty((2, _LAW))
+    model, start = sim.compiled(), 3 + 3 * 2 + 1 + 3 + DRAWS
     inputs = np.random.default_rng(0).uniform((-50, -50, 0.05), (50, 50, 0.4), (40, 3))
     inputs[::5, :2] = 0.0
     state = sim.start(torch.zeros(1, 3))
     for command in inputs:
         before = state[0].numpy().copy()
         state = sim.step(state, torch.from_numpy(command[None]))
-        speeds, driven = state[0, 3:5], torch.from_numpy(command[None, :2])
-        x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 7:8] / sim.longest])
+        speeds, driven = state[0, start : start + 2], torch.from_numpy(command[None, :2])
+        x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 9:10] / sim.longest])
         found = np.empty(5 + len(sim.derived))
-        assert not _inputs(model, before, command, law, np.empty(7), found)
+        began = np.empty((2 + model.slots) * 2 + model.slots)
+        assert not _inputs(model, before, command, np.empty(7), began, found)
         swung(model, found)
         wanted = sim.derived.append(sim.columns, x[None])[0]
         assert found == pytest.approx(wanted.numpy(), abs=1e-12)
