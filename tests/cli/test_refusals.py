@@ -6,7 +6,6 @@ import shutil
 import sys
 from pathlib import Path
 
-import click
 import cv2
 import numpy as np
 import pytest
