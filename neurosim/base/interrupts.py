@@ -76,9 +76,9 @@ def ended_as_usual() -> None:
 
 
 def ignore_signals() -> None:
-    """Ignore what asks to end from now on: the program is ending."""
-    for number in SIGNALS:
-        with suppress(ValueError):  # not in the main thread
+    """Ignore what asks to end from now on: the process of the command line is ending."""
+    if _own_process[0]:
+        for number in SIGNALS:
             signal.signal(number, signal.SIG_IGN)
 
 

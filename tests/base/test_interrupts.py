@@ -261,6 +261,7 @@ def test_what_was_asked_is_not_forgotten_at_the_end(monkeypatch, capsys):
         main_module.main()
     assert stop.value.code == 128 + signal.SIGTERM
     assert capsys.readouterr().err == f"{INTERRUPTED}\n"
+    assert signal.getsignal(signal.SIGTERM) != signal.SIG_IGN  # this process goes on
 
 
 def _swallow(number):
