@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -78,7 +78,9 @@ class Perimeter(Checked):
             meta: of recording.json: ``board``; ``robot``, whose ``light_sensors`` has the place of
                 each; ``settings``, with the guard's.
         """
-        known = {"line_width": 0.0, **meta["board"]}  # a line that nobody wrote down is not known
+        names = [one.name for one in fields(Board)]
+        known = {name: meta["board"][name] for name in names if name in meta["board"]}
+        known.setdefault("line_width", 0.0)  # a line that nobody wrote down is not known
         sensors = (meta["robot"].get("light_sensors") or {}).values()
         perimeter = cls(Board(**known), tuple((float(x), float(y)) for x, y in sensors))
         guard = (meta.get("settings") or {}).get("guard") or {}
@@ -90,7 +92,7 @@ class Perimeter(Checked):
         if content is None:
             return None
         sensors = tuple((x, y) for x, y in content["sensors"])
-        return cls(Board(**content["board"]), sensors, content["margin"])
+        return cls(Board(**content["board"]), sensors, content.get("margin"))
 
     def describe(self) -> dict[str, Any]:
         """Return it for JSON."""
