@@ -26,6 +26,7 @@ import numpy as np
 
 import neurosim as ns
 from neurosim.base.trajectory import Episode
+from neurosim.controllers.network import braitenberg
 from neurosim.lab import LabArena
 from neurosim.lab.khepera.physics import penetration
 from neurosim.loop.evaluate import rollouts_of
@@ -35,8 +36,6 @@ from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 from neurosim.trials.floor import virtual_khepera
 
 SECONDS = 60.0
-#: Weights of the vehicle's sensors on the wheel of the other side, from the front to the side.
-CROSSED = (1.0, 0.7, 0.4)
 
 
 def main() -> None:
@@ -56,7 +55,9 @@ def main() -> None:
     many = ns.make_task("obstacle-avoidance", steps=6000, starts=20, contacts="end")
     network = ns.make_controller("network", tables, paper)
     how = {"seed": options.seed, "generations": options.generations, "runs": options.runs}
-    found: dict[str, np.ndarray] = {"Braitenberg vehicle": braitenberg()}
+    vehicle, weights = braitenberg(tables.reading_names, tables.bearings)
+    assert vehicle == network
+    found: dict[str, np.ndarray] = {"Braitenberg vehicle": weights}
     seconds = {}
     for name, task, more in (
         ("evolved, the paper's way", paper, {}),
@@ -85,14 +86,6 @@ def main() -> None:
                 )
     if options.json:
         print(json.dumps({"rows": rows}))
-
-
-def braitenberg(speed: float = 1.2, gain: float = 4.0) -> np.ndarray:
-    """Return genes [18] of a vehicle whose wheels are slowed by what is near on the other side."""
-    weights = np.zeros((2, 9))
-    weights[0, [3, 4, 5]] = weights[1, [2, 1, 0]] = -gain * np.array(CROSSED)
-    weights[:, 8] = speed
-    return weights.reshape(-1)
 
 
 def in_tables(

@@ -536,6 +536,7 @@ class Unmet(Format):
     drives: Annotated[int, Meta(ge=1, le=10**9)]
     touched: Annotated[int, Meta(ge=0, le=10**9)]
     fitness: float
+    vehicle: Annotated[int, Meta(ge=0, le=10**9)] | None = None
 
 
 class Outcome(Format):

@@ -339,9 +339,9 @@ def _say(
             f"the population's mean went from {history['mean'][0]:.4g} to "
             f"{history['mean'][-1]:.4g}.\n"
         )
-    unmet = best.predicted.get("unmet")
-    if unmet is not None:
-        text += f"{Unmet(**unmet)}\n"
+    unmet = best.predicted.get("unmet") and Unmet(**best.predicted["unmet"])
+    if unmet and not unmet.worse:
+        text += f"{unmet}\n"
     if chance is not None:
         text += f"Probability of success: {100 * chance:.1f} %.\n"
     if unsupported := best.predicted["unsupported"]:
@@ -352,6 +352,8 @@ def _say(
         text += next_step("run", paths[0], "--calibration", "calibration.json", "-o", "TRIAL")
     emit(result, as_json, text)
     warn_unsupported(best.predicted["unsupported"])
+    if unmet and unmet.worse:
+        click.echo(f"neurosim: {unmet}", err=True)
     if best.evolution["interrupted"]:
         resumable = Checkpoint(out, "evolution").begun
         how = ", continue with --resume" if resumable else ""

@@ -6,6 +6,7 @@ wheels' speed as a share of full speed. See :mod:`neurosim.networks.control` for
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar, Literal
@@ -13,6 +14,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import numpy as np
 import torch
 from msgspec import Meta
+from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.declared import Number
@@ -78,6 +80,25 @@ class Network(Controller):
             "outputs": list(self.outputs),
             "scale": self.scale if isinstance(self.scale, int | float) else list(self.scale),
         }
+
+
+def braitenberg(
+    readings: Sequence[str], bearings: NDArray[np.float64], speed: float = 1.2, gain: float = 4.0
+) -> tuple[Network, NDArray[np.float64]]:
+    """Return a hand-written network that avoids obstacles, and its genes: a Braitenberg vehicle.
+
+    Each wheel is slowed by what is near on the other side, the more the further ahead it is.
+
+    Args:
+        readings: names of the sensors' readings.
+        bearings: where each of them looks, [S] rad to the left; NaN where it sees nothing.
+        speed: of the wheels where nothing is near, as tanh takes it.
+        gain: of a sensor that looks straight ahead.
+    """
+    network = Network(tuple(readings))
+    ahead = gain * np.nan_to_num(np.maximum(np.cos(bearings), 0.0))
+    left, right = (ahead * (side * np.nan_to_num(bearings) <= 0.0) for side in (1, -1))
+    return network, np.concatenate([-left, [speed], -right, [speed]])
 
 
 @dataclass(frozen=True)

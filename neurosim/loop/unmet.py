@@ -7,7 +7,10 @@ from dataclasses import asdict, dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.controllers.base import WHEELS, Controller
+from neurosim.controllers.network import braitenberg
 from neurosim.loop.evaluate import Evaluator, with_contacts
+from neurosim.simulators.base import InArena
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 
 #: Arenas that nobody was evolved in, and drives in them.
@@ -22,23 +25,38 @@ class Unmet:
         drives: how many there were.
         touched: in how many of them the robot touched something.
         fitness: their mean, where what comes after the first contact counts nothing.
+        vehicle: in how many of them a hand-written vehicle touched something; None: not known.
     """
 
     drives: int
     touched: int
     fitness: float
+    vehicle: int | None = None
 
     def __str__(self) -> str:
-        often = f"in {self.touched} of {self.drives} drives" if self.touched else "in no drive"
-        return f"In arenas that it was not evolved in, it touches something {often}."
+        often = f"{self.touched} of {self.drives} drives" if self.touched else "no drive"
+        text = f"In arenas that it was not evolved in, it touches something in {often}"
+        if self.worse:
+            text += (
+                f", more often than a hand-written vehicle (in {self.vehicle or 'none'} of them); "
+                "evolve with --arenas 100 --contacts end, or more --runs"
+            )
+        return f"{text}."
 
-    def describe(self) -> dict[str, float]:
+    @property
+    def worse(self) -> bool:
+        """Whether it touches something more often than the hand-written vehicle."""
+        return self.vehicle is not None and self.touched > self.vehicle
+
+    def describe(self) -> dict[str, float | None]:
         """Return it for controller.json."""
         return asdict(self)
 
 
 def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unmet] | None:
     """Drive individuals [N, G] in arenas drawn for this alone, all from the same starts.
+
+    A hand-written vehicle drives there, too, if the robot has two wheels.
 
     Returns:
         What came of each; None where the task is another than avoiding obstacles, or the simulator
@@ -47,18 +65,24 @@ def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unm
     task, own = evaluator.task, evaluator.simulator
     if not isinstance(task, ObstacleAvoidance) or task.fitness != "avoidance":
         return None
-    if not hasattr(own, "arena"):
+    if not isinstance(own, InArena):
         return None
     elsewhere = own.elsewhere(ARENAS, seed + 0x0BE7)
-    there = Evaluator(elsewhere, task, evaluator.controller)
-    rng = np.random.default_rng([seed, 0x0BE7])
-    starts = elsewhere.free_poses(DRIVES, rng)
-    assert starts is not None
-    driven = with_contacts(elsewhere, there.run(genes, there.rollouts.draw(starts, rng)))
-    assert driven.touching is not None
-    touched = driven.touching.any(-1).sum(axis=1)
-    fitness = avoidance(driven, task.duration).mean(axis=1)
+
+    def drive(controller: Controller, genes: NDArray) -> tuple[NDArray, NDArray]:
+        there, rng = Evaluator(elsewhere, task, controller), np.random.default_rng([seed, 0x0BE7])
+        starts = elsewhere.free_poses(DRIVES, rng)
+        assert starts is not None
+        driven = with_contacts(elsewhere, there.run(genes, there.rollouts.draw(starts, rng)))
+        assert driven.touching is not None
+        fitness = avoidance(driven, task.duration).mean(axis=1)
+        return driven.touching.any(-1).sum(axis=1), fitness
+
+    vehicle = None
+    if tuple(own.command_names) == (*WHEELS, "duration"):
+        network, weights = braitenberg(own.reading_names, own.bearings)
+        vehicle = int(drive(network, weights[None])[0][0])
     return [
-        Unmet(DRIVES, int(times), float(value))
-        for times, value in zip(touched, fitness, strict=True)
+        Unmet(DRIVES, int(touched), float(fitness), vehicle)
+        for touched, fitness in zip(*drive(evaluator.controller, genes), strict=True)
     ]

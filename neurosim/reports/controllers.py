@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import FileError
 from neurosim.base.files import sha256
 from neurosim.loop.objectives import TIE
+from neurosim.loop.unmet import Unmet
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.charts import ragged
 from neurosim.reports.course import Paths, Scene, course, draw_scene, unit_of
@@ -34,6 +35,8 @@ def section(artefacts: Artefacts) -> Section | None:
     if not found:
         return None
     blocks: list[Block] = [_predictions(found), _tasks(found), *unknown_tasks(found)]
+    unmet = [(one.name, _unmet(one)) for one in found]
+    blocks += [Text(f"{name}: {each}") for name, each in unmet if each and each.worse]
     pictures = [*_evolutions(found), *_paths(artefacts)]
     if pictures:
         blocks.append(Row(pictures))
@@ -169,6 +172,7 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         "completes": _completes,
         "probability of success": _chance,
         "unlike what was recorded": _unsupported,
+        "touches something in other arenas": _contacts,
         "outcomes drawn": lambda one: _figure(one, "draws"),
         "generations": _generations,
         "mean at transfer, at the end": _before_and_after,
@@ -213,6 +217,16 @@ def _chance(controller: Artefact) -> str:
 def _unsupported(controller: Artefact) -> str:
     share = controller.meta["predicted"].get("unsupported")
     return f"{share:.1%} of the time" if share else ""
+
+
+def _contacts(controller: Artefact) -> str:
+    unmet = _unmet(controller)
+    return "" if unmet is None else f"{unmet.touched} of {unmet.drives} drives"
+
+
+def _unmet(controller: Artefact) -> Unmet | None:
+    found = controller.meta["predicted"].get("unmet")
+    return None if found is None else Unmet(**found)
 
 
 def _generations(controller: Artefact) -> str:

@@ -32,9 +32,13 @@ class InArena(Protocol):
 
     Attributes:
         arena: :class:`neurosim.simulators.tables.arena.Arena`.
+        bearings: where each sensor looks, [S] rad to the left; NaN where it sees nothing.
     """
 
     arena: Any
+
+    @property
+    def bearings(self) -> NDArray[np.float64]: ...
 
     def changed(self, *, arena: Any = ..., noise: Any = ...) -> Simulator:
         """Return the simulator with another arena or noise."""

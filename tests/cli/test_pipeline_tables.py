@@ -15,6 +15,7 @@ from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
 from neurosim.cli.main import cli
 from neurosim.controllers import FixedPlan, SavedController, read_controller
+from neurosim.loop.unmet import Unmet
 from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion
@@ -54,6 +55,17 @@ def test_simulator_and_network(folder):
     assert network.task["settings"]["steps"] == 250
     assert network.evolution["noise"]["kind"] == "none"
     assert network.evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+
+
+def test_a_network_that_touches_more_than_a_vehicle_comes_with_a_warning(folder):
+    words = ["evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "poor"]
+    words += ["--generations", 1, "--population", 5, "--noise", "none"]
+    done = call(*words, "--json")
+    unmet = json.loads(done.stdout)["unmet"]
+    assert unmet["touched"] > unmet["vehicle"]
+    assert read_controller(folder / "poor").predicted["unmet"] == unmet
+    assert f"neurosim: {Unmet(**unmet)}\n" in done.stderr
+    assert "more often than a hand-written vehicle" in done.stderr
 
 
 @pytest.mark.slow

@@ -7,10 +7,11 @@ import pytest
 from khepera_data import made_up
 
 from neurosim.controllers import make_controller
+from neurosim.controllers.network import braitenberg
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings
-from neurosim.loop.unmet import DRIVES, Unmet, in_unmet_arenas
+from neurosim.loop.unmet import Unmet, in_unmet_arenas
 from neurosim.simulators.tables.arena import paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.simulator import TableSimulator
@@ -24,25 +25,35 @@ def evaluator():
     return Evaluator(simulator, task, make_controller("network", simulator, task))
 
 
-def vehicle(speed, gain):
-    """Return genes [18] of one whose wheels are slowed by what is near on the other side."""
-    weights = np.zeros((2, 9))
-    weights[0, [3, 4, 5]] = weights[1, [2, 1, 0]] = -gain * np.array([1.0, 0.7, 0.4])
-    weights[:, 8] = speed
-    return weights.reshape(-1)
-
-
 def test_who_turns_away_touches_less_than_who_drives_straight_on(evaluator):
-    genes = np.stack([vehicle(1.2, 4.0), vehicle(1.2, 0.0)])
+    simulator = evaluator.simulator
+    genes = np.stack(
+        [braitenberg(simulator.reading_names, simulator.bearings, gain=gain)[1] for gain in (4, 0)]
+    )
     careful, blind = in_unmet_arenas(evaluator, genes, seed=0)
     assert careful.touched <= 2
     assert blind.touched >= 0.8 * blind.drives
     assert careful.fitness > blind.fitness
-    assert str(blind) == (
-        "In arenas that it was not evolved in, it touches something "
-        f"in {blind.touched} of {DRIVES} drives."
-    )
+    assert careful.vehicle == blind.vehicle == careful.touched  # careful is the vehicle
     assert in_unmet_arenas(evaluator, genes, seed=0) == [careful, blind]
+
+
+def test_a_sensor_slows_the_wheel_on_the_other_side():
+    network, genes = braitenberg("abcd", np.array([0.5, -1.0, np.nan, np.pi]), speed=1.0, gain=2.0)
+    left, right = genes.reshape(network.shapes[0])
+    assert left == pytest.approx([0, -2 * np.cos(1.0), 0, 0, 1.0])
+    assert right == pytest.approx([-2 * np.cos(0.5), 0, 0, 0, 1.0])
+
+
+def test_one_that_touches_more_than_a_hand_written_vehicle_is_not_passed_off_as_good():
+    bad = "In arenas that it was not evolved in, it touches something in 18 of 20 drives"
+    hint = "evolve with --arenas 100 --contacts end, or more --runs."
+    vehicle = "more often than a hand-written vehicle"
+    assert str(Unmet(20, 18, 30.0, 2)) == f"{bad}, {vehicle} (in 2 of them); {hint}"
+    assert str(Unmet(20, 18, 30.0, 0)) == f"{bad}, {vehicle} (in none of them); {hint}"
+    assert str(Unmet(20, 18, 30.0, 18)) == str(Unmet(20, 18, 30.0)) == f"{bad}."
+    assert str(Unmet(20, 0, 30.0, 0)).endswith("it touches something in no drive.")
+    assert not Unmet(20, 18, 30.0).worse
 
 
 def test_other_tasks_have_no_unmet_arenas(evaluator):

@@ -7,6 +7,7 @@ from report_page import Page
 
 from neurosim.base.errors import FileError
 from neurosim.controllers import Network, SavedController
+from neurosim.loop.unmet import Unmet
 from neurosim.reports import controllers, write_report
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.tables.arena import paper_arena
@@ -18,7 +19,7 @@ def simulator(folder):
     return folder
 
 
-def network(folder, best, mean, fitness="avoidance", **evolution):
+def network(folder, best, mean, fitness="avoidance", unmet=None, **evolution):
     history = {"best": best, "mean": mean}
     if "transfer" in evolution:
         history["transfer"] = evolution.pop("transfer")
@@ -26,7 +27,7 @@ def network(folder, best, mean, fitness="avoidance", **evolution):
         Network(tuple(f"sensor_{number}" for number in range(8))),
         np.zeros(18),
         {"name": "obstacle-avoidance", "settings": {"steps": 500, "fitness": fitness}},
-        predicted={"fitness": best[-1], "spread": 4.0},
+        predicted={"fitness": best[-1], "spread": 4.0, **({"unmet": unmet} if unmet else {})},
         evolution={"arena": paper_arena().to_json(), "history": history, **evolution},
     ).write(folder)
     return folder
@@ -71,6 +72,24 @@ def test_networks_with_transfer_and_trajectories(tmp_path):
     assert "2.0 cm apart, median" in text
     (row,) = [row for row in page.table(["controller", "kind"]) if row[0] == "a"]
     assert row == ["a", "network", "18 genes", "190", "4", "3", "90, 80"]
+
+
+def test_contacts_in_other_arenas_beside_a_vehicle(tmp_path):
+    unmet = {"drives": 20, "touched": 0, "fitness": 300.0, "vehicle": 1}
+    folders = [
+        network(tmp_path / "good", [100], [50], unmet=unmet),
+        network(tmp_path / "poor", [100], [50], unmet=unmet | {"touched": 18}),
+    ]
+    write_report(folders, tmp_path / "page.html")
+    rows = Page(tmp_path / "page.html").table(["controller", "kind"])
+    column = rows[0].index("touches something in other arenas")
+    assert {row[0]: row[column] for row in rows[1:]} == {
+        "good": "0 of 20 drives",
+        "poor": "18 of 20 drives",
+    }
+    text = (tmp_path / "page.html").read_text()
+    assert f"poor: {Unmet(**unmet | {'touched': 18})}" in text
+    assert "good: In arenas" not in text
 
 
 def test_cells_have_no_highest_number(tmp_path):
