@@ -47,6 +47,8 @@ Percent = Annotated[float, Meta(ge=0.1, le=100)]
 Seconds = Annotated[float, Meta(ge=0.001, le=100_000)]
 #: A duration that may be 0, s.
 SecondsOrNone = Annotated[float, Meta(ge=0, le=100_000)]
+#: By how much something is late, s; below 0 it is early.
+Delay = Annotated[float, Meta(ge=-60, le=60)]
 #: A length, m.
 Metres = Annotated[float, Meta(ge=0.0001, le=1000)]
 #: A length that may be 0, such as a standard deviation, m.

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from neurosim.base.declared import Seconds
+from neurosim.base.declared import Delay, Seconds
 from neurosim.base.errors import UserError
 from neurosim.cli._common import emit, is_given, json_option, next_step
 from neurosim.cli._types import PATH, Pairs, ranged
@@ -18,9 +18,22 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "as_sent": ("recording",),
     "mixed": ("recording",),
     "doubtful": ("recording",),
-    **dict.fromkeys(("longest", "shortest", "longest_gap"), ("mrclam", "csv")),
+    **dict.fromkeys(("longest", "shortest", "longest_gap", "delay"), ("mrclam", "csv")),
     **dict.fromkeys(
-        ("columns", "units", "rows", "from_rest", "length", "angle", "time", "y", "frame"), ("csv",)
+        (
+            "columns",
+            "units",
+            "rows",
+            "from_rest",
+            "session",
+            "keep",
+            "length",
+            "angle",
+            "time",
+            "y",
+            "frame",
+        ),
+        ("csv",),
     ),
 }
 
@@ -88,6 +101,13 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     is_flag=True,
     help="csv, rows: the robot stood before each command; otherwise the line above came before.",
 )
+@click.option(
+    "--session",
+    metavar="COLUMN",
+    help="csv: the file's column that says which drive a line of a log is of.  [default: another "
+    "one begins where the clock starts again, or is silent for long]",
+)
+@click.option("--keep", is_flag=True, help="csv: keep headings that do not fit the motion.")
 @_unit("length", ["m", "cm", "mm"], "unit of x, y, dx, dy.")
 @_unit("angle", ["rad", "deg"], "unit of headings and dtheta.")
 @_unit("time", ["s", "ms", "us", "ns"], "unit of times and durations.")
@@ -100,6 +120,12 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
 @_seconds("longest", 3.0, "cut a command that is held into pieces of at most so many s.")
 @_seconds("shortest", 0.5, "leave out pieces shorter than so many s.")
 @_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
+@click.option(
+    "--delay",
+    type=ranged(Delay),
+    help="csv, mrclam: poses are so late beside the commands, s.  [default: found, and corrected "
+    "where no robot is so late or early]",
+)
 @json_option
 def dataset(
     recordings: tuple[Path, ...],
@@ -112,9 +138,12 @@ def dataset(
     units: dict[str, str] | None,
     rows: bool,
     from_rest: bool,
+    session: str | None,
+    keep: bool,
     longest: float,
     shortest: float,
     longest_gap: float,
+    delay: float | None,
     as_json: bool,
     **conventions: str,
 ) -> None:
@@ -135,7 +164,7 @@ def dataset(
         parts = [part for folder in recordings for part in parts_of(folder)]
         made = build(parts, out, correct_delay=not as_sent, mixed=mixed, doubtful=doubtful)
     else:
-        pieces = Settings(shortest, longest, longest_gap)
+        pieces = Settings(shortest, longest, longest_gap, keep, delay)
         if source == "mrclam":
             from tracking.datasets.mrclam import import_mrclam
 
@@ -152,6 +181,7 @@ def dataset(
                 from_rest=from_rest,
                 conventions=Conventions(**conventions),
                 settings=pieces,
+                session=session,
             )
     warnings = [*made.meta.get("warnings", ()), *_too_few(len(made))]
     for warning in warnings:

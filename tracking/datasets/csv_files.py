@@ -16,18 +16,20 @@ import math
 import re
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import files, se2
-from neurosim.base.declared import Checked
 from neurosim.base.errors import FileError, UserError
-from tracking.datasets import logs
+from tracking.datasets import logs, suspicious
+from tracking.datasets.clocks import in_step
 from tracking.datasets.dataset import OUTPUTS, Dataset, make
+from tracking.datasets.sessions import check_labels, sessions_of
+from tracking.datasets.suspicious import TIMES, Conventions
 
 #: Columns of a log, beside the commands.
 LOG = ("time", "x", "y", "heading")
@@ -43,17 +45,6 @@ _TAKEN = {"recording", "command", "quality", "row"}
 _USUAL = (("v", "w"), ("left", "right"))
 _USUAL_UNITS = {"v": "m/s", "w": "rad/s"}
 
-#: What one of them is in SI.
-LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
-TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-
-#: Small robots are slower than this; a larger number probably has another unit (m/s, rad/s).
-FASTEST, FASTEST_TURN = 20.0, 50.0
-
-#: Between poses farther apart (s), headings may differ by any angle.
-_NEAR = 0.5
-
 #: Why a line of a file of rows is left out of a dataset.
 ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not known"}
 
@@ -61,34 +52,6 @@ ROW_REASONS = {"not seen": "the displacement, or a pose before or after, is not 
 _LARGEST = 1e30
 
 _ABSENT = {"", "nan", "na", "n/a", "null", "none"}
-
-
-@dataclass(frozen=True)
-class Conventions(Checked):
-    """What the numbers of a file mean.
-
-    Attributes:
-        length: unit of x, y, dx, dy: m, cm or mm.
-        angle: unit of headings and dtheta: rad or deg.
-        time: unit of times and durations: s, ms, us or ns.
-        y: where y points to, seen along x: left, as in mathematics, with headings
-            counter-clockwise; or right, as in pictures, whose y points down, with headings
-            clockwise.
-        frame: of the dx, dy in a file of rows: body, the robot's at the command's beginning, or
-            world, the frame of ``heading0``.
-    """
-
-    length: Literal["m", "cm", "mm"] = "m"
-    angle: Literal["rad", "deg"] = "rad"
-    time: Literal["s", "ms", "us", "ns"] = "s"
-    y: Literal["left", "right"] = "left"
-    frame: Literal["body", "world"] = "body"
-
-    def poses(self, numbers: NDArray) -> NDArray:
-        """Return poses or displacements (N, 3) in SI and with y to the left."""
-        length, angle = LENGTHS[self.length], ANGLES[self.angle]
-        side = 1.0 if self.y == "left" else -1.0
-        return numbers * (length, side * length, side * angle)
 
 
 def import_csv(
@@ -101,6 +64,7 @@ def import_csv(
     from_rest: bool = False,
     conventions: Conventions | None = None,
     settings: logs.Settings | None = None,
+    session: str | None = None,
 ) -> Dataset:
     """Turn logs, or files with a line for each command, into a dataset.
 
@@ -120,6 +84,8 @@ def import_csv(
             that of the line above, and the robot stood before the first.
         conventions: units and frames.
         settings: how runs of equal commands in a log become rows.
+        session: the file's name of a column that says which drive a line of a log is of; without,
+            another drive begins where the clock starts again or is silent for long.
 
     Returns:
         The dataset; what is odd about its numbers stands in ``meta["warnings"]``, a sentence each.
@@ -142,23 +108,43 @@ def import_csv(
     units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
     if shape == "log" and from_rest:
         raise UserError("a log says itself what came before a command; leave out --from-rest")
+    if shape == "rows" and session is not None:
+        raise UserError("--session is for logs; in a file of rows prev_ says what came before")
     if conventions.frame == "world" and (shape == "log" or not tables[0].has_any(MOVED)):
         raise UserError("--frame world is for files of rows with dx, dy; poses are in it anyway")
     left_out: Counter[str] = Counter()
     made: list[dict[str, Any]] = []
     warnings: list[str] = []
-    logged: list[tuple[Path, logs.Log]] = []
-    for name, table in zip(names, tables, strict=True):
-        if shape == "log":
-            log = _log(table, name, commands, conventions, warnings)
-            part, out_of_it = logs.rows_of(log, commands, settings)
-            logged.append((table.path, log))
-        else:
+    read = conventions
+    if shape == "log":
+        drives: list[logs.Log] = []
+        for name, table in zip(names, tables, strict=True):
+            found_in, said = _logs(table, name, commands, conventions, settings, session)
+            drives += found_in
+            warnings += [f"{table.path}: {sentence}" for sentence in said]
+        drives, said = in_step(drives, settings.delay)
+        warnings += said
+        for drive in drives:
+            part, out_of_it = logs.rows_of(drive, commands, settings)
+            made += part
+            left_out.update(out_of_it)
+        if not made:
+            _explain(tables[0].path, drives[0], left_out, settings)
+        if conventions.angle == "rad" and any(_in_degrees(table) for table in tables):
+            read = replace(conventions, angle="deg")
+            both = zip(names, tables, strict=True)
+            drives = [
+                drive
+                for name, table in both
+                for drive in _logs(table, name, commands, read, settings, session)[0]
+            ]
+        moved = suspicious.moved_in(drives)
+        warnings += suspicious.always_changing(drives, commands)
+    else:
+        for name, table in zip(names, tables, strict=True):
             part, out_of_it = _rows(table, name, commands, from_rest, conventions)
-        made += part
-        left_out.update(out_of_it)
-    if not made and logged:
-        _explain(*logged[0], left_out, settings)
+            made += part
+            left_out.update(out_of_it)
     dataset = make(
         made,
         logs.inputs_of(units),
@@ -172,7 +158,14 @@ def import_csv(
         },
         reasons=logs.REASONS if shape == "log" else ROW_REASONS,
     )
-    dataset.meta["warnings"] = warnings + _warnings(dataset, units, conventions)
+    if shape == "rows":
+        duration = dataset.table["duration"].to_numpy()
+        moved = suspicious.of_rows(
+            dataset.table[commands].to_numpy(float), duration, dataset.output_array()
+        )
+        warnings += _wrapped(moved, duration)
+    warnings += suspicious.suspicions(moved, commands, units, conventions, read)
+    dataset.meta["warnings"] = warnings
     dataset.write(out)
     return dataset
 
@@ -248,34 +241,40 @@ def _commands(table: _Table, shape: str) -> list[str]:
     )
 
 
-def _log(
+def _logs(
     table: _Table,
     name: str,
     commands: Sequence[str],
     conventions: Conventions,
-    warnings: list[str],
-) -> logs.Log:
-    """Read a log."""
+    settings: logs.Settings,
+    session: str | None,
+) -> tuple[list[logs.Log], list[str]]:
+    """Read a log; return its drives, and sentences on what was found in it."""
     time = table.numbers("time") * TIMES[conventions.time]
     values = table.array(commands)
-    raw = table.array(LOG[1:], optional=True)
+    poses = conventions.poses(table.array(LOG[1:], optional=True))
     if len(time) < 2:
         raise FileError(table.path, f"holds {len(time)} samples; a log needs two or more")
-    table.check_increasing("time", time)
-    seen = np.isfinite(raw).all(axis=1)
+    still = np.diff(time, prepend=-np.inf) == 0
+    if still.mean() > 0.5:
+        table.refuse(still, "time", "the same time stands in two lines, and in most others, too")
+    seen = np.isfinite(poses).all(axis=1)
     if not seen.any():
         raise FileError(table.path, "no line has a pose: x, y and heading are never all given")
-    poses = conventions.poses(raw[seen])
-    steps = np.abs(np.diff(poses[:, 2]))[np.diff(time[seen]) < _NEAR]
-    # Headings in radians are within one turn, or have no large steps.
-    turned = np.abs(poses[:, 2]).max() > 2 * np.pi + 0.1 and (steps > np.pi).any()
-    if turned and conventions.angle == "rad":
-        warnings.append(
-            f"{table.path}: the heading jumps by {steps.max():.3g} rad from one line to the next; "
-            "is it in degrees (--angle deg)?"
-        )
-    poses[:, 2] = np.unwrap(poses[:, 2])
-    return logs.Log(name, time, values, seen, time[seen], poses)
+    labels = None if session is None else table.texts(session)
+    if labels is not None:
+        check_labels(table.path, session or "", labels)
+    drives, said = sessions_of(name, time, values, poses, settings, labels)
+    if not drives:
+        raise FileError(table.path, "no drive in it has two samples and a pose")
+    return drives, said
+
+
+def _in_degrees(table: _Table) -> bool:
+    """Return whether a log's headings look as if they were in degrees."""
+    heading = table.numbers("heading", optional=True)
+    seen = np.isfinite(heading)
+    return suspicious.like_degrees(table.numbers("time")[seen], heading[seen])
 
 
 def _explain(
@@ -381,32 +380,15 @@ def _displacement(table: _Table, conventions: Conventions) -> NDArray:
     return se2.between(before, after)
 
 
-def _warnings(dataset: Dataset, units: Mapping[str, str], conventions: Conventions) -> list[str]:
-    """Return sentences on numbers that look as if they had another unit."""
-    said = []
-    duration = dataset.table["duration"].to_numpy()
-    dx, dy, dtheta = dataset.output_array().T
-    with np.errstate(over="ignore"):
-        speed, rate = (np.hypot(dx, dy) / duration).max(), (np.abs(dtheta) / duration).max()
-    if speed > FASTEST:
-        said.append(
-            f"the robot moves by up to {speed:.3g} m/s: are --length {conventions.length} and "
-            f"--time {conventions.time} right?"
-        )
-    if rate > FASTEST_TURN:
-        said.append(
-            f"the robot turns by up to {rate:.3g} rad/s: are --angle {conventions.angle} and "
-            f"--time {conventions.time} right?"
-        )
-    for name, unit in units.items():
-        limit = {"m/s": FASTEST, "rad/s": FASTEST_TURN}.get(unit, math.inf)
-        largest = dataset.table[name].abs().max()
-        if largest > limit:
-            said.append(
-                f"the command {name} is up to {largest:.3g} {unit}: is that its unit? "
-                f"Otherwise name it, such as --units {name}=mm/s"
-            )
-    return said
+def _wrapped(moved: suspicious.Moved, duration: NDArray) -> list[str]:
+    """Return a sentence where rows turned by more than half a turn, and seem not to."""
+    count = suspicious.wrapped(moved, duration)
+    if not count:
+        return []
+    return [
+        f"{count} of {len(duration)} commands turned by more than half a turn, by the turn of the "
+        "others, and the file has the shorter way round: write headings that run on, or dtheta"
+    ]
 
 
 # Files
@@ -483,9 +465,26 @@ class _Table:
             raise FileError(
                 self.path, "there are two such columns", line=self.header_line, field=theirs
             )
+        try:  # all at once, if they are what they are to be
+            values = self._fields[theirs].to_numpy().astype(float)
+        except ValueError:
+            values = np.full(1, math.nan)
+        if (np.abs(values) <= _LARGEST).all():
+            return values
         parse, nothing = (_optional, " or nothing") if optional else (_number, "")
         expected = f"a finite number with a decimal point{nothing}"
         return np.array(files.parsed(self.path, self._fields[theirs], parse, expected))
+
+    def texts(self, column: str) -> list[str]:
+        """Return a column (N,) by the file's name, as it stands there."""
+        if column not in self._header:
+            raise FileError(
+                self.path,
+                f"there is no such column; found {self.found()}: --session names one of them",
+                line=self.header_line,
+                field=column,
+            )
+        return self._fields[column].str.strip().tolist()
 
     def refuse(self, wrong: NDArray, name: str, what: str) -> None:
         """Raise a FileError at the first line that is wrong (N,), if any is."""

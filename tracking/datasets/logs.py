@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from neurosim.base.declared import Checked, Seconds
+from neurosim.base.declared import Checked, Delay, Seconds
 from neurosim.base.errors import UserError
 from tracking.datasets.within import choose_instants, poses_within
 
@@ -39,11 +39,16 @@ class Settings(Checked):
         shortest: shortest piece that gives a row, s.
         longest: longest piece, s.
         longest_gap: a piece is left out if samples or poses are silent for longer within it, s.
+        keep: poses whose headings do not fit the motion are kept.
+        delay: by how much poses are late beside the commands, s; None: found from the motion, and
+            corrected where no robot can be so late or so early.
     """
 
     shortest: Seconds = 0.5
     longest: Seconds = 3.0
     longest_gap: Seconds = 0.5
+    keep: bool = False
+    delay: Delay | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -65,6 +70,7 @@ class Log:
         seen: (N,) whether a pose within a command may be taken at this sample.
         pose_time: (M,) of the poses, s, increasing.
         poses: (M, 3) x, y in m, unwrapped heading in rad, none of them NaN; REP 103.
+        before: (C,) the command before the first one, where it is known.
     """
 
     name: str
@@ -73,6 +79,7 @@ class Log:
     seen: NDArray
     pose_time: NDArray
     poses: NDArray
+    before: NDArray | None = None
 
     def pose_at(self, times: NDArray) -> NDArray:
         """Return poses (K, 3) at times (K,), interpolated linearly."""
@@ -105,7 +112,7 @@ def rows_of(
     for start, end in pieces(log.time, log.commands, settings.longest):
         if log.time[end] - log.time[start] < settings.shortest - _ROUNDING:
             left_out["too short"] += 1
-        elif start == 0:
+        elif start == 0 and log.before is None:
             left_out["first"] += 1
         elif _has_gap(log.time[start : end + 1], log.pose_time, settings.longest_gap):
             left_out["gap"] += 1
@@ -125,12 +132,12 @@ def rows_of(
         times = log.time[samples] - log.time[start]
         chosen = choose_instants(times, duration)
         within = poses_within(times[chosen], poses[start], poses[samples[chosen]])
-        before = [f"prev_{name}" for name in names]
+        before = log.commands[start - 1] if start > 0 or log.before is None else log.before
         rows.append(
             {
                 "recording": log.name,
                 "command": number,
-                **dict(zip(before, log.commands[start - 1], strict=True)),
+                **dict(zip((f"prev_{name}" for name in names), before, strict=True)),
                 **dict(zip(names, log.commands[start], strict=True)),
                 "duration": duration,
                 **dict(zip(("dx", "dy", "dtheta"), displacement, strict=True)),
@@ -160,6 +167,18 @@ def pieces(time: NDArray, commands: NDArray, longest: float) -> Iterator[tuple[i
             end = max(end, start + 1)  # a single step longer than a piece: a gap
             yield start, end
             start = end
+
+
+def is_known(pose_times: NDArray, begins: NDArray, lasts: float) -> NDArray[np.bool_]:
+    """Return whether there are poses (M,) all along spans that begin at (K,) and last so long, s.
+
+    They are if none is missing for longer than half of the span.
+    """
+    silent = np.flatnonzero(np.diff(pose_times) > lasts / 2)
+    first = np.searchsorted(pose_times[silent + 1], begins, side="right")
+    last = np.searchsorted(pose_times[silent], begins + lasts, side="left")
+    inside = (begins >= pose_times[0]) & (begins + lasts <= pose_times[-1])
+    return (last <= first) & inside
 
 
 def _has_gap(samples: NDArray, pose_times: NDArray, longest: float) -> bool:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from tracking.datasets.clocks import in_step
 from tracking.datasets.dataset import Dataset, make
 from tracking.datasets.logs import REASONS, Log, Settings, inputs_of, rows_of
 
@@ -64,6 +65,7 @@ def import_mrclam(
     seen = np.ones(len(odometry), bool)
     stem = found["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
+    (log,), warnings = in_step([log], settings.delay)
     rows, left_out = rows_of(log, ("v", "w"), settings)
     dataset = make(
         rows,
@@ -72,6 +74,7 @@ def import_mrclam(
         left_out=left_out,
         settings=asdict(settings),
         reasons=REASONS,
+        warnings=warnings,
     )
     dataset.write(out)
     return dataset

@@ -1,0 +1,251 @@
+"""Logs with several drives, clocks of their own, jumps and wrong units: mended, or said."""
+
+import numpy as np
+import pytest
+
+from neurosim.base import se2
+from neurosim.base.errors import FileError
+from tracking.datasets import clocks
+from tracking.datasets.csv_files import Conventions, import_csv
+from tracking.datasets.logs import Settings
+
+DT = 0.05
+
+
+def drive(seconds=60.0, seed=0, lag=0.15, commands=None):
+    """Return time (N,), poses (N, 3), headings wrapped, and commands v, w (N, 2) of a unicycle."""
+    rng = np.random.default_rng(seed)
+    count = round(seconds / DT)
+    if commands is None:
+        held = rng.integers(10, 40, count)
+        drawn = rng.uniform((-0.3, -1.5), (0.3, 1.5), (count, 2)).round(2)
+        commands = np.repeat(drawn, held, axis=0)[:count]
+    pose, velocity, poses = np.zeros(3), np.zeros(2), []
+    for command in commands:
+        poses.append(pose)
+        for _ in range(5):
+            velocity = velocity + (command - velocity) * (1 - np.exp(-DT / 5 / lag))
+            pose = se2.compose(pose, se2.exp([DT / 5 * velocity[0], 0, DT / 5 * velocity[1]]))
+    poses = np.array(poses)
+    poses[:, 2] = np.angle(np.exp(1j * poses[:, 2]))
+    return np.arange(count) * DT, poses, commands
+
+
+def write(path, time, poses, commands, names="v,w", **more):
+    header = ",".join(["time,x,y,heading", names, *more])
+    columns = [time, poses, commands, *(np.asarray(column)[:, None] for column in more.values())]
+    columns[0] = time[:, None]
+    lines = [",".join(f"{value:.9g}" for value in line) for line in np.hstack(columns)]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+@pytest.fixture
+def imported(tmp_path):
+    """Write a log and import it; return the dataset and its warnings in one text."""
+
+    def run(time, poses, commands, names="v,w", settings=None, conventions=None, **more):
+        session = more.pop("session", None)
+        number = len(list(tmp_path.iterdir()))
+        path = write(tmp_path / f"{number}.csv", time, poses, commands, names, **more)
+        made = import_csv(
+            path,
+            tmp_path / f"d{number}",
+            columns=dict.fromkeys(()) | {name: name for name in names.split(",")},
+            settings=settings,
+            conventions=conventions,
+            session=session,
+        )
+        return made, "\n".join(made.meta["warnings"])
+
+    return run
+
+
+def same(a, b, within=1e-6):
+    assert a.input_array() == pytest.approx(b.input_array(), abs=within)
+    assert a.output_array() == pytest.approx(b.output_array(), abs=within)
+
+
+def test_a_plain_log_is_not_suspicious(imported):
+    made, said = imported(*drive())
+    assert said == ""
+    assert len(made) > 25
+
+
+@pytest.mark.parametrize("apart", [-60.0, 30.0])
+def test_drives_in_one_file_are_as_drives_in_two(imported, tmp_path, apart):
+    first, second = drive(seed=1), drive(seed=2)
+    paths = [write(tmp_path / f"{k}.txt", *each) for k, each in enumerate((first, second))]
+    expected = import_csv(paths, tmp_path / "two")
+    begins = 60.0 + apart
+    both = [np.concatenate(pair) for pair in zip(first, second, strict=True)]
+    both[0][len(first[0]) :] += begins
+    made, said = imported(*both)
+    assert "2 drives in one file" in said
+    same(made, expected)
+    assert made.table["recording"].nunique() == 2
+    column = np.repeat([3, 7], len(first[0]))
+    made, said = imported(*both, session="run", run=column)
+    assert said == ""
+    same(made, expected)
+    assert made.table["recording"].unique().tolist() == ["5/3", "5/7"]
+
+
+def test_a_column_that_is_no_name_of_drives(imported):
+    time, poses, commands = drive()
+    with pytest.raises(FileError, match="names another drive on nearly every line"):
+        imported(time, poses, commands, session="n", n=time)
+    with pytest.raises(FileError, match="no such column; found time"):
+        imported(time, poses, commands, session="m")
+
+
+def test_lines_out_of_order_or_twice(imported):
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    order = np.arange(len(time))
+    order[[100, 101, 300, 301]] = order[[101, 100, 301, 300]]
+    order = np.insert(order, 500, order[500])
+    made, said = imported(time[order], poses[order], commands[order])
+    assert "2 lines are earlier than the line before; they are put in order" in said
+    assert "1 lines have the time of another line; one of each counts" in said
+    same(made, expected)
+
+
+def test_a_robot_that_is_carried_elsewhere_and_a_false_pose(imported):
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    poses[200, :2] += 1.5
+    poses[700:, :2] += (1.5, -1.0)
+    poses[700:, 2] = np.angle(np.exp(1j * (poses[700:, 2] + 2.0)))
+    made, said = imported(time, poses, commands)
+    assert said.endswith("the pose jumps once (at 35.00 s); the log is cut there")
+    # Commands go on: the first row after the jump knows its command before.
+    assert len(made) >= len(expected) - 1
+    moved = np.hypot(*made.output_array()[:, :2].T)
+    assert moved.max() < 1.0
+
+
+@pytest.mark.parametrize("late", [-0.4, 1.0])
+def test_clocks_that_differ(imported, late):
+    time, poses, commands = drive(120.0)
+    expected, _ = imported(time, poses, commands)
+    shifted = np.column_stack(
+        [np.interp(time, time + late, column) for column in np.unwrap(poses, axis=0).T]
+    )
+    made, said = imported(time, shifted, commands)
+    side = "after" if late > 0 else "before"
+    assert f"{side} their commands, as no robot does: their clocks differ; corrected" in said
+    found = float(said.split("--delay ")[1].split()[0])
+    assert found == pytest.approx(late, abs=0.06)
+    left, said = imported(time, shifted, commands, settings=Settings(delay=0.0))
+    assert said == ""
+    worse = np.abs(left.output_array()[3:-3] - expected.output_array()[3:-3]).mean()
+    n = len(made)
+    better = np.abs(made.output_array()[3 : n - 3] - expected.output_array()[3 : n - 3]).mean()
+    assert better < 0.2 * worse
+    exact, said = imported(time, shifted, commands, settings=Settings(delay=late))
+    assert said == ""
+    assert exact.output_array()[3:-3] == pytest.approx(
+        expected.output_array()[3 : len(exact) - 3], abs=0.01
+    )
+
+
+def test_a_robots_own_delay_is_left_to_training(imported):
+    time, poses, commands = drive(120.0, lag=0.1)
+    late = np.vstack([np.repeat(commands[:1], 6, axis=0), commands[:-6]])  # 0.3 s
+    poses = drive(120.0, lag=0.1, commands=late)[1]
+    _, said = imported(time, poses, commands)
+    assert said == ""
+    logs = clocks.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
+    assert clocks.lateness(logs).delay == pytest.approx(0.3, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("scale", "conventions"),
+    [
+        ((1, 1000, 1), {"length": "mm"}),
+        ((1, 100, 1), {"length": "cm"}),
+        ((1000, 1, 1), {"time": "ms"}),
+        ((1000, 1000, 1), {"length": "mm", "time": "ms"}),
+        ((1, 1, 180 / np.pi), {"angle": "deg"}),
+        ((1000, 100, 180 / np.pi), {"length": "cm", "angle": "deg", "time": "ms"}),
+    ],
+)
+def test_units_that_are_not_what_the_options_say(imported, scale, conventions):
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    poses = poses * (scale[1], scale[1], scale[2])
+    settings = Settings(longest_gap=1000.0, longest=100_000.0) if scale[0] > 1 else None
+    _, said = imported(scale[0] * time, poses, commands, settings=settings)
+    options = " ".join(f"--{name} {unit}" for name, unit in conventions.items())
+    assert f"they would with {options}" in said
+    made, said = imported(scale[0] * time, poses, commands, conventions=Conventions(**conventions))
+    assert said == ""
+    same(made, expected, 1e-5)
+
+
+def test_lengths_of_a_robot_of_two_wheels(imported):
+    time, poses, commands = drive()
+    wheels = np.column_stack([commands @ (1, -0.1), commands @ (1, 0.1)]) * 200  # percent
+    _, said = imported(time, poses, wheels, "left,right")
+    assert said == ""
+    _, said = imported(time, poses * (100, 100, 1), wheels, "left,right")
+    assert "they would with --length" in said
+    _, said = imported(time, poses, wheels[:, ::-1], "left,right")
+    assert "are left and right exchanged in --columns" in said
+
+
+def test_turns_that_go_the_other_way(imported):
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    picture = poses * (1, -1, -1)
+    _, said = imported(time, picture, commands)
+    assert "turns the other way than w says: does y point to the right (--y right)?" in said
+    made, said = imported(time, picture, commands, conventions=Conventions(y="right"))
+    assert said == ""
+    same(made, expected)
+
+
+def test_headings_that_do_not_fit_the_motion(imported):
+    time, poses, commands = drive()
+    wrong = poses.copy()
+    wrong[400:600, 2] = poses[400, 2]  # it froze for 10 s
+    made, said = imported(time, wrong, commands)
+    assert "headings do not fit the way that the robot goes from 2" in said
+    assert "left out; --keep keeps them" in said
+    kept, said = imported(time, wrong, commands, settings=Settings(keep=True))
+    assert "headings" not in said
+    assert len(kept) > len(made)
+    _, said = imported(time, poses + np.array([0, 0, 1.5]), commands)  # it drives sideways
+    assert "headings" not in said
+
+
+def test_commands_that_were_measured_or_never_change(imported):
+    time, poses, commands = drive()
+    rng = np.random.default_rng(3)
+    noisy = np.column_stack([commands, rng.normal(0, 1, len(time))])
+    settings = Settings(shortest=0.05)
+    _, said = imported(time, poses, noisy, "v,w,gyro", settings=settings)
+    assert "gyro change with every sample, as measured speeds do" in said
+    still = np.column_stack([commands, np.full(len(time), 4.0)])
+    _, said = imported(time, poses, still, "v,w,arm")
+    assert said == "the command arm never changes: leave it out of --columns"
+
+
+def test_rows_that_turned_further_than_half_a_turn(tmp_path):
+    rng = np.random.default_rng(4)
+    duration = rng.uniform(0.5, 4.0, 80)
+    rate = rng.uniform(-2.0, 2.0, 80)
+    turn = rate * duration + rng.normal(0, 0.05, 80)
+    far = int((np.abs(turn) > np.pi).sum())
+    for wrapped in (False, True):
+        given = np.angle(np.exp(1j * turn)) if wrapped else turn
+        moved = se2.exp(np.column_stack([np.full(80, 0.1), np.zeros(80), turn]))
+        lines = np.column_stack([rate, duration, moved[:, :2], given])
+        path = tmp_path / f"{wrapped}.csv"
+        np.savetxt(path, lines, delimiter=",", header="u,duration,dx,dy,dtheta")
+        made = import_csv(path, tmp_path / f"d{wrapped}", columns={"u": "u"})
+        said = "".join(made.meta["warnings"])
+        assert ("of 80 commands turned by more than half a turn" in said) == wrapped
+        if wrapped:
+            assert abs(int(said.split()[0]) - far) <= 2

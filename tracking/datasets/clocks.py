@@ -1,0 +1,138 @@
+"""By how much the poses of a log are late, beside its commands.
+
+A robot answers a command a little later, never earlier. If poses are stamped by another clock, or
+by the time at which they arrived, they seem to answer much later, or before. The motion is
+regressed on the commands of some time before, through lags of several sizes; the time at which
+they explain most is how late the poses are (delay by cross-correlation: Knapp and Carter 1976).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from tracking.datasets.logs import Log, is_known
+
+#: Up to this, s, a robot itself may be late; that is for training to find out.
+ROBOTS = 0.5
+#: Poses that are so little early, s, are not: a command is sent within a step of a log.
+_EARLY = 0.1
+#: How late (s) poses may be, the grid, lags that are tried (s), and how many steps are looked at.
+_EARLIEST, _LATEST, _STEP, _LAGS, _MOST = -2.0, 3.0, 0.05, (0.0, 0.05, 0.1, 0.2, 0.4), 4000
+#: What is left of the motion's variance must be less than this, and less than this share of what
+#: is left by the best delay that a robot may have.
+_LEFT, _BETTER = 0.5, 0.8
+
+
+class Lateness(NamedTuple):
+    """How late poses are, s, and what is left then of the motion's variance."""
+
+    delay: float
+    left: float
+
+
+def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log], list[str]]:
+    """Return logs whose poses are on the clock of the commands, and a sentence if they were not.
+
+    Args:
+        logs: drives of one robot and one clock.
+        delay: by how much the poses are late, s; None: it is found, and corrected if no robot
+            is so late, or if the poses are early.
+    """
+    if delay is None:
+        found = lateness(max(logs, key=lambda log: len(log.pose_time)))
+        if found is None or -_EARLY <= found.delay <= ROBOTS:
+            return list(logs), []
+        delay = found.delay
+        much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
+        said = [
+            f"poses follow {much} their commands, as no robot does: their clocks differ; "
+            f"corrected; --delay {delay:.2f} says so, --delay 0 leaves them"
+        ]
+    else:
+        said = []
+    if delay == 0.0:
+        return list(logs), said
+    return [replace(log, pose_time=log.pose_time - delay) for log in logs], said
+
+
+def lateness(log: Log) -> Lateness | None:
+    """Return how late the poses of a log are; None where the commands explain too little."""
+    step = max(_STEP, 2.0 * float(np.median(np.diff(log.time))))
+    begin = max(log.time[0], log.pose_time[0]) - _LATEST
+    end = min(log.time[-1], log.pose_time[-1]) + _LATEST
+    grid = np.arange(begin, end, step)[:_MOST]
+    if len(grid) < 40:
+        return None
+    twist = se2.mid_turn(se2.between(log.pose_at(grid), log.pose_at(grid + step)))[:, [0, 2]]
+    known = is_known(log.pose_time, grid, 4.0 * step)
+    place = np.searchsorted(log.time, grid + step / 2, side="right") - 1
+    given = (place >= 0) & (grid + step / 2 <= log.time[-1])
+    commands = log.commands[np.clip(place, 0, len(log.time) - 1)]
+    shifts = np.arange(round(_EARLIEST / step), round(_LATEST / step) + 1)
+    left = np.full((len(_LAGS), len(shifts)), np.inf)
+    for number, lag in enumerate(_LAGS):
+        features = _features(_lagged(commands, step, lag))
+        for place_, shift in enumerate(shifts.tolist()):
+            left[number, place_] = _unexplained(features, given, twist, known, shift)
+    left = left.min(0)
+    if not np.isfinite(left).any():
+        return None
+    best = int(left.argmin())
+    if left[best] > _LEFT:
+        return None
+    robots = np.flatnonzero((shifts * step >= -_EARLY) & (shifts * step <= ROBOTS))
+    if left[best] > _BETTER * left[robots].min():
+        best = int(robots[left[robots].argmin()])
+    return Lateness(float(shifts[best] * step + _between(left, best) * step), float(left[best]))
+
+
+def _between(left: NDArray, best: int) -> float:
+    """Return where between its neighbours a minimum lies, by a parabola, -0.5 to 0.5."""
+    if not 0 < best < len(left) - 1:
+        return 0.0
+    before, at, after = left[best - 1 : best + 2]
+    curve = before - 2 * at + after
+    return 0.0 if not np.isfinite(curve) or curve <= 0 else float((before - after) / (2 * curve))
+
+
+def _lagged(commands: NDArray, step: float, lag: float) -> NDArray:
+    """Return commands (K, C) through a first-order lag, s."""
+    if lag == 0.0:
+        return commands
+    keep, found = np.exp(-step / lag), commands.copy()
+    for place in range(1, len(found)):
+        found[place] = keep * found[place - 1] + (1.0 - keep) * commands[place]
+    return found
+
+
+def _features(speeds: NDArray) -> NDArray:
+    """Return what motion is linear in: a constant, speeds (K, C), and their products."""
+    count = speeds.shape[1]
+    speeds = speeds / np.maximum(np.abs(speeds).max(0), 1e-30)
+    pairs = [speeds[:, i] * speeds[:, j] for i in range(count) for j in range(i, count)]
+    return np.column_stack([np.ones(len(speeds)), speeds, *pairs])
+
+
+def _unexplained(
+    features: NDArray, given: NDArray, twist: NDArray, known: NDArray, shift: int
+) -> float:
+    """Return which share of the motion's variance commands so many steps before leave, 0..1."""
+    count = len(twist)
+    late = slice(max(shift, 0), count + min(shift, 0))
+    early = slice(max(-shift, 0), count - max(shift, 0))
+    usable = known[late] & given[early]
+    if usable.sum() < max(40, 0.3 * min(known.sum(), given.sum())):
+        return float("inf")
+    x, y = features[early][usable], twist[late][usable]
+    y = y - y.mean(0)
+    spread = (y**2).sum(0)
+    moves = spread > 1e-12
+    square = x.T @ x + 1e-6 * len(x) * np.eye(x.shape[1])
+    error = ((y - x @ np.linalg.solve(square, x.T @ y)) ** 2).sum(0)
+    return float((error[moves] / spread[moves]).mean()) if moves.any() else float("inf")

@@ -1,0 +1,224 @@
+"""The drives of a log: where it is cut, and which of its poses are left out.
+
+A file may hold several drives, one after the other. A new one begins where a column says so, where
+the clock starts again or is silent for long, or where the pose jumps: the robot was carried
+elsewhere. Across a jump of the pose the commands go on. Single poses that jump away and back are
+passed over. So are stretches in which the headings do not fit the way that the robot goes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from neurosim.base.errors import FileError
+from tracking.datasets.logs import Log, Settings, is_known
+
+#: The clock is silent for so many times the longest gap: another drive.
+_SILENCE = 10.0
+#: A step is a jump if it is so many times as fast as all but 1 % of the steps, and so many times as
+#: fast as the three before and after it.
+_JUMP, _BESIDE = 4.0, 8.0
+#: Courses are taken over so long, s; headings are to fit them within so much, rad.
+_COURSE, _FITS = 0.5, 0.6
+#: Half of the courses must fit within this, rad, before others are taken for wrong.
+_MOST_FIT = 0.15
+#: A stretch that does not fit is at least so long, s, and most of it does not.
+_STRETCH = 1.0
+
+
+def sessions_of(
+    name: str,
+    time: NDArray,
+    commands: NDArray,
+    poses: NDArray,
+    settings: Settings,
+    labels: Sequence[str] | None = None,
+) -> tuple[list[Log], list[str]]:
+    """Cut a log into drives.
+
+    Args:
+        name: of the recording.
+        time: (N,) of the samples, s.
+        commands: (N, C).
+        poses: (N, 3) x, y in m, heading in rad, NaN where the robot was not seen.
+        settings: how long samples may be missing, and whether all poses are kept.
+        labels: (N,) of the drives, where a column says which they are.
+
+    Returns:
+        The drives with two samples and a pose or more, and a sentence for whatever was found.
+    """
+    said: list[str] = []
+    begins = _begins(time, settings, labels)
+    parts = np.split(np.arange(len(time)), begins)
+    if labels is None and len(begins):
+        back = int((np.diff(time)[begins - 1] < 0).sum())
+        why = [f"the clock starts again {_times(back)}"] * (back > 0)
+        silent = len(begins) - back
+        why += [f"it is silent for long {_times(silent)}"] * (silent > 0)
+        said.append(
+            f"{len(parts)} drives in one file: {' and '.join(why)}; --session COLUMN says otherwise"
+        )
+    disordered = repeated = 0
+    jumps: list[float] = []
+    logs: list[Log] = []
+    for number, part in enumerate(parts, start=1):
+        moment = time[part]
+        disordered += int((np.diff(moment) < 0).sum())
+        part = part[np.argsort(moment, kind="stable")]
+        fresh = np.diff(time[part], prepend=-np.inf) > 0
+        repeated += int((~fresh).sum())
+        part = part[fresh]
+        label = number if labels is None else labels[part[0]]
+        own = name if len(parts) == 1 and labels is None else f"{name}/{label}"
+        drives = list(_drives(own, time[part], commands[part], poses[part], settings))
+        jumps += [drive.time[0] for drive in drives[1:]]
+        logs += drives
+    if disordered:
+        said.append(f"{disordered} lines are earlier than the line before; they are put in order")
+    if repeated:
+        said.append(f"{repeated} lines have the time of another line; one of each counts")
+    if jumps:
+        at = ", ".join(f"{moment:.2f}" for moment in jumps[:3]) + ", ..." * (len(jumps) > 3)
+        said.append(f"the pose jumps {_times(len(jumps))} (at {at} s); the log is cut there")
+    if settings.keep:
+        return logs, said
+    kept = [_fitting(log) for log in logs]
+    wrong = [stretch for _, stretches in kept for stretch in stretches]
+    if wrong:
+        listed = ", ".join(f"{start:.1f} to {end:.1f}" for start, end in wrong[:5])
+        said.append(
+            f"headings do not fit the way that the robot goes from {listed}"
+            f"{', ...' * (len(wrong) > 5)} s; left out; --keep keeps them"
+        )
+    return [log for log, _ in kept if len(log.pose_time)], said
+
+
+def _times(count: int) -> str:
+    return "once" if count == 1 else f"{count} times"
+
+
+def _begins(time: NDArray, settings: Settings, labels: Sequence[str] | None) -> NDArray:
+    """Return the samples at which another drive begins, without the first."""
+    if labels is not None:
+        names = np.asarray(labels)
+        return np.flatnonzero(names[1:] != names[:-1]) + 1
+    steps, gap = np.diff(time), settings.longest_gap
+    return np.flatnonzero((steps < -gap) | (steps > max(_SILENCE * gap, 100.0 * _usual(steps)))) + 1
+
+
+def _usual(steps: NDArray) -> float:
+    return float(np.median(steps)) if len(steps) else 0.0
+
+
+def _drives(
+    name: str, time: NDArray, commands: NDArray, poses: NDArray, settings: Settings
+) -> Iterator[Log]:
+    """Yield the drives of a part with increasing times: it is cut where the pose jumps."""
+    seen = np.isfinite(poses).all(axis=1)
+    places = np.flatnonzero(seen)
+    if len(time) < 2 or not len(places):
+        return
+    poses = poses.copy()
+    poses[places, 2] = np.unwrap(poses[places, 2])
+    away, jumps = _jumps(time[places], poses[places], settings.longest_gap)
+    seen[places[away]] = False
+    cuts = [0, *(places[~away])[jumps].tolist(), len(time)]
+    for number, (start, end) in enumerate(pairwise(cuts)):
+        own = np.flatnonzero(seen[start:end]) + start
+        if end - start < 2 or not len(own):
+            continue
+        yield Log(
+            name if number == 0 else f"{name}/{number + 1}",
+            time[start:end],
+            commands[start:end],
+            seen[start:end],
+            time[own],
+            poses[own],
+            commands[start - 1] if start else None,
+        )
+
+
+def _jumps(time: NDArray, poses: NDArray, longest: float) -> tuple[NDArray, NDArray]:
+    """Return which poses (M,) are away from those around them, and where, of those left, it jumps.
+
+    Args:
+        time: (M,) s, increasing.
+        poses: (M, 3).
+        longest: poses that are away for longer, s, are not.
+    """
+    away = np.zeros(len(time), bool)
+    found = _fast(time, poses)
+    for first, second in pairwise(found):
+        back = np.hypot(*(poses[second, :2] - poses[first - 1, :2]))
+        out = np.hypot(*(poses[first, :2] - poses[first - 1, :2]))
+        if time[second] - time[first] <= longest and back < out / 2 and not away[first - 1]:
+            away[first:second] = True
+    left = ~away
+    return away, _fast(time[left], poses[left])
+
+
+def _fast(time: NDArray, poses: NDArray) -> NDArray:
+    """Return the poses that are reached by a jump."""
+    if len(time) < 8:
+        return np.zeros(0, np.int64)
+    steps = np.diff(time)
+    speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
+    limit = _JUMP * np.quantile(speed, 0.99)
+    found = []
+    for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
+        beside = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]
+        if speed[place] > _BESIDE * np.median(beside):
+            found.append(place + 1)
+    return np.array(found, np.int64)
+
+
+def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:
+    """Return a log without the poses whose headings do not fit the motion, and when that was.
+
+    A robot that goes where it looks, or backwards, does so most of the time; one that goes any way
+    (omnidirectional) is left as it is.
+    """
+    time, poses = log.pose_time, log.poses
+    grid = np.arange(time[0], time[-1] - _COURSE, _COURSE / 4)
+    if len(grid) < 8:
+        return log, []
+    moved = se2.between(log.pose_at(grid), log.pose_at(grid + _COURSE))
+    way = np.hypot(moved[:, 0], moved[:, 1])
+    size = np.quantile(way, 0.95)
+    usable = (way > 0.2 * size) & (np.abs(moved[:, 2]) < 1.0) & is_known(time, grid, _COURSE)
+    off = np.arctan2(moved[:, 1], moved[:, 0]) - moved[:, 2] / 2
+    off = np.abs((off + np.pi / 2) % np.pi - np.pi / 2)
+    if usable.sum() < 8 or np.median(off[usable]) > _MOST_FIT:
+        return log, []
+    stretches = []
+    places = np.flatnonzero(usable)
+    wrong = off[places] > _FITS
+    edges = np.flatnonzero(np.diff(wrong.astype(int), prepend=0, append=0))
+    for first, last in zip(edges[::2], edges[1::2], strict=True):
+        start, end = grid[places[first]], grid[places[last - 1]] + _COURSE
+        if end - start >= _STRETCH + _COURSE:
+            stretches.append((float(start), float(end)))
+    if not stretches:
+        return log, []
+    kept = ~np.any([(time >= a) & (time <= b) for a, b in stretches], axis=0)
+    seen = log.seen & ~np.any([(log.time >= a) & (log.time <= b) for a, b in stretches], axis=0)
+    return replace(log, seen=seen, pose_time=time[kept], poses=poses[kept]), stretches
+
+
+def check_labels(path: Path, column: str, labels: Sequence[str]) -> None:
+    """Refuse a column that names another drive on nearly every line.
+
+    Raises:
+        FileError: naming it.
+    """
+    changes = sum(before != after for before, after in pairwise(labels))
+    if changes > len(labels) / 3:
+        what = "names another drive on nearly every line; --session is for one that stays the same"
+        raise FileError(path, what, field=column)

@@ -1,0 +1,319 @@
+"""What looks wrong with numbers that people import: a sentence each, with what mends it.
+
+Commands are compared with the motion that they are followed by. Where a command has a unit (v in
+m/s, w in rad/s), it says how fast the robot is to be; otherwise speeds and sizes are held to those
+of robots that there are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from neurosim.base.declared import Checked
+from tracking.datasets.logs import Log, is_known
+
+#: What one of them is in SI.
+LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+ANGLES = {"rad": 1.0, "deg": math.pi / 180.0}
+TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+#: Speeds of robots, m/s and rad/s; how far apart two wheels are, m; seconds from one sample of a
+#: log to the next.
+_SPEEDS, _RATES, _TRACKS, _SAMPLES = (0.002, 20.0), (0.02, 50.0), (0.01, 5.0), (2e-4, 3.0)
+#: A robot does what a command asks for, within this factor; if it does not, another unit may.
+_OBEYS, _MENDED = 5.0, 2.5
+_RIGHT = "commands, speeds and times do not fit each other: they would with {}"
+#: Motion is measured over so long, s.
+_SPAN = 0.1
+#: A command that changes in more lines of a log than this share was measured, or is computed.
+_ALWAYS = 0.9
+
+
+@dataclass(frozen=True)
+class Conventions(Checked):
+    """What the numbers of a file mean.
+
+    Attributes:
+        length: unit of x, y, dx, dy: m, cm or mm.
+        angle: unit of headings and dtheta: rad or deg.
+        time: unit of times and durations: s, ms, us or ns.
+        y: where y points to, seen along x: left, as in mathematics, with headings
+            counter-clockwise; or right, as in pictures, whose y points down, with headings
+            clockwise.
+        frame: of the dx, dy in a file of rows: body, the robot's at the command's beginning, or
+            world, the frame of ``heading0``.
+    """
+
+    length: Literal["m", "cm", "mm"] = "m"
+    angle: Literal["rad", "deg"] = "rad"
+    time: Literal["s", "ms", "us", "ns"] = "s"
+    y: Literal["left", "right"] = "left"
+    frame: Literal["body", "world"] = "body"
+
+    def poses(self, numbers: NDArray) -> NDArray:
+        """Return poses or displacements (N, 3) in SI and with y to the left."""
+        length, angle = LENGTHS[self.length], ANGLES[self.angle]
+        side = 1.0 if self.y == "left" else -1.0
+        return numbers * (length, side * length, side * angle)
+
+    def besides(self, other: Conventions) -> list[str]:
+        """Return the options that make the other conventions of these."""
+        names = ("length", "angle", "time", "y")
+        pairs = [(name, getattr(other, name)) for name in names]
+        return [f"--{name} {value}" for name, value in pairs if value != getattr(self, name)]
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Commands, and how the robot moved under them.
+
+    Attributes:
+        commands: (K, C).
+        twist: (K, 3) of the motion, m/s, m/s, rad/s.
+        apart: seconds from one sample to the next; None: of rows, whose lines are commands.
+    """
+
+    commands: NDArray
+    twist: NDArray
+    apart: float | None
+
+
+def moved_in(logs: Sequence[Log]) -> Moved:
+    """Return the motion in logs, in steps of :data:`_SPAN` or two samples."""
+    apart = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
+    span = max(_SPAN, 2.0 * apart)
+    commands, twists = [], []
+    for log in logs:
+        grid = np.arange(log.pose_time[0], log.pose_time[-1] - span, span)
+        grid = grid[is_known(log.pose_time, grid, 2.0 * span)] if len(grid) else grid
+        displacement = se2.between(log.pose_at(grid), log.pose_at(grid + span))
+        twists.append(_twist(displacement, np.full(len(grid), span)))
+        place = np.searchsorted(log.time, grid + span / 2, side="right") - 1
+        commands.append(log.commands[np.clip(place, 0, len(log.time) - 1)])
+    return Moved(np.concatenate(commands), np.concatenate(twists), apart)
+
+
+def _twist(displacement: NDArray, duration: NDArray) -> NDArray:
+    """Return mean speeds (K, 3), of the arc where it is not closed."""
+    half = displacement[:, 2] / 2
+    cos, sin = np.cos(half), np.sin(half)
+    x, y = displacement[:, 0], displacement[:, 1]
+    chord = np.sinc(half / np.pi)
+    arc = np.where(np.abs(chord) > 0.2, chord, 1.0)
+    ahead, aside = (cos * x + sin * y) / arc, (cos * y - sin * x) / arc
+    return np.column_stack([ahead, aside, displacement[:, 2]]) / duration[:, None]
+
+
+def of_rows(commands: NDArray, duration: NDArray, displacement: NDArray) -> Moved:
+    """Return the motion of rows (N, ...), each with its duration, s."""
+    with np.errstate(all="ignore"):
+        return Moved(commands, _twist(displacement, duration), None)
+
+
+def suspicions(
+    moved: Moved,
+    names: Sequence[str],
+    units: Mapping[str, str],
+    given: Conventions,
+    read: Conventions | None = None,
+) -> list[str]:
+    """Return sentences on what is odd about commands and the motion that followed them.
+
+    Args:
+        moved: commands and motion.
+        names: of the commands.
+        units: of the commands.
+        given: what the user says of the numbers.
+        read: what the motion was read by, if not that.
+    """
+    if len(moved.twist) < 8:
+        return []
+    return [
+        *_constant(moved, names),
+        *_units(moved, names, units, given, read or given),
+        *_turns(moved, names, units, given),
+    ]
+
+
+def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
+    said = []
+    for name, column in zip(names, moved.commands.T, strict=True):
+        if (column == column[0]).all():
+            said.append(f"the command {name} never changes: leave it out of --columns")
+    if (moved.twist == 0).all():
+        said.append("the robot never moves: look whether x, y and heading are the right --columns")
+    return said
+
+
+def _gains(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> dict[str, float]:
+    """Return how many times as fast as m/s and rad/s commands ask the robot is, by unit."""
+    gains = {}
+    for unit, output in (("m/s", 0), ("rad/s", 2)):
+        columns = [place for place, name in enumerate(names) if units.get(name) == unit]
+        if len(columns) != 1:
+            continue
+        asked, got = moved.commands[:, columns[0]], moved.twist[:, output]
+        much = np.abs(asked) > 0.3 * np.abs(asked).max()
+        if much.sum() >= 8:
+            gains[unit] = float(np.median(got[much] / asked[much]))
+    return gains
+
+
+def _track(moved: Moved, names: Sequence[str]) -> tuple[float, float] | None:
+    """Return how far apart two wheels are, m, and the turn rate by right minus left; or None."""
+    if list(names) != ["left", "right"]:
+        return None
+    weights = np.linalg.lstsq(moved.commands, moved.twist[:, [0, 2]], rcond=None)[0]
+    forward, turn = weights[:, 0].sum(), (weights[1, 1] - weights[0, 1]) / 2
+    if abs(turn) * np.abs(moved.commands).max() < 1e-9:
+        return None
+    return abs(forward / turn), float(turn)
+
+
+def like_degrees(time: NDArray, heading: NDArray) -> bool:
+    """Return whether headings (N,), taken for radians, are degrees.
+
+    Headings in radians are within one turn, or have no large steps.
+
+    Args:
+        time: (N,) of the samples.
+        heading: (N,).
+    """
+    if len(heading) < 2:
+        return False
+    apart = np.abs(np.diff(time))
+    steps = np.abs(np.diff(heading))[apart <= 3.0 * np.median(apart)]
+    return bool(np.abs(heading).max() > 2 * np.pi + 0.1 and (steps > np.pi).any())
+
+
+def _units(
+    moved: Moved,
+    names: Sequence[str],
+    units: Mapping[str, str],
+    given: Conventions,
+    now: Conventions,
+) -> list[str]:
+    """Return which other units the numbers would make sense in, where they make none."""
+    gains, track = _gains(moved, names, units), _track(moved, names)
+    fast = float(np.quantile(np.hypot(moved.twist[:, 0], moved.twist[:, 1]), 0.95))
+    turning = float(np.quantile(np.abs(moved.twist[:, 2]), 0.95))
+
+    def sensible(other: Conventions, factor: float) -> bool:
+        time = TIMES[other.time] / TIMES[now.time]
+        length = LENGTHS[other.length] / LENGTHS[now.length]
+        angle = ANGLES[other.angle] / ANGLES[now.angle]
+        held = [_within(fast * length / time, _SPEEDS) or fast == 0.0]
+        held.append(_within(turning * angle / time, _RATES) or turning == 0.0)
+        if moved.apart is not None:
+            held.append(_within(moved.apart * time, _SAMPLES))
+        for unit, size in (("m/s", length), ("rad/s", angle)):
+            gain = abs(gains.get(unit, 0.0)) * size / time
+            # A robot that hardly moves says nothing of its units.
+            held.append(gain == 0.0 or 1 / factor < gain < factor)
+        if track is not None:
+            held.append(_within(track[0] * length / angle, _TRACKS))
+        return all(held)
+
+    if sensible(now, _OBEYS):
+        return [] if now == given else [_RIGHT.format(" ".join(given.besides(now)))]
+    others = [
+        replace(now, length=length, angle=angle, time=time)
+        for length, angle, time in product(LENGTHS, ANGLES, TIMES)
+    ]
+    found = [other for other in others if sensible(other, _MENDED)]
+    found.sort(key=lambda other: len(given.besides(other)))
+    if found and found[0] != given:
+        return [_RIGHT.format(" ".join(given.besides(found[0])))]
+    said = []
+    likely = {"m/s": _within(fast, _SPEEDS), "rad/s": _within(turning, _RATES)}
+    for unit, gain in gains.items():
+        if likely[unit] and gain and not 1 / _OBEYS < abs(gain) < _OBEYS:
+            name = next(name for name in names if units.get(name) == unit)
+            said.append(
+                f"the robot moves {abs(gain):.3g} times as fast as {name} in {unit} says: is that "
+                f"its unit? Otherwise name it, such as --units {name}=%"
+            )
+    for name, column in zip(names, moved.commands.T, strict=True):
+        limits = {"m/s": _SPEEDS, "rad/s": _RATES}.get(units.get(name, ""), (0.0, math.inf))
+        if (largest := np.abs(column).max()) > limits[1]:
+            said.append(
+                f"the command {name} is up to {largest:.3g} {units[name]}: is that its unit? "
+                f"Otherwise name it, such as --units {name}=mm/s"
+            )
+    if not _within(fast, _SPEEDS) and fast:
+        said.append(
+            f"the robot moves at {fast:.3g} m/s: are --length {now.length} and --time {now.time} "
+            "right?"
+        )
+    if not _within(turning, _RATES) and turning:
+        said.append(
+            f"the robot turns at {turning:.3g} rad/s: are --angle {now.angle} and --time "
+            f"{now.time} right?"
+        )
+    if moved.apart is not None and not _within(moved.apart, _SAMPLES):
+        said.append(f"samples are {moved.apart:.3g} s apart: is --time {now.time} right?")
+    return said
+
+
+def _within(value: float, limits: tuple[float, float]) -> bool:
+    return limits[0] <= value <= limits[1]
+
+
+def _turns(
+    moved: Moved, names: Sequence[str], units: Mapping[str, str], now: Conventions
+) -> list[str]:
+    """Return which way round turns go, where it is the other one."""
+    other = "left" if now.y == "right" else "right"
+    gain, track = _gains(moved, names, units).get("rad/s", 0.0), _track(moved, names)
+    if gain < -1 / _OBEYS:
+        name = next(name for name in names if units.get(name) == "rad/s")
+        return [
+            f"the robot turns the other way than {name} says: does y point to the {other} "
+            f"(--y {other})?"
+        ]
+    if track is not None and track[1] < 0:
+        return [
+            "the robot turns left where `left` is the faster: are left and right exchanged in "
+            f"--columns, or does y point to the {other} (--y {other})?"
+        ]
+    return []
+
+
+def always_changing(logs: Sequence[Log], names: Sequence[str]) -> list[str]:
+    """Return a sentence where commands change with every sample, as measured ones do."""
+    changes = np.concatenate([np.diff(log.commands, axis=0) != 0 for log in logs])
+    busy = [name for name, each in zip(names, changes.T, strict=True) if each.mean() > _ALWAYS]
+    if not busy:
+        return []
+    return [
+        f"{' and '.join(busy)} change with every sample, as measured speeds do: name the columns "
+        "of what was sent in --columns, if there are any"
+    ]
+
+
+def wrapped(moved: Moved, duration: NDArray) -> int:
+    """Return how many rows (N,) turned by more than half a turn, though the turn given is less.
+
+    The turn by commands is learned from those that turned little, and held to the others.
+    """
+    if len(duration) < 8:
+        return 0
+    turn = moved.twist[:, 2] * duration
+    with_one = np.column_stack([moved.commands, np.ones(len(duration))])
+    usable = duration <= np.quantile(duration, 0.3)
+    expected = turn
+    for _ in range(5):
+        weights = np.linalg.lstsq(with_one[usable], moved.twist[usable, 2], rcond=None)[0]
+        expected = with_one @ weights * duration
+        usable = (np.abs(expected) < 2.0) & (np.abs(expected - turn) < 1.0)
+        if usable.sum() < 8:
+            return 0
+    return int(((np.abs(expected) > np.pi) & (np.abs(expected - turn) > np.pi)).sum())
