@@ -44,7 +44,8 @@ import numpy as np
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
-from neurosim.lab.khepera.rig import SerialCable
+from neurosim.lab.cable import SerialCable
+from neurosim.lab.khepera.rig import BITS
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.evolve import Evolution
 from neurosim.loop.journal import Journal
@@ -151,7 +152,7 @@ def in_the_lab(robot: int, options: argparse.Namespace, **others: Any) -> Virtua
     """Return a lab with a robot that is not connected yet."""
     rig = VirtualKheperaRig(robot, baud=options.baud, **others)
     if options.direct:
-        cable = SerialCable(rig.firmware, rig.lab.clock, options.baud)
+        cable = SerialCable(rig.firmware, rig.lab.clock, BITS / options.baud)
         rig.robot._line = DirectLine(cable, options.baud)
     return rig
 

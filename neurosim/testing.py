@@ -42,12 +42,14 @@ from neurosim.robots.base import (
     Sensors,
     WholeSpeeds,
 )
+from neurosim.robots.lines.conformance import check_lines
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.training.base import Trainer, TrainingData
 
 __all__ = [
     "check_controller",
+    "check_lines",
     "check_optimiser",
     "check_reality",
     "check_robot",

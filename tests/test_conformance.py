@@ -13,8 +13,9 @@ import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.evolution.optimisers import OPTIMISERS
-from neurosim.lab import VirtualKheperaRig, VirtualRig
+from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig
 from neurosim.robots.khepera.driver import Khepera
+from neurosim.robots.lines.driver import Lines
 from neurosim.robots.nxt.driver import NXT
 from neurosim.tasks.registry import TASKS
 from neurosim.testing import (
@@ -43,6 +44,8 @@ def test_our_robots():
         check_robot(nxt(rig, lamp=None, light_left=None, light_right=None))
     with VirtualKheperaRig(1) as rig:
         check_robot(khepera(rig))
+    with VirtualLinesRig(1, camera=False) as rig:
+        check_robot(lambda: Lines(rig.address, clock=rig.lab.clock, timeout=10.0))
 
 
 @pytest.mark.parametrize("make", [motion_network, tables, Walker])

@@ -128,6 +128,34 @@ def khepera(
             _stay(rig, seconds)
 
 
+@lab.command()
+@_socket_option
+@_port_option
+@_seconds_option
+@seed_option
+@json_option
+def lines(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
+    """Keep a virtual robot running in real time that speaks lines of text (docs/lines.md)."""
+    from neurosim.lab import VirtualLinesRig
+    from neurosim.lab.nxt.world import Pacer
+
+    _check_port(by_socket)
+    device = "socket" if by_socket else None
+    with (
+        VirtualLinesRig(seed, camera=False, device=device, port=port, real_time=True) as rig,
+        Pacer(rig.lab),
+    ):
+        emit(
+            {"port": rig.address},
+            as_json,
+            "A virtual robot that speaks lines of text runs in real time. Reach it with:\n"
+            f"  python -m serial.tools.miniterm {rig.address} --eol LF   (and type hello)\n"
+            f"  neurosim record OUT --robot lines --port {rig.address} --camera none\n"
+            "Ctrl-C ends it.",
+        )
+        _stay(rig, seconds)
+
+
 def _check_port(by_socket: bool) -> None:
     if is_given("port") and not by_socket:
         raise UserError("--port is the port of a socket: add --socket")

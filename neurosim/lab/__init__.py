@@ -5,6 +5,7 @@ They are reached as real ones are: by a serial line, and by the frames of a came
 
 from neurosim.lab.khepera.params import KheperaParams, LabArena
 from neurosim.lab.khepera.rig import VirtualKheperaRig, sampling_places
+from neurosim.lab.lines.rig import VirtualLinesRig
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.rig import VirtualRig
 from neurosim.lab.nxt.world import Lab, Pacer, Push, Truth, read_truth
@@ -20,6 +21,7 @@ __all__ = [
     "Push",
     "Truth",
     "VirtualKheperaRig",
+    "VirtualLinesRig",
     "VirtualRig",
     "read_truth",
     "sampling_places",

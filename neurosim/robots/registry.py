@@ -17,6 +17,7 @@ ROBOTS = Registry(
     {
         "nxt": "neurosim.robots.nxt.driver:NXT",
         "khepera": "neurosim.robots.khepera.driver:Khepera",
+        "lines": "neurosim.robots.lines.driver:Lines",
     },
 )
 

@@ -14,12 +14,11 @@ from hypothesis import strategies as st
 from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
-from neurosim.robots import Battery, Counters, Lamp, Robot, open_robot
+from neurosim.robots import Battery, Counters, Lamp, Robot, open_robot, serial_line
 from neurosim.robots.base import Proximity
 from neurosim.robots.khepera import driver as driver_module
-from neurosim.robots.khepera import serial_line
 from neurosim.robots.khepera.driver import Khepera, _numbers
-from neurosim.robots.khepera.serial_line import SerialLine
+from neurosim.robots.serial_line import SerialLine
 
 pytestmark = pytest.mark.skipif(os.name != "posix", reason="this system has no pseudo-terminals")
 

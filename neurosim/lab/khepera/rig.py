@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-import os
-import socket
 from typing import Any
 
 import numpy as np
 
-from neurosim.base.errors import RobotError
+from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.khepera.body import KheperaLab
 from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.firmware import KheperaFirmware
 from neurosim.lab.khepera.params import RADIUS, KheperaParams, LabArena
 from neurosim.lab.nxt.params import CameraParams
-from neurosim.lab.server import PtyEnd, SocketEnd, receive, send
-from neurosim.robots.base import Clock
 from neurosim.robots.khepera.driver import Khepera
 
 #: Where the robot stands at first in the paper's arena (m, m, rad).
@@ -38,80 +34,6 @@ def sampling_places() -> tuple[LabArena, dict[str, tuple[float, float, float]]]:
         "open": (-2.0, 1.5, 0.0),
     }
     return arena, places
-
-
-class SerialCable:
-    """Carries bytes to the firmware and back, in the time of the lab that the line takes.
-
-    One direction at a time: an answer leaves when its command has come, the next command is
-    taken when the answer has left.
-
-    Args:
-        firmware: what answers.
-        clock: the lab's.
-        baud: bits per second.
-    """
-
-    def __init__(self, firmware: KheperaFirmware, clock: Clock, baud: int):
-        self.firmware, self._clock = firmware, clock
-        self._byte = BITS / baud
-        self.silent = False
-
-    def exchange(self, data: bytes) -> bytes:
-        """Return all answers to what came, once the clock has reached their end."""
-        answers = b""
-        for command in _commands(data):
-            self._clock.sleep_until(self._clock.now() + len(command) * self._byte)
-            answer = b"" if self.silent else self.firmware.feed(command)
-            if answer:
-                self._clock.sleep_until(self._clock.now() + len(answer) * self._byte)
-                answers += answer
-        return answers
-
-
-class _PtyCable(PtyEnd):
-    def __init__(self, cable: SerialCable):
-        self.cable = cable
-        super().__init__()
-
-    def _serve(self) -> None:
-        while not self._stopping:
-            if not self._wait(self._master, None):
-                continue
-            try:
-                data = os.read(self._master, 4096)
-            except OSError:
-                return
-            self.say(self.cable.exchange(data))
-
-    def say(self, data: bytes) -> None:
-        """Send bytes to whoever is on the line."""
-        if data:
-            self._write(data)
-
-
-class _SocketCable(SocketEnd):
-    def __init__(self, cable: SerialCable, port: int):
-        self.cable = cable
-        self._client: socket.socket | None = None
-        super().__init__(port=port)
-
-    def _serve_client(self, client: socket.socket) -> None:
-        self._client = client
-        try:
-            while not self._stopping:
-                if not self._wait(client, None):
-                    continue
-                data = receive(client)
-                if not data or not send(client, self.cable.exchange(data)):
-                    return
-        finally:
-            self._client = None
-
-    def say(self, data: bytes) -> None:
-        """Send bytes to whoever is on the line."""
-        if self._client is not None:
-            send(self._client, data)
 
 
 class VirtualKheperaRig:
@@ -169,9 +91,9 @@ class VirtualKheperaRig:
         self.lab.body.proximity()
         self.lab.body.advance(0.01)
         self.firmware = KheperaFirmware(self.lab.body, lock=self.lab.lock)
-        self._cable = SerialCable(self.firmware, self.lab.clock, baud)
-        self._server = _serve(self._cable, device, port)
-        self.address = _address(self._server)
+        self._cable = SerialCable(self.firmware, self.lab.clock, BITS / baud)
+        self._server = serve_cable(self._cable, device, port)
+        self.address = address_of(self._server)
         timeout = 2.0 if real_time else 10.0
         self.robot = Khepera(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
 
@@ -206,30 +128,3 @@ class VirtualKheperaRig:
         self.close()
         if self._server.error is not None:
             raise self._server.error
-
-
-def _serve(cable: SerialCable, device: str | None, port: int) -> _PtyCable | _SocketCable:
-    if device != "socket":
-        try:
-            return _PtyCable(cable)
-        except RobotError:
-            if device == "pty":
-                raise
-    return _SocketCable(cable, port)
-
-
-def _address(server: _PtyCable | _SocketCable) -> str:
-    if isinstance(server, _PtyCable):
-        return server.path
-    host, port = server.address
-    return f"socket://{host}:{port}"
-
-
-def _commands(data: bytes) -> list[bytes]:
-    """Cut bytes behind every CR and LF."""
-    pieces, begin = [], 0
-    for place, byte in enumerate(data):
-        if byte in b"\r\n":
-            pieces.append(data[begin : place + 1])
-            begin = place + 1
-    return [*pieces, data[begin:]] if begin < len(data) else pieces

@@ -7,7 +7,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -59,10 +59,24 @@ class Push:
             raise ValueError(f"a push has a length, a time and a duration, not {self}")
 
 
+class Program(Protocol):
+    """A robot's program that ends its commands by itself."""
+
+    #: When the command that runs is over, s of the lab's time; infinity: none runs.
+    ends: float
+
+    def end(self) -> None:
+        """End it."""
+        ...
+
+
 class LabTime:
     """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
 
     Hold :attr:`lock` while touching what stands in the lab.
+
+    Attributes:
+        program: of a robot that ends its commands by itself, or None.
     """
 
     def __init__(self) -> None:
@@ -70,6 +84,7 @@ class LabTime:
         self.clock = LabClock(self)
         self._moved = threading.Condition(self.lock)
         self._paced = False
+        self.program: Program | None = None
 
     @property
     def time(self) -> float:
@@ -150,10 +165,13 @@ class Lab(LabTime):
             truth_due = self._ticks / self._truth_rate if self._truth_rate > 0 else math.inf
             camera_due = math.inf if self.camera is None else self.camera.due
             push_due = self._push_due()
-            due = min(truth_due, camera_due, push_due)
+            program_due = math.inf if self.program is None else self.program.ends
+            due = min(truth_due, camera_due, push_due, program_due)
             if due > time:
                 break
             self.body.advance(due)
+            if program_due <= due:
+                self.program.end()
             if push_due <= due:
                 self._shove()
             if truth_due <= due:

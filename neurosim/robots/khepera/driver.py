@@ -14,7 +14,7 @@ from neurosim.base.declared import Baud, Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.khepera.dialects import Dialect, dialect_named
-from neurosim.robots.khepera.serial_line import SerialLine
+from neurosim.robots.serial_line import SerialLine
 
 #: How often a command is sent before the robot counts as lost; all of them may be repeated.
 TRIES = 3

@@ -1,0 +1,1 @@
+"""Virtual robots that speak the text-line protocol of docs/lines.md."""

@@ -1,0 +1,117 @@
+"""A virtual robot behind the text-line protocol, with the roof camera over it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.lab.cable import SerialCable, address_of, serve_cable
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.lines.bodies import TwoWheels
+from neurosim.lab.lines.firmware import LinesFirmware
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.rig import PLACING
+from neurosim.lab.nxt.world import Lab
+from neurosim.robots.lines.driver import BAUD, Lines
+
+#: Bits that a byte takes on the line: a start bit, 8 data bits, a stop bit.
+BITS = 10
+
+
+class VirtualLinesRig:
+    """A robot of the virtual lab that says what it is, behind its line.
+
+    Args:
+        robot_seed: which robot and which board; the same number is the same robot.
+        noise_seed: of everything that differs from one session to the next.
+        start: where a person tries to put the robot (m, m, rad, board frame).
+        camera: whether there is a camera.
+        camera_size: its frames, (width, height) in pixels.
+        fps: frames per second.
+        device: ``pty``, ``socket``, or None for whichever the system has.
+        port: of the socket; 0 for any free one.
+        baud: of the line; it takes its time.
+        real_time: the lab's time will be the wall clock's (see
+            :class:`neurosim.lab.nxt.world.Pacer`).
+
+    Attributes:
+        lab: the lab itself; no learner looks into it.
+        robot: the driver, not connected yet, in the lab's own time.
+        camera: the roof camera, or None.
+        address: what the driver takes as port.
+    """
+
+    def __init__(
+        self,
+        robot_seed: int,
+        *,
+        noise_seed: int = 0,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        camera: bool = True,
+        camera_size: tuple[int, int] = (640, 480),
+        fps: float = 30.0,
+        device: str | None = None,
+        port: int = 0,
+        baud: int = BAUD,
+        real_time: bool = False,
+    ):
+        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        rng = np.random.default_rng([noise_seed, robot_seed, 0x11E5])
+        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
+        self.lab = Lab(
+            int(rng.integers(2**31)),
+            params=LabParams.drawn(robot_seed),
+            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            start=(float(x), float(y), float(theta)),
+        )
+        hardware = TwoWheels(self.lab.body)
+        self.firmware = LinesFirmware(hardware, hardware.greeting, self.lab.lock)
+        self.lab.program = self.firmware
+        self._cable = SerialCable(self.firmware, self.lab.clock, BITS / baud)
+        self._server = serve_cable(self._cable, device, port)
+        self.address = address_of(self._server)
+        timeout = 2.0 if real_time else 10.0
+        self.robot = Lines(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
+        self.camera: RoofCamera | None = self.lab.camera
+
+    @property
+    def alive(self) -> bool:
+        """Whether the line still stands."""
+        return self._server.error is None
+
+    @property
+    def standing(self) -> bool:
+        """Whether no command runs."""
+        return math.isinf(self.firmware.ends)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the same lab again."""
+        return dict(self._seeds)
+
+    def write_truth(self, folder: Path, session: int) -> None:
+        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
+        self.lab.write_truth(folder, session)
+
+    def reboot(self) -> None:
+        """Press the robot's reset button."""
+        self._server.say(self.firmware.reboot())
+
+    def switch_off(self) -> None:
+        """Switch the radio off: nothing answers any more; a command ends by itself."""
+        self._cable.silent = True
+
+    def close(self) -> None:
+        """Take the line down."""
+        self._server.stop()
+
+    def __enter__(self) -> VirtualLinesRig:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close; what went wrong inside the lab is told rather than a lost link."""
+        self.close()
+        if self._server.error is not None:
+            raise self._server.error

@@ -1,0 +1,376 @@
+"""Driver of any robot that speaks the text-line protocol of docs/lines.md."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Any
+
+import numpy as np
+
+from neurosim.base.declared import Baud, Seconds, checks
+from neurosim.base.errors import RobotError, UserError
+from neurosim.robots.base import Clock, Geometry, SystemClock
+from neurosim.robots.lines.protocol import Greeting, GreetingError, decimal, decode, encode
+from neurosim.robots.serial_line import SerialLine
+
+#: How often a request is sent before the robot counts as lost.
+TRIES = 3
+#: A board that is reset as its port is opened takes so long to answer, s.
+BOOT = 4.0
+#: A command holds for so much longer than it is to last, s: the next one may be a little late.
+LATE = 0.3
+#: Requests are numbered from 1 up to this, and from 1 again.
+LAST_NUMBER = 999
+#: Pulses per metre are those of Arduinos' usual rate.
+BAUD = 115_200
+#: Radius of a body that does not say its own, m.
+RADIUS = 0.1
+
+
+class Lines:
+    """A robot that says what its commands are, on any serial port or URL of pyserial.
+
+    Follows :class:`neurosim.robots.base.Robot`, ``Sensors`` and ``SelfStopping`` and, where the
+    robot says so, ``Counters``, ``Proximity``, ``Lamp`` and ``Battery``; which of these it has is
+    known once it is connected. Each command carries its duration, so the robot stops by itself,
+    whatever becomes of the computer or the line. Requests without a good answer are sent again. A
+    robot that starts anew is noticed by its first line: its counters then count on from where they
+    were, and :attr:`reboots` counts it.
+
+    Args:
+        port: Serial port, such as ``/dev/ttyACM0`` or COM3, or a URL such as socket://host:port.
+        baud: Speed of the serial line.
+        timeout: Wall-clock seconds that an answer may take, each time it is asked for.
+        clock: the robot's clock; the virtual lab hands in its own.
+
+    Attributes:
+        greeting: what the robot says of itself; None before it is connected.
+        reboots: how often the robot was seen to start anew.
+        stamp: the robot's own time at its last answer, s since it was switched on.
+    """
+
+    @checks
+    def __init__(
+        self,
+        port: str,
+        *,
+        baud: Baud = BAUD,
+        timeout: Seconds = 0.35,
+        clock: Clock | None = None,
+    ):
+        self.clock: Clock = SystemClock() if clock is None else clock
+        self.greeting: Greeting | None = None
+        self.reboots = 0
+        self.stamp = 0.0
+        self._timeout = timeout
+        # A line end first: half a request must not stand before the stop.
+        self._line = SerialLine(port, baud=baud, farewell=b"\nstop\n")
+        self._number = 0
+        self._stamp_ms: int | None = None
+        self._zeros: list[int] = []
+        self._counts: list[int] = []
+
+    def connect(self) -> None:
+        """Open the line, ask the robot what it is, which stops it.
+
+        Raises:
+            RobotError: if the port cannot be opened, nothing answers, or something else does.
+        """
+        if self._line.is_open:
+            return
+        self._line.open()
+        try:
+            self.greeting = self._first_answer()
+        except BaseException:
+            self._line.close()
+            raise
+        self._has(self.greeting)
+
+    def close(self) -> None:
+        """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C."""
+        try:
+            if self._line.is_open:
+                with suppress(Exception):
+                    self.stop()
+        except BaseException:
+            self._line.say_farewell()
+            raise
+        finally:
+            self._line.close()
+
+    def drive(self, left: float, right: float) -> None:
+        """Set both wheels, in percent, as long as the robot lets a command last.
+
+        Raises:
+            UserError: if that is no speed, or the robot has other commands than left and right.
+            LinkLost: if the robot does not acknowledge it.
+        """
+        self.send(self._wheels(left, right), self._known().longest)
+
+    def drive_for(self, left: float, right: float, seconds: float) -> None:
+        """Set both wheels as :meth:`drive` does, for a command that is to last so long (s).
+
+        Without another command the robot stops by itself :data:`LATE` later.
+
+        Raises:
+            UserError, LinkLost: as :meth:`drive` does, and for a time longer than the robot takes.
+        """
+        longest = self._known().longest
+        if not 0 < seconds <= longest:
+            raise UserError(
+                f"a command of {seconds:g} s is not one of this robot's: they last up to "
+                f"{longest:g} s"
+            )
+        self.send(self._wheels(left, right), min(seconds + LATE, longest))
+
+    def send(self, command: Sequence[float], seconds: float) -> None:
+        """Send a command in the robot's own units; it ends by itself after ``seconds``.
+
+        Raises:
+            UserError: if a number is beyond the robot's limits.
+            LinkLost: if the robot does not acknowledge it.
+        """
+        told = self._known().commands
+        if len(command) != len(told):
+            raise UserError(f"a command of this robot has {len(told)} numbers, not {len(command)}")
+        for value, one in zip(command, told, strict=True):
+            if not one.low <= value <= one.high:
+                raise UserError(
+                    f"{one.name}: {value:g} is beyond the robot's limits; use {one.low:g} to "
+                    f"{one.high:g} {one.unit}"
+                )
+        numbers = " ".join(map(decimal, command))
+        self._ask(f"drive {max(round(1000 * seconds), 1)} {numbers}")
+
+    def stop(self) -> None:
+        """Stop the robot."""
+        self._ask("stop")
+
+    @property
+    def sensor_names(self) -> tuple[str, ...]:
+        """Names of the sensors, in the order in which the robot says them."""
+        return () if self.greeting is None else tuple(one.name for one in self.greeting.sensors)
+
+    def read_sensors(self) -> dict[str, float]:
+        """Read all sensors, each from 0 to 1 of its range, by name."""
+        sensors = self._known().sensors
+        values = self._read()[: len(sensors)] if sensors else []
+        return {
+            one.name: min(max(value / one.full, 0.0), 1.0)
+            for one, value in zip(sensors, values, strict=True)
+        }
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a recording should say of this robot."""
+        told = self.greeting
+        about: dict[str, Any] = {"kind": "lines", "port": self._line.port, "baud": self._line.baud}
+        if told is not None:
+            about |= {
+                "name": told.name,
+                "firmware": told.firmware,
+                "virtual": told.virtual,
+                "commands": [
+                    {"name": one.name, "unit": one.unit, "limits": [one.low, one.high]}
+                    for one in told.commands
+                ],
+                "longest": told.longest,
+                "body": {"kind": told.body, **told.measures},
+                "reboots": self.reboots,
+            }
+            seen = {
+                one.name: [one.place["x"], one.place["y"]]
+                for one in told.sensors
+                if {"x", "y"} <= set(one.place)
+            }
+            about |= {"light_sensors": seen} if seen else {}
+        return about
+
+    def __enter__(self) -> Lines:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    def _has(self, told: Greeting) -> None:
+        """Take on the capabilities that the robot has."""
+        self._zeros = [0] * len(told.counters)
+        self._counts = [0] * len(told.counters)
+        if told.lamp:
+            self.lamp = self._switch_lamp
+        if told.battery:
+            self.battery = self._battery
+        angles = [one.place.get("angle") for one in told.sensors]
+        if angles and None not in angles:
+            self.angles, self.scan = np.radians(np.array(angles, float)), 0.0
+            self.activations = self._activations
+        rates = {one.per_metre for one in told.counters}
+        names = [one.name for one in told.counters]
+        if told.body == "wheels" and names == ["left", "right"] and len(rates) == 1:
+            self.pulses_per_metre = rates.pop()
+            radius = told.measures.get("radius", RADIUS)
+            self.geometry = Geometry(radius, told.measures["track"])
+            self.read_counts, self.set_counts = self._read_counts, self._set_counts
+
+    def _wheels(self, left: float, right: float) -> list[float]:
+        told = self._known().commands
+        if [one.name for one in told] != ["left", "right"]:
+            names = ", ".join(one.name for one in told)
+            raise UserError(f"this robot is not driven by left and right, but by {names}")
+        for value, side in ((left, "left"), (right, "right")):
+            if not math.isfinite(value) or abs(value) > 100:
+                raise UserError(f"{side} wheel: {value} is not a speed; use -100 to 100 percent")
+        return [
+            value / 100 * (one.high if value > 0 else -one.low)
+            for value, one in zip((left, right), told, strict=True)
+        ]
+
+    def _switch_lamp(self, on: bool) -> None:
+        """Switch the robot's lamp."""
+        self._ask(f"lamp {int(on)}")
+
+    def _battery(self) -> float:
+        """Return the battery's voltage in volts."""
+        return self._read()[-1] / 1000
+
+    def _activations(self) -> np.ndarray:
+        """Read all sensors, [S] in 0..1 of their ranges."""
+        return np.array(list(self.read_sensors().values()))
+
+    def _read_counts(self) -> tuple[int, int]:
+        """Read both counters, left and right, in pulses."""
+        begin = len(self._known().sensors)
+        raw = self._read()[begin : begin + 2]
+        self._counts = [value - zero for value, zero in zip(raw, self._zeros, strict=True)]
+        return self._counts[0], self._counts[1]
+
+    def _set_counts(self, left: int, right: int) -> None:
+        """Set both counters, in pulses; the robot's own go on."""
+        counts = self._read_counts()
+        for place, value in enumerate((int(left), int(right))):
+            self._zeros[place] += counts[place] - value
+            self._counts[place] = value
+
+    def _known(self) -> Greeting:
+        if self.greeting is None:
+            raise RobotError(f"the robot on {self._line.port} is not connected: connect first")
+        return self.greeting
+
+    def _read(self) -> list[int]:
+        """Return sensors, counters and battery (mV) as the robot gives them."""
+        count = self._known().values
+        answer = self._ask("read", count + 2)
+        return [int(word) for word in answer[1:]]
+
+    def _ask(self, request: str, count: int = 1) -> list[str]:
+        """Send a request; return the words of its answer behind the time, however often it takes.
+
+        Args:
+            request: without its number.
+            count: words that the answer has, the time among them; all but the first word's name.
+        """
+        refused = ""
+        for _ in range(TRIES):
+            for line in self._line.waiting():
+                self._notice_reboot(decode(line))
+            number = self._send(request)
+            words, refused = self._answer(number, count)
+            if words is not None:
+                return words
+        if refused:
+            raise RobotError(
+                f"the robot on {self._line.port} does not carry out {request!r}: {refused[:60]}"
+            )
+        raise self._line.lose(
+            f"the robot on {self._line.port} stopped answering: no good reply to {request!r} "
+            f"within {self._timeout:g} s, {TRIES} times; is it on and its cable whole?"
+        )
+
+    def _send(self, request: str) -> str:
+        self._number = self._number % LAST_NUMBER + 1
+        # A line end first: what is left of a line that was cut is a line of its own.
+        self._line.write(b"\n" + encode(f"{self._number} {request}"))
+        return str(self._number)
+
+    def _answer(self, number: str, count: int) -> tuple[list[str] | None, str]:
+        """Return the numbers of an answer behind its time, or None and why it was refused."""
+        end = time.monotonic() + self._timeout
+        seconds = self._timeout
+        while (line := self._line.read_line(seconds)) is not None:
+            words = decode(line)
+            if self._notice_reboot(words):
+                return None, "it started anew"
+            if words and len(words) > 1 and words[1] == "error" and words[0] in (number, "0"):
+                if words[2:] == ["checksum"]:  # it heard something else than was sent
+                    return None, ""
+                return None, "it answers " + " ".join(words[2:])
+            if words and words[0] == number and words[1:2] in (["ok"], ["read"]):
+                numbers = words[2:]
+                if len(numbers) == count and all(word.lstrip("-").isdigit() for word in numbers):
+                    self._take_stamp(int(numbers[0]))
+                    return numbers[1:], ""
+            seconds = max(end - time.monotonic(), 0.0)
+        return None, ""
+
+    def _take_stamp(self, milliseconds: int) -> None:
+        # The robot's 32 bits begin again after 49 days.
+        if self._stamp_ms is None:
+            self.stamp = milliseconds / 1000
+        else:
+            self.stamp += ((milliseconds - self._stamp_ms) % 2**32) / 1000
+        self._stamp_ms = milliseconds
+
+    def _notice_reboot(self, words: list[str] | None) -> bool:
+        """Return whether these are the first words of a robot that starts anew."""
+        if not words or words[:2] != ["0", "robot"]:
+            return False
+        self.reboots += 1
+        self._stamp_ms = None
+        self._zeros = [-count for count in self._counts]
+        return True
+
+    def _first_answer(self) -> Greeting:
+        """Return the robot's greeting; a board that is just being reset is waited for."""
+        heard: list[bytes] = []
+        end = time.monotonic() + max(BOOT, TRIES * self._timeout)
+        while time.monotonic() < end:
+            number = self._send("hello")
+            lines = self._greeting(number, heard)
+            if lines is not None:
+                try:
+                    return Greeting.read(lines)
+                except GreetingError as error:
+                    raise RobotError(
+                        f"the robot on {self._line.port} greets in a wrong way: {error}"
+                    ) from None
+        where = f"{self._line.port} at {self._line.baud} baud"
+        if not heard:
+            raise RobotError(
+                f"nothing answers on {where}: is the robot on and set to this speed, or does "
+                "another program hold the line?"
+            )
+        last = heard[-1].decode("ascii", "replace")[:40]
+        raise RobotError(
+            f"what answers on {where} does not speak neurosim's lines ({last!r}): is this its "
+            "port and its speed, and the program in it?"
+        )
+
+    def _greeting(self, number: str, heard: list[bytes]) -> list[list[str]] | None:
+        """Return the words of all lines of the greeting, or None where one is missing."""
+        end = time.monotonic() + self._timeout
+        lines: list[list[str]] = []
+        while (line := self._line.read_line(max(end - time.monotonic(), 0.0))) is not None:
+            words = decode(line)
+            if words and words[0] == number and len(words) > 1:
+                if words[1] == "ok" and len(words) == 4 and words[2].isdigit():
+                    self._take_stamp(int(words[2]))
+                    # It says how many lines there were: none may be missing.
+                    return lines if words[3] == str(len(lines)) else None
+                lines.append(words[1:])
+                end = time.monotonic() + self._timeout
+            elif not words:
+                heard.append(line)
+        return None

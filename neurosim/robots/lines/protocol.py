@@ -1,0 +1,252 @@
+"""The text-line protocol of docs/lines.md: checksums, and what a robot says of itself."""
+
+from __future__ import annotations
+
+import math
+from binascii import crc_hqx
+from dataclasses import dataclass, field
+
+#: Of the protocol.
+VERSION = "1"
+#: No request is longer, its checksum included.
+LONGEST = 96
+#: Places that a command has for its numbers.
+MOST = 6
+#: Measures that each kind of body gives, in m.
+BODIES: dict[str, tuple[str, ...]] = {
+    "wheels": ("full", "track"),
+    "car": ("wheelbase",),
+    "twist": (),
+}
+#: Stands among the words of a virtual robot's first line.
+VIRTUAL = "virtual"
+
+
+class GreetingError(ValueError):
+    """A greeting that does not follow the protocol; its text says where."""
+
+
+def checksum(text: bytes) -> int:
+    """Return the checksum of a line: CRC-16/CCITT-FALSE, as 4 hexadecimal digits behind ``*``."""
+    return crc_hqx(text, 0xFFFF)
+
+
+def encode(text: str) -> bytes:
+    """Return a line with its checksum and its end."""
+    raw = text.encode("ascii")
+    return raw + b"*%04X\n" % checksum(raw)
+
+
+def decimal(value: float) -> str:
+    """Return a number as requests have it: at most 4 decimals, no exponent."""
+    return f"{value:.4f}".rstrip("0").rstrip(".")
+
+
+def decode(line: bytes) -> list[str] | None:
+    """Return the words of a line without its end; None if its checksum is missing or wrong."""
+    text, star, digits = line.rpartition(b"*")
+    if not star or len(digits) != 4:
+        return None
+    try:
+        right = int(digits, 16) == checksum(text)
+        return text.decode("ascii").split() if right else None
+    except ValueError:
+        return None
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a command, between two limits.
+
+    Attributes:
+        name: such as left, v, steer.
+        unit: %, m/s, rad/s or rad.
+        low: least value.
+        high: greatest value.
+        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is none.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    speed: bool = True
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """A sensor: readings are whole numbers from 0 to ``full``.
+
+    Attributes:
+        name: as controllers name it.
+        full: largest reading.
+        place: where it is and looks, as far as the robot says so: x, y (m, robot's frame), angle
+            (degrees to the left of straight ahead).
+    """
+
+    name: str
+    full: int
+    place: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Counter:
+    """A counter of a wheel: pulses per metre along the ground."""
+
+    name: str
+    per_metre: float
+
+
+@dataclass(frozen=True)
+class Greeting:
+    """What a robot says of itself.
+
+    Attributes:
+        name: of the robot, one word.
+        firmware: of its program, one word.
+        commands: the numbers of a command, in order.
+        longest: how long a command may last, s.
+        body: kind, a key of :data:`BODIES`, or empty where it does not say.
+        measures: of the body, m: those of its kind, and ``radius`` of the circle around it.
+        sensors: in the order of readings.
+        counters: in their order.
+        lamp: whether it has one.
+        battery: whether it knows its voltage.
+        virtual: whether it is one of the virtual lab.
+    """
+
+    name: str
+    firmware: str
+    commands: tuple[Number, ...]
+    longest: float
+    body: str = ""
+    measures: dict[str, float] = field(default_factory=dict)
+    sensors: tuple[Sensor, ...] = ()
+    counters: tuple[Counter, ...] = ()
+    lamp: bool = False
+    battery: bool = False
+    virtual: bool = False
+
+    @property
+    def values(self) -> int:
+        """How many numbers follow the time and the rest in the answer to ``read``."""
+        return len(self.sensors) + len(self.counters) + self.battery
+
+    def lines(self) -> list[str]:
+        """Return the greeting's lines, without numbers and checksums."""
+        last = [VIRTUAL] if self.virtual else []
+        lines = [" ".join(["robot", "neurosim-lines", VERSION, self.name, self.firmware, *last])]
+        for one in self.commands:
+            kind = "speed" if one.speed else "angle"
+            lines.append(f"command {one.name} {one.unit} {one.low:g} {one.high:g} {kind}")
+        lines.append(f"longest {round(1000 * self.longest)}")
+        if self.body:
+            lines.append(" ".join(["body", self.body, *_pairs(self.measures)]))
+        for sensor in self.sensors:
+            lines.append(" ".join(["sensor", sensor.name, str(sensor.full), *_pairs(sensor.place)]))
+        lines += [f"counter {one.name} {one.per_metre:.8g}" for one in self.counters]
+        lines += ["lamp"] if self.lamp else []
+        lines += ["battery"] if self.battery else []
+        return lines
+
+    @classmethod
+    def read(cls, lines: list[list[str]]) -> Greeting:
+        """Return what a greeting says, line by line in words; lines of other kinds are passed over.
+
+        Raises:
+            GreetingError: naming the line that is not as it must be.
+        """
+        found = _Found()
+        for words in lines:
+            try:
+                found.take(words)
+            except (ValueError, IndexError) as error:
+                what = error if isinstance(error, GreetingError) else "it has other words"
+                raise GreetingError(f"{' '.join(words)!r}: {what}") from None
+        return found.greeting()
+
+
+class _Found:
+    """What the lines of a greeting have said so far."""
+
+    def __init__(self) -> None:
+        self.first: list[str] | None = None
+        self.longest = 0.0
+        self.body, self.measures = "", dict[str, float]()
+        self.commands: list[Number] = []
+        self.sensors: list[Sensor] = []
+        self.counters: list[Counter] = []
+        self.flags: set[str] = set()
+
+    def take(self, words: list[str]) -> None:
+        kind, *rest = words
+        if kind == "robot":
+            if rest[0] != "neurosim-lines":
+                raise GreetingError("it speaks another protocol than neurosim-lines")
+            if rest[1] != VERSION:
+                raise GreetingError(f"it speaks version {rest[1]}, this program version {VERSION}")
+            self.first = [rest[2], rest[3], *rest[4:]]
+        elif kind == "command":
+            name, unit, low, high, how = rest
+            if not _number(low) < _number(high) or how not in ("speed", "angle"):
+                raise GreetingError(
+                    "a command has a least and a greatest value, and is speed or angle"
+                )
+            self.commands.append(Number(name, unit, float(low), float(high), how == "speed"))
+        elif kind == "longest":
+            self.longest = int(rest[0]) / 1000
+        elif kind == "body":
+            self.body, self.measures = rest[0], _measures(rest[1:])
+            missing = [
+                name for name in BODIES.get(self.body, ()) if self.measures.get(name, 0) <= 0
+            ]
+            if missing:
+                raise GreetingError(f"it lacks {missing[0]}=")
+        elif kind == "sensor":
+            if int(rest[1]) < 1:
+                raise GreetingError("its largest reading must be above 0")
+            self.sensors.append(Sensor(rest[0], int(rest[1]), _measures(rest[2:])))
+        elif kind == "counter":
+            if _number(rest[1]) <= 0:
+                raise GreetingError("its pulses per metre must be above 0")
+            self.counters.append(Counter(rest[0], float(rest[1])))
+        elif kind in ("lamp", "battery"):
+            self.flags.add(kind)
+
+    def greeting(self) -> Greeting:
+        if self.first is None:
+            raise GreetingError("it does not begin with its robot line")
+        names = [one.name for one in self.commands]
+        if not 1 <= len(names) <= MOST or len(set(names)) < len(names):
+            raise GreetingError(f"it has 1 to {MOST} commands of different names, not {names}")
+        if self.longest <= 0:
+            raise GreetingError("it does not say how long a command may last (longest)")
+        return Greeting(
+            self.first[0],
+            self.first[1],
+            tuple(self.commands),
+            self.longest,
+            self.body,
+            self.measures,
+            tuple(self.sensors),
+            tuple(self.counters),
+            "lamp" in self.flags,
+            "battery" in self.flags,
+            VIRTUAL in self.first[2:],
+        )
+
+
+def _pairs(measures: dict[str, float]) -> list[str]:
+    return [f"{name}={value:g}" for name, value in measures.items()]
+
+
+def _measures(words: list[str]) -> dict[str, float]:
+    pairs = [word.partition("=") for word in words]
+    return {name: _number(value) for name, _, value in pairs}
+
+
+def _number(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise GreetingError(f"{text} is no number")
+    return value

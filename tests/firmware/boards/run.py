@@ -1,0 +1,144 @@
+"""Runs a program of firmware/micropython on a computer: micropython run.py FOLDER NAME.
+
+Its board's modules are made up here: two motors turn as their pins say and press the encoders.
+"""
+
+import select as REAL
+import sys
+import time
+
+if sys.implementation.name == "micropython":
+    ticks = time.ticks_ms
+else:  # Python itself, where MicroPython's unix port is not to be had
+
+    def ticks():
+        return int(1000 * time.monotonic())
+
+    class Input:
+        buffer = open(0, "rb", buffering=0)
+
+        def fileno(self):
+            return 0
+
+    class Output:
+        buffer = open(1, "wb", buffering=0)
+
+    time.ticks_ms = ticks
+    sys.stdin, sys.stdout = Input(), Output()
+
+PULSES = 400  # a second at full power
+
+
+class Module:
+    def __init__(self, **members):
+        for name, value in members.items():
+            setattr(self, name, value)
+
+
+class Pin:
+    OUT = IN = PULL_UP = IRQ_RISING = 1
+    pressed = []
+
+    def __init__(self, number, mode=0, pull=0):
+        self.state = 0
+
+    def value(self, state):
+        self.state = state
+
+    def irq(self, handler, trigger):
+        Pin.pressed.append(handler)
+
+
+class PWM:
+    every = []
+
+    def __init__(self, pin):
+        self.duty, self.turned = 0, 0.0
+        PWM.every.append(self)
+
+    def freq(self, hertz):
+        pass
+
+    def duty_u16(self, duty):
+        assert 0 <= duty <= 65535
+        self.duty = duty
+
+
+class ADC:
+    def __init__(self, pin):
+        pass
+
+    def read_u16(self):
+        return 30000
+
+
+class Poll:
+    """What waits for input; the motors turn meanwhile."""
+
+    def __init__(self):
+        self.real, self.last = REAL.poll(), ticks()
+
+    def register(self, stream, events):
+        self.real.register(stream, events)
+
+    def poll(self, milliseconds):
+        now = ticks()
+        for pwm, press in zip(PWM.every, Pin.pressed):
+            pwm.turned += PULSES * pwm.duty / 65535 * (now - self.last) / 1000
+            while pwm.turned >= 1:
+                pwm.turned -= 1
+                press(None)
+        self.last = now
+        found = self.real.poll(milliseconds)
+        if found and found[0][1] & 16:  # hung up
+            sys.exit()
+        return found
+
+
+class MicrobitPin:
+    def write_digital(self, value):
+        assert value in (0, 1)
+
+    def write_analog(self, value):
+        assert 0 <= value <= 1023
+
+    def read_analog(self):
+        return 500
+
+
+class Uart:
+    def __init__(self):
+        self.waiting = Poll()
+        self.waiting.register(sys.stdin, 1)
+
+    def init(self, baudrate):
+        pass
+
+    def any(self):
+        return bool(self.waiting.poll(1))
+
+    def read(self):
+        return sys.stdin.buffer.read(1)
+
+    def write(self, data):
+        sys.stdout.buffer.write(data)
+
+
+class Display:
+    def set_pixel(self, x, y, value):
+        assert 0 <= x < 5
+        assert 0 <= y < 5
+        assert 0 <= value <= 9
+
+
+folder, name = sys.argv[1], sys.argv[2]
+sys.path.insert(0, folder)
+if name == "main_microbit":
+    pins = {"pin%d" % number: MicrobitPin() for number in (0, 1, 2, 8, 12, 16)}
+    sys.modules["microbit"] = Module(
+        display=Display(), running_time=ticks, sleep=lambda ms: None, uart=Uart(), **pins
+    )
+else:
+    sys.modules["machine"] = Module(ADC=ADC, PWM=PWM, Pin=Pin)
+    sys.modules["select"] = Module(POLLIN=1, poll=Poll)
+__import__(name)
