@@ -498,18 +498,17 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
     """Return the commands still to be sent: all that no session sent to their end, and filmed."""
     attempts: dict[int, int] = {}
     settled: set[int] = set()
-    if (recording.path / "commands.csv").exists():
-        every = list(recording.commands().itertuples())
-        filmed = _filmed_until(recording, every)
-        lines = [line for line in every if line.is_motor]
-        for line, after in zip_longest(lines, lines[1:]):
-            if line.kind != "command":
-                continue
-            attempts[line.command] = attempts.get(line.command, 0) + 1
-            ran = after is not None and after.session == line.session and after.kind != "cut"
-            ran = ran and after.time <= filmed[line.session]
-            if ran or attempts[line.command] >= settings.guard.attempts:
-                settled.add(line.command)
+    every = list(recording.commands().itertuples())
+    filmed = _filmed_until(recording, every)
+    lines = [line for line in every if line.is_motor]
+    for line, after in zip_longest(lines, lines[1:]):
+        if line.kind != "command":
+            continue
+        attempts[line.command] = attempts.get(line.command, 0) + 1
+        ran = after is not None and after.session == line.session and after.kind != "cut"
+        ran = ran and after.time <= filmed[line.session]
+        if ran or attempts[line.command] >= settings.guard.attempts:
+            settled.add(line.command)
     todo = (
         _Todo(index, attempts.get(index, 0) + 1)
         for index in range(settings.commands)

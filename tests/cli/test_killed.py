@@ -99,67 +99,86 @@ def calibration(tmp_path_factory):
     return path
 
 
-def moments(seconds, seed):
-    """Return random times within a command that takes so long, s."""
-    return np.random.default_rng(seed).uniform(0.0, seconds, KILLS)
+def whole_lines(folder, name):
+    """Return the lines of a log, up to the last line end, of a folder or of its checkpoint."""
+    for path in (folder / "out" / name, folder / "out.checkpoint" / name):
+        if path.exists():
+            return path.read_bytes().rpartition(b"\n")[0].splitlines()
+    return []
 
 
-def whole_lines(path):
-    """Return the lines of a file up to the last line end."""
-    return path.read_bytes().rpartition(b"\n")[0].splitlines() if path.exists() else []
+def killed(zygote, tmp_path, words, logs, rest_of, seed):
+    """Kill a command at random moments, have each go on, and hold its logs to a whole run's.
+
+    What was written when it was killed is what the whole run began with, and stays.
+
+    Args:
+        zygote: runs commands.
+        tmp_path: a folder for each run.
+        words: the command, up to its output folder.
+        logs: names of files that only grow.
+        rest_of: of an output folder that was left: the words to go on with, the folder first;
+            None: everything is there.
+        seed: of the moments.
+
+    Yields:
+        The folders of the whole run and of one that was killed, and after how long it was, s.
+    """
+    whole = tmp_path / "whole"
+    _, seconds = zygote.run(whole, *words, "out")
+    rests = []
+    for number, after in enumerate(np.random.default_rng(seed).uniform(0.0, seconds, KILLS)):
+        folder = tmp_path / str(number)
+        code, _ = zygote.run(folder, *words, "out", after=after)
+        if code == 0:
+            continue
+        then = {name: whole_lines(folder, name) for name in logs}
+        rests.append(rest_of(folder / "out"))
+        if rests[-1]:
+            zygote.run(folder, *words, *rests[-1])
+        for name, lines in then.items():
+            for run in (whole, folder):
+                assert whole_lines(run, name)[: len(lines)] == lines, (run, name, after)
+        yield whole, folder, after
+    assert any(rest and rest != ["out"] for rest in rests) or KILLS < 4
 
 
-def begins_with(now, then):
-    return now[: len(then)] == then
+def resumed(made):
+    """Return the words to go on with of a command that resumes what it has begun."""
+    return ["out", "--resume"] if made else ["out"]
 
 
 def sent(recording):
-    """Return the motor command of each number, and how often it was sent."""
-    found, count = {}, {}
+    """Return the motor command of each number."""
+    found = {}
     for line in recording.commands().itertuples():
         if line.kind == "command":
             command = (line.left, line.right, line.duration)
             assert found.setdefault(line.command, command) == command
-            count[line.command] = count.get(line.command, 0) + 1
-    return found, count
+    return found
 
 
 def test_a_recording(zygote, calibration, tmp_path):
-    words = ["record", "r", "--commands", 14, "--seed", 3, "--camera-size", "320x240"]
+    words = ["record", "--commands", 14, "--seed", 3, "--camera-size", "320x240"]
     words += ["--calibration", calibration]
-    _, seconds = zygote.run(tmp_path / "whole", *words)
-    whole = Recording(tmp_path / "whole" / "r")
-    planned, _ = sent(whole)
-    reference = whole_lines(whole.path / "commands.csv")
-    resumed = 0
-    for number, after in enumerate(moments(seconds, 0)):
-        folder = tmp_path / str(number)
-        code, _ = zygote.run(folder, *words, after=after)
-        if code == 0:
-            continue
-        log = folder / "r" / "commands.csv"
-        begun = (folder / "r").exists()
-        then = {name: whole_lines(folder / "r" / name) for name in ("commands.csv", "frames.csv")}
-        # The lab's clock is its own: what was written is what the whole recording began with.
-        assert begins_with(reference, then["commands.csv"]), after
-        if begun and not json.loads((folder / "r" / "recording.json").read_text())["complete"]:
-            resumed += 1
-            zygote.run(folder, *words, "--resume")
-        elif not begun:
-            zygote.run(folder, *words)
-        recording = Recording(folder / "r")
+
+    def rest_of(out):
+        made = Recording(out) if out.exists() else None
+        if made and made.meta["complete"] and made.is_tracked:
+            return None
+        return resumed(made)
+
+    logs = ("commands.csv", "frames.csv", "sightings.csv")
+    for whole, folder, after in killed(zygote, tmp_path, words, logs, rest_of, 0):
+        recording = Recording(folder / "out")
         assert recording.meta["complete"] is True
-        for name, lines in then.items():
-            assert begins_with(whole_lines(folder / "r" / name), lines), (after, name)
-        found, _ = sent(recording)
-        assert found == planned, after
+        assert sent(recording) == sent(Recording(whole / "out")), after
         if recording.sessions == 1:
-            assert whole_lines(log) == reference
+            assert whole_lines(folder, "commands.csv") == whole_lines(whole, "commands.csv")
         assert recording.is_tracked, after
         # Of each session in which a command was sent.
         sessions = {line.session for line in recording.commands().itertuples() if line.is_motor}
         assert set(recording.poses().session) == sessions, after
-    assert resumed or KILLS < 4
 
 
 def rows(path, *names):
@@ -168,38 +187,23 @@ def rows(path, *names):
 
 
 def test_sampling(zygote, tmp_path):
-    words = ["sample", "s", "--angles", 36, "--distances", 5, "--grid", 3]
-    _, seconds = zygote.run(tmp_path / "whole", *words)
-    whole = tmp_path / "whole" / "s"
-    logs = [path.name for path in sorted(whole.glob("*.csv"))]
-    made = sorted(path.name for path in whole.glob("*.sample"))
-    resumed = 0
-    for number, after in enumerate(moments(seconds, 1)):
-        folder = tmp_path / str(number)
-        code, _ = zygote.run(folder, *words, after=after)
-        if code == 0:
-            continue
-        then = {name: whole_lines(folder / "s" / name) for name in logs}
-        for name, lines in then.items():
-            assert begins_with(whole_lines(whole / name), lines), (after, name)
-        begun = (folder / "s").exists()
-        resumed += begun
-        zygote.run(folder, *words, *(["--resume"] if begun else []))
-        for name, lines in then.items():
-            assert begins_with(whole_lines(folder / "s" / name), lines), (after, name)
-        settings = [rows(each / "motors.csv", "left", "right") for each in (whole, folder / "s")]
+    words = ["sample", "--angles", 36, "--distances", 5, "--grid", 3]
+    logs = {"motors.csv", "held_out.csv", "reaction.csv", "sensors.csv"}
+    for whole, folder, after in killed(
+        zygote, tmp_path, words, logs, lambda out: resumed(out.exists()), 1
+    ):
+        runs = whole / "out", folder / "out"
+        assert {path.name for path in runs[0].glob("*.csv")} == logs
+        settings = [rows(run / "motors.csv", "left", "right") for run in runs]
         assert settings[0] == settings[1], after
-        assert sorted(path.name for path in (folder / "s").glob("*.sample")) == made
-        found, wanted = (
-            json.loads((each / "sampling.json").read_text())["result"]
-            for each in (folder / "s", whole)
-        )
+        found, wanted = (json.loads((run / "sampling.json").read_text())["result"] for run in runs)
         assert found.keys() == wanted.keys()
         assert found["wheel_base"] == pytest.approx(wanted["wheel_base"], rel=0.02)
-        for name in made:
-            old, new = ((each / name).read_text().split() for each in (whole, folder / "s"))
-            assert len(old) == len(new), (after, name)
-    assert resumed or KILLS < 4
+        sizes = [
+            {path.name: len(path.read_text().split()) for path in run.glob("*.sample")}
+            for run in runs
+        ]
+        assert sizes[0] == sizes[1], after
 
 
 def test_a_trial(zygote, calibration, tmp_path):
@@ -208,30 +212,23 @@ def test_a_trial(zygote, calibration, tmp_path):
     poses = np.zeros((5, 3)).tolist()
     said = {"poses": poses, "rest": poses[-1], "fitness": 9.0, "completes": False}
     SavedController(plan, np.empty(0), task, (-0.8, 0.0, 1.5), said).write(tmp_path / "plan")
-    words = ["run", tmp_path / "plan", "-o", "t", "--calibration", calibration, "--no-replan"]
-    words += ["--camera-size", "320x240"]
-    _, seconds = zygote.run(tmp_path / "whole", *words)
-    reference = whole_lines(tmp_path / "whole" / "t" / "commands.csv")
+    words = ["run", tmp_path / "plan", "--calibration", calibration, "--no-replan"]
+    words += ["--camera-size", "320x240", "-o"]
 
-    def report(folder):
-        content = json.loads((folder / "trial.json").read_text())
+    def report(trial):
+        content = json.loads((trial / "trial.json").read_text())
         return {name: content[name] for name in ("commands", "start", "actual", "errors")}
 
-    for number, after in enumerate(moments(seconds, 2)):
-        folder = tmp_path / str(number)
-        code, _ = zygote.run(folder, *words, after=after)
-        if code == 0:
-            continue
-        assert begins_with(reference, whole_lines(folder / "t" / "commands.csv")), after
-        if (folder / "t" / "trial.json").exists():  # whole, or not there
-            assert report(folder / "t") == report(tmp_path / "whole" / "t")
-        elif (folder / "t" / "recording.json").exists():
-            recording = Recording(folder / "t")
-            # A trial is not gone on with: it is made again, elsewhere, and the same.
-            recording.commands()
-        again = [word if word != "t" else "u" for word in words]
-        zygote.run(folder, *again)
-        assert report(folder / "u") == report(tmp_path / "whole" / "t"), after
+    # A trial does not go on: it is made again, elsewhere, and the same.
+    for whole, folder, after in killed(
+        zygote, tmp_path, words, ["commands.csv"], lambda out: ["again"], 2
+    ):
+        wanted = report(whole / "out")
+        assert report(folder / "again") == wanted, after
+        if (folder / "out" / "trial.json").exists():  # whole, or not there
+            assert report(folder / "out") == wanted
+        elif (folder / "out" / "recording.json").exists():
+            Recording(folder / "out").commands()
 
 
 @pytest.mark.skipif(not importlib.util.find_spec("mujoco"), reason="needs mujoco")
@@ -239,33 +236,22 @@ def test_back_to_reality(zygote, tmp_path):
     sizes = {"settings": "paper", "cycles": 2, "seconds": 2, "generations": 3, "seed": 5}
     sizes |= {"search-population": 6, "candidates": 3, "adapt-generations": 3, "trials": 2}
     sizes |= {"adapt-population": 4, "policy-steps": 2, "policies": 3}
-    words = ["back-to-reality", "-o", "b"]
+    words = ["back-to-reality"]
     words += [word for name, size in sizes.items() for word in (f"--{name}", size)]
-    _, seconds = zygote.run(tmp_path / "whole", *words)
-    whole = tmp_path / "whole" / "b"
-    reference = whole_lines(whole / "trials.jsonl")
+
+    def rest_of(out):
+        return None if out.exists() else resumed(out.with_name("out.checkpoint").exists())
 
     def result(folder):
-        content = json.loads((folder / "back-to-reality.json").read_text())
+        content = json.loads((folder / "out" / "back-to-reality.json").read_text())
         return {name: value for name, value in content.items() if name not in VOLATILE}
 
-    resumed = 0
-    for number, after in enumerate(moments(seconds, 3)):
-        folder = tmp_path / str(number)
-        code, _ = zygote.run(folder, *words, after=after)
-        if code == 0:
-            continue
-        logs = [*folder.glob("b.checkpoint/trials.jsonl"), *folder.glob("b/trials.jsonl")]
-        then = whole_lines(logs[0]) if logs else []
-        assert begins_with(reference, then), after
-        if not (folder / "b").exists():
-            begun = (folder / "b.checkpoint").exists()
-            resumed += begun
-            zygote.run(folder, *words, *(["--resume"] if begun else []))
-        assert whole_lines(folder / "b" / "trials.jsonl") == reference, after
-        assert result(folder / "b") == result(whole), after
-        assert not (folder / "b.checkpoint").exists()
-    assert resumed or KILLS < 4
+    for whole, folder, after in killed(
+        zygote, tmp_path, [*words, "-o"], ["trials.jsonl"], rest_of, 3
+    ):
+        assert whole_lines(folder, "trials.jsonl") == whole_lines(whole, "trials.jsonl"), after
+        assert result(folder) == result(whole), after
+        assert not (folder / "out.checkpoint").exists()
 
 
 #: What says when and how long.

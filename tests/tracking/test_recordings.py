@@ -18,6 +18,10 @@ def write_commands(recording, text):
     (recording.path / "commands.csv").write_text(HEADER + text)
 
 
+def test_a_recording_without_commands_can_be_read(recording):
+    assert recording.commands().empty
+
+
 def test_a_recording_is_read_as_it_was_written(recording):
     with recording.command_log() as log:
         log.append(1, None, "lamp-on", 0.1, None, None, None)

@@ -214,6 +214,7 @@ class Recording:
         }
         with new_folder(path) as folder:
             write_json(folder / "recording.json", FORMAT, VERSION, content)
+            LineLog(folder / "commands.csv", _COMMAND_COLUMNS).close()
             if calibration is not None:
                 shutil.copyfile(calibration, folder / "calibration.json")
         return cls(path)
