@@ -18,7 +18,7 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
-from neurosim.controllers import SavedController, read_controller
+from neurosim.controllers import Plan, SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.controllers.files import check_readable
 from neurosim.loop.evaluate import Evaluator
@@ -49,12 +49,12 @@ def start_genes(controller: Controller, path: str | Path | None = None) -> NDArr
         FileError: if the file is missing or wrong.
     """
     if path is None:
-        if not hasattr(controller, "hand_tuned"):
+        if (tuned := controller.hand_tuned()) is None:
             raise UserError(
                 "name the controller to start from (--start): there is no hand-tuned "
                 f"{controller.kind}"
             )
-        return np.asarray(controller.hand_tuned(), np.float64)
+        return np.asarray(tuned, np.float64)
     genes, (low, high) = _read_genes(controller, path), controller.gene_range
     if not ((genes >= low) & (genes <= high)).all():
         raise UserError(
@@ -68,7 +68,7 @@ def _read_genes(controller: Controller, path: str | Path) -> NDArray[np.float64]
     """Return the genes [G] that a file or a controller's folder holds."""
     if Path(path).is_dir():
         saved = read_controller(path)
-        if saved.commands and saved.kind == controller.kind and hasattr(controller, "encode"):
+        if saved.commands and isinstance(controller, Plan):
             return _genes_of_plan(controller, saved, path)
         if saved.kind != controller.kind or saved.genes.shape != (controller.genes,):
             raise UserError(
@@ -78,19 +78,18 @@ def _read_genes(controller: Controller, path: str | Path) -> NDArray[np.float64]
         return saved.genes
     content = files.read_json(path, GENES_FORMAT, GENES_VERSION, formats.Genes)
     named = content.get("parameters")
-    if named is not None and hasattr(controller, "from_named"):
+    if named is not None:
         try:
             return np.asarray(controller.from_named(named), np.float64)
         except UserError as error:
             raise FileError(path, str(error), field="parameters") from None
     genes = np.array(content.get("genes", ()), np.float64)
     if genes.shape != (controller.genes,):
-        field = "genes" if named is None else "parameters"
-        raise FileError(path, f"expected {controller.genes} finite numbers", field=field)
+        raise FileError(path, f"expected {controller.genes} finite numbers", field="genes")
     return genes
 
 
-def _genes_of_plan(controller: Any, saved: SavedController, path: str | Path) -> NDArray:
+def _genes_of_plan(controller: Plan, saved: SavedController, path: str | Path) -> NDArray:
     """Return the genes [G] of a plan that was written down as its commands."""
     room = controller.slots - len(saved.commands)
     if room < 0:
@@ -154,7 +153,7 @@ def back_to_reality(
         simulator = read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
     shares = simulated.shares_of(start_genes(controller) if start is None else start)
-    if start is not None and hasattr(controller, "check"):
+    if start is not None:
         controller.check(np.asarray(start, np.float64))
     begun = {
         **asdict(settings),
@@ -214,7 +213,7 @@ def _content(
     controller: Controller,
 ) -> dict[str, Any]:
     genes = simulated.real_genes(found.genes)
-    named = controller.named(genes) if hasattr(controller, "named") else None
+    named = controller.named(genes)
     parameters = [
         {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "before": one.value}
         for one in simulated.parameters

@@ -1,8 +1,9 @@
-"""The options that say where controllers are tried for real."""
+"""The options that say which controllers search for which task, and where they are tried."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import click
 
@@ -11,6 +12,44 @@ from neurosim.cli._common import calibration_option
 from neurosim.cli._options import Chosen, choice_options
 from neurosim.cli._types import ranged
 
+Default = str | Callable[[Chosen], str]
+
+
+def task_option(default: Default, help: str) -> Callable[[Callable], Callable]:
+    """Return what adds ``--task`` and the options of the task that it names."""
+    return choice_options(
+        "--task", "neurosim.tasks.files:FILES_AND_TASKS", default=default, help=help
+    )
+
+
+def controller_option(default: Default, help: str) -> Callable[[Callable], Callable]:
+    """Return what adds ``--controller`` and the options of the kind that it names."""
+    return choice_options(
+        "--controller",
+        "neurosim.controllers:CONTROLLERS",
+        default=default,
+        help=help,
+        names={"slots": "commands"},
+        optional=("inputs",),
+    )
+
+
+def make_both(
+    simulator: Any,
+    task: str,
+    task_options: dict[str, Any],
+    controller: str,
+    controller_options: dict[str, Any],
+) -> tuple[Any, Any]:
+    """Return the task and the kind of controller that were chosen, for a simulator."""
+    from neurosim.controllers import make_controller
+    from neurosim.tasks.files import read_task
+    from neurosim.tasks.registry import make_task
+
+    name, settings = read_task(task)
+    made = make_task(name, **{**settings, **task_options})
+    return made, make_controller(controller, simulator, made, **controller_options)
+
 
 def _may_be_real(name: str) -> bool:
     from neurosim.trials.realities import REALITIES
@@ -18,9 +57,7 @@ def _may_be_real(name: str) -> bool:
     return not REALITIES.is_own(name)
 
 
-def reality_option(
-    default: str | Callable[[Chosen], str], help: str
-) -> Callable[[Callable], Callable]:
+def reality_option(default: Default, help: str) -> Callable[[Callable], Callable]:
     """Return what adds ``--reality``, the options of what it names, and the camera's.
 
     Args:

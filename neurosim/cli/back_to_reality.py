@@ -17,7 +17,14 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
-from neurosim.cli._realities import ask_person, patience_option, reality_option
+from neurosim.cli._realities import (
+    ask_person,
+    controller_option,
+    make_both,
+    patience_option,
+    reality_option,
+    task_option,
+)
 from neurosim.cli._robots import without_camera
 from neurosim.cli._types import PATH
 
@@ -55,17 +62,8 @@ def _settings(chosen: Chosen) -> Any:
     type=PATH,
     help="A simulator with adjustable parameters.  [default: the walking robot's]",
 )
-@choice_options(
-    "--task", "neurosim.tasks.files:FILES_AND_TASKS", default="walking", help="The task."
-)
-@choice_options(
-    "--controller",
-    "neurosim.controllers:CONTROLLERS",
-    default="gait",
-    help="The kind of controller.",
-    names={"slots": "commands"},
-    optional=("inputs",),
-)
+@task_option("walking", "The task.")
+@controller_option("gait", "The kind of controller.")
 @reality_option("virtual-walker", "Where controllers are tried for real.")
 @click.option(
     "--start",
@@ -132,17 +130,12 @@ def back_to_reality(
     from neurosim.back_to_reality.run import back_to_reality as run
     from neurosim.back_to_reality.run import start_genes
     from neurosim.back_to_reality.settings import settings_named
-    from neurosim.controllers import make_controller
     from neurosim.simulators import read_simulator
     from neurosim.simulators.legged.simulator import LeggedSimulator
-    from neurosim.tasks.files import read_task
-    from neurosim.tasks.registry import make_task
     from neurosim.trials.realities import open_reality
 
-    name, of_file = read_task(task)
-    made = make_task(name, **{**of_file, **task_options})
     found = LeggedSimulator() if simulator is None else read_simulator(simulator)
-    family = make_controller(controller, found, made, **controller_options)
+    made, family = make_both(found, task, task_options, controller, controller_options)
     chosen = settings_named(settings)
     chosen = replace(
         chosen,

@@ -31,7 +31,14 @@ from neurosim.cli._options import (
     given_options,
     settings_options,
 )
-from neurosim.cli._realities import ask_person, patience_option, reality_option
+from neurosim.cli._realities import (
+    ask_person,
+    controller_option,
+    make_both,
+    patience_option,
+    reality_option,
+    task_option,
+)
 from neurosim.cli._robots import without_camera
 from neurosim.cli._types import PATH, ranged
 
@@ -115,19 +122,10 @@ def changed(
 )
 @click.argument("simulator", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="Folder of the new controller.")
-@choice_options(
-    "--task",
-    "neurosim.tasks.files:FILES_AND_TASKS",
-    default="nine-rectangles",
-    help="The task, or a JSON file with its name and settings.",
-)
-@choice_options(
-    "--controller",
-    "neurosim.controllers:CONTROLLERS",
-    default=_default_controller,
-    help="The kind of controller.  [default: plan, or network where the task needs sensors]",
-    names={"slots": "commands"},
-    optional=("inputs",),
+@task_option("nine-rectangles", "The task, or a JSON file with its name and settings.")
+@controller_option(
+    _default_controller,
+    "The kind of controller.  [default: plan, or network where the task needs sensors]",
 )
 @choice_options(
     "--optimiser",
@@ -231,25 +229,20 @@ def evolve(
     1996). Any controller, task, simulator and optimiser can be combined; --help lists the options
     of those that are named before it.
     """
-    from neurosim.controllers import make_controller
     from neurosim.evolution.genetic import GeneticSettings
     from neurosim.loop.evolve import evolve as evolve_
     from neurosim.loop.settings import RobustSettings, default_settings
     from neurosim.simulators import read_simulator
-    from neurosim.tasks.files import read_task
-    from neurosim.tasks.registry import make_task
     from neurosim.trials.realities import open_reality
 
     if not real_generations and (is_given("reality") or reality_options):
         raise UserError(
             "--reality is the reality of --robot-generations: add that, or leave it out"
         )
-    name, settings = read_task(task)
-    made = make_task(name, **{**settings, **task_options})
     found = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":
         found.perimeter = None
-    family = make_controller(controller, found, made, **controller_options)
+    made, family = make_both(found, task, task_options, controller, controller_options)
     if real_generations:
         evolution = {"runs": 1, **evolution}
     how = default_settings(family, made, optimiser=optimiser, **evolution)

@@ -165,7 +165,7 @@ def _say_filmed(film: Path, frames: int) -> None:
 def _wait(source: Any, tracker: Any, seconds: float | None) -> None:
     end = time.monotonic() + seconds if seconds is not None else float("inf")
     while time.monotonic() < end:
-        if getattr(source, "failed", False):
+        if source.failed:
             raise UserError("the camera stopped delivering pictures; is it still plugged in?")
         if tracker.failed:
             return

@@ -7,7 +7,7 @@ all the rest. An individual is a row of genes. A batch of B individuals acts at 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar
 
 import torch
@@ -86,6 +86,29 @@ class Controller(Checked):
             that is not active is not given. With ``rest`` the last is the stop, not active.
         """
         raise NotImplementedError
+
+    def hand_tuned(self) -> NDArray | None:
+        """Return genes [genes] that a person tuned, to start from; None: there are none."""
+        return None
+
+    def named(self, genes: NDArray) -> dict[str, Any] | None:
+        """Return the parameters of an individual [genes] by name; None: genes have no names."""
+        return None
+
+    def from_named(self, values: Mapping[str, float]) -> NDArray:
+        """Return the genes [genes] of parameters by name; undoes :meth:`named`.
+
+        Raises:
+            UserError: if one is missing, unknown or out of bounds.
+        """
+        raise UserError(f"the genes of a {self.kind} have no names; give them as genes")
+
+    def check(self, genes: NDArray) -> None:
+        """Refuse an individual [genes] that is a mistake where a person writes it.
+
+        Raises:
+            UserError: saying why.
+        """
 
     def arrays(self) -> NetworkArrays | None:
         """Return what compiled rollouts compute with; None: there are none for this kind."""

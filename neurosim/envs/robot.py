@@ -138,7 +138,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             _Nothing(),  # type: ignore[arg-type]
             0,
             gymnasium.logger.warn,
-            waits=getattr(camera, "waits", False),
+            waits=camera.waits,
         )
         camera.start(spotter.take)
         stack.callback(spotter.close)

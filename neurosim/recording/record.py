@@ -124,7 +124,7 @@ def record(
                             stack.enter_context(recording.sighting_log()),
                             session,
                             say,
-                            waits=getattr(camera, "waits", False),
+                            waits=camera.waits,
                             on_seen=on_seen,
                         )
                         stack.callback(spotter.close)
@@ -154,7 +154,7 @@ def record(
         finally:
             if finish is not None:
                 finish(out, session)
-        if camera is not None and getattr(camera, "failed", False):
+        if camera is not None and camera.failed:
             # After the last command: what is missing is the end of the video.
             raise UserError(
                 f"the camera stopped delivering frames; {out} keeps what was filmed: "

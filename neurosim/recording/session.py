@@ -95,8 +95,6 @@ class Session:
         pictures: Pictures | None = None,
     ):
         self._camera = camera
-        # One that cannot fail, as the virtual lab's, need not be looked after.
-        self._may_fail = hasattr(camera, "failed") or hasattr(camera, "stalled")
         self._running: int | None = None
         self._spotter = spotter
         self._perimeter = PositionGuard(
@@ -252,7 +250,8 @@ class Session:
             CameraLost: if it fails.
         """
         # A clock may be short of a time by its last digits, and sleep no more.
-        while self._may_fail and (now := self._clock.now()) < time - 1e-3:
+        watched = self._camera is not None and self._camera.looked_after
+        while watched and (now := self._clock.now()) < time - 1e-3:
             self._check_camera()
             self._clock.sleep_until(min(time, now + LOOK_EVERY))
         self._clock.sleep_until(time)
@@ -262,8 +261,9 @@ class Session:
 
         A robot that is held, or does not turn its wheels, looks like the latter.
         """
-        stalled = getattr(self._camera, "stalled", False)
-        if stalled or getattr(self._camera, "failed", False):
+        camera = self._camera
+        stalled = camera is not None and camera.stalled
+        if stalled or (camera is not None and camera.failed):
             what = f"delivered no frame for {STALLED:g} s or more" if stalled else "stopped"
             raise CameraLost(
                 f"the camera {what}, and the robot was stopped; {self._path} keeps what was "

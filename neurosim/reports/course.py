@@ -13,10 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.reports.svg import INK, drawing, to_svg
 
-#: An arc longer than this is no robot's path, where the task does not say another length, m.
-LONGEST_ARC = 1.5
 #: Pictures of less than this are in centimetres, m.
 _SMALL = 1.5
 
@@ -47,7 +46,7 @@ class Scene:
         """Return the scene of a task, or of none that is known here (None)."""
         if task is None:
             return cls((), place, board)
-        return cls(task.outline(), place, board, getattr(task, "longest_arc", LONGEST_ARC))
+        return cls(task.outline(), place, board, task.longest_arc)
 
     def corners(self) -> NDArray[np.float64]:
         """Return points [N, 2] between which all of it lies."""

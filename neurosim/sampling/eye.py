@@ -69,7 +69,7 @@ class Eye:
             marker_geometry(self._markers, self._model),
             self._clock.now,
             self._look,
-            waits=getattr(self._camera, "waits", False),
+            waits=self._camera.waits,
         )
         self._camera.start(self._tracker.take)
         return self
@@ -98,10 +98,9 @@ class Eye:
             seen = [item for item in self._seen if item[0] >= begin]
         times = np.array([time for _, time, _, _ in seen])
         if len(seen) < _PICTURES or np.ptp(times) < _SHARE * duration:
-            failed = any(getattr(self._camera, name, False) for name in ("failed", "stalled"))
             raise UserError(
                 "the camera delivers no more pictures; see to it and go on with --resume"
-                if failed
+                if self._camera.failed or self._camera.stalled
                 else "the camera does not see the robot: are its markers those of --markers, and "
                 "in view? Put it in the middle of the view and go on with --resume"
             )

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked
 from neurosim.base.errors import UserError
-from neurosim.base.perimeter import ENDS, Perimeter
+from neurosim.base.perimeter import ENDS, LONGEST_ARC, Perimeter
 from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
 
@@ -123,6 +123,7 @@ class Task(Checked):
         highest_fitness: no trial is worth more; None: nothing is known of that.
         stop_penalty: taken off the fitness of a trial that the guard ends.
         perimeter: where the guard ends trials; None: nowhere. See :meth:`within_perimeter`.
+        longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
             said, because no blind one does the task.
@@ -138,6 +139,7 @@ class Task(Checked):
     highest_fitness: float | None = None
     stop_penalty: float = 0.0
     perimeter: Perimeter | None = None
+    longest_arc: float = LONGEST_ARC
     fitness_unit: ClassVar[str] = ""
     replanned: ClassVar[bool] = False
 
@@ -240,7 +242,7 @@ class Task(Checked):
             self.advance(own, interval)
             return
         assert self.perimeter is not None
-        running = (guard[:, 3] == 0) & (own[:, 0] == 0)
+        running = ~_over(own, guard)
         code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration, running)
         stopped = guard[:, 3] > 0
         if (hit := code > 0).any():
@@ -253,7 +255,7 @@ class Task(Checked):
         guard[hit, 3] = code[hit]
 
     def _score_guarded(self, own: NDArray, guard: NDArray | None) -> Judgement:
-        judged = replace(self.worth(own), over=own[:, 0] > 0)
+        judged = replace(self.worth(own), over=_over(own, guard))
         return judged if guard is None else self.ended(judged, guard[:, 3].astype(np.int64))
 
     def judge(self, trajectory: Trajectory, record: NDArray[np.float64] | None = None) -> Judgement:
@@ -276,16 +278,13 @@ class Task(Checked):
             poses = np.asarray(trajectory.poses, np.float64).reshape(count, steps + 1, 3)
         begun = self.new_record(poses[:, 0]) if record is None else np.tile(record, (count, 1))
         own, guard = self._parts(begun)
-
-        def over() -> NDArray[np.bool_]:
-            return (own[:, 0] > 0) if guard is None else (own[:, 0] > 0) | (guard[:, 3] > 0)
-
-        settled = np.where(over(), 0, max(steps - 1, 0))
+        before = _over(own, guard)
+        settled = np.where(before, 0, max(steps - 1, 0))
         with one_core(count < WORTH_SHARING):
             for step, interval in enumerate(_intervals(trajectory, poses, self.scored_by)):
-                running = ~over()
                 self._add_guarded(own, guard, interval)
-                settled[running & over()] = step
+                over = _over(own, guard)
+                settled[over & ~before], before = step, over
         if trajectory.segment is not None:
             settled = trajectory.segment[settled]
         judged = replace(self._score_guarded(own, guard), segment=settled)
@@ -343,6 +342,11 @@ class Task(Checked):
         """Return name and settings, enough to make the same task again."""
         settings: dict[str, Any] = asdict(self) if is_dataclass(self) else {}
         return {"name": self.name, "settings": settings}
+
+
+def _over(own: NDArray[np.float64], guard: NDArray[np.float64] | None) -> NDArray[np.bool_]:
+    """Return which trials [K] are over, by the parts of their records."""
+    return (own[:, 0] > 0) if guard is None else (own[:, 0] > 0) | (guard[:, 3] > 0)
 
 
 def _intervals(

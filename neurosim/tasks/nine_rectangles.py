@@ -44,6 +44,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.base.se2 import compiled as se2
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
@@ -81,7 +82,7 @@ class NineRectangles(Task):
     """
 
     penalty: Annotated[float, Meta(ge=0, le=1000000)] = 32.0
-    longest_arc: Metres = 1.5
+    longest_arc: Metres = LONGEST_ARC
     length: Metres = 0.80
     width: Metres = 0.50
     course: tuple[tuple[_Number, ...], ...] = ((1, 2, 3), (0, -1, 4), (7, 6, 5))

@@ -37,7 +37,7 @@ class ByHand:
             type_in: shows a message and returns the answer; by default on stderr and from stdin.
         """
         self._controller, self._type_in = controller, type_in or answer_to
-        unit = getattr(task, "fitness_unit", "")
+        unit = "" if task is None else task.fitness_unit
         self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
 
     def describe(self) -> dict[str, Any]:
@@ -46,8 +46,8 @@ class ByHand:
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
         """Show the individual [G], and return the fitness that is typed."""
-        named = getattr(self._controller, "named", None)
-        given = named(genes) if named else {f"gene {n}": v for n, v in enumerate(genes.tolist())}
+        given = self._controller.named(genes)
+        given = given or {f"gene {n}": v for n, v in enumerate(genes.tolist())}
         shown = json.dumps({name: float(f"{value:.4g}") for name, value in given.items()})
         asked = f"Trial {number + 1}: {shown}\n{self._asked}"
         while True:

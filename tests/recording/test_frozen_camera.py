@@ -23,7 +23,7 @@ from neurosim.recording.record import RecordSettings, record
 from neurosim.recording.session import SeenToStand
 from neurosim.robots.nxt.driver import NXT
 from tracking.camera.camera_model import CameraModel
-from tracking.camera.cameras import OpenCVCamera
+from tracking.camera.cameras import Camera, OpenCVCamera
 from tracking.datasets.recordings import Recording
 
 SIZE, FPS = (320, 240), 30.0
@@ -131,10 +131,10 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
 # The same picture again and again
 
 
-class Still:
+class Still(Camera):
     """The lab's camera, whose picture stays as it is from some time of the lab on."""
 
-    waits, failed, stalled = True, False, False
+    waits = True
 
     def __init__(self, rig, since, noise=0.0):
         self._rig, self._since, self._noise = rig, since, noise

@@ -276,7 +276,7 @@ def test_one_that_was_killed_before_its_poses_gets_them_when_it_is_resumed(tmp_p
 def test_a_camera_that_stops_ends_the_session_at_once(tmp_path):
     def dying(rig):
         look = rig.camera.look
-        rig.camera.failed = False
+        rig.camera.looked_after = True
 
         def until(*what):
             if rig.lab.time < 5.0:

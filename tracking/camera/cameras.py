@@ -7,7 +7,7 @@ import threading
 import time as _time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import cv2
 import numpy as np
@@ -30,32 +30,42 @@ _RAW = [cv2.VIDEOWRITER_PROP_RAW_VIDEO, 1]
 OnFrame = Callable[[float, np.ndarray], None]
 
 
-class Camera(Protocol):
+class Camera:
     """Whatever delivers frames: camera time in seconds, and the picture, BGR [H, W, 3] uint8.
 
-    A delivered frame belongs to the receiver: the camera does not write to it again. A camera may
-    say ``waits = True``: it makes the next frame only when this one was taken, so that none need
-    be passed over; ``failed = True`` once it stopped by itself; and ``stalled = True`` while no
-    frame has come for longer than :data:`STALLED`.
+    A delivered frame belongs to the receiver: the camera does not write to it again.
+
+    Attributes:
+        size: width and height of a frame, pixels.
+        fps: frames per second.
+        waits: whether it makes the next frame only when this one was taken, so that none need be
+            passed over.
+        looked_after: whether it may stop or freeze, as one of the virtual lab does not.
+        failed: whether it stopped by itself.
+        stalled: whether no frame has come for longer than :data:`STALLED`.
     """
 
     size: tuple[int, int]
     fps: float
+    waits: bool = False
+    looked_after: bool = True
+    failed: bool = False
+    stalled: bool = False
 
     def start(self, on_frame: OnFrame) -> None:
         """Deliver every frame to ``on_frame`` from now on."""
-        ...
+        raise NotImplementedError
 
     def stop(self) -> None:
         """Deliver no more frames."""
-        ...
+        raise NotImplementedError
 
     def describe(self) -> dict[str, Any]:
         """Return what a recording should say of this camera."""
-        ...
+        raise NotImplementedError
 
 
-class OpenCVCamera:
+class OpenCVCamera(Camera):
     """A webcam, or anything else that OpenCV opens, read in a thread of its own.
 
     A frame's time is when it arrived, on the clock that is handed in; the pipeline's constant
@@ -92,7 +102,6 @@ class OpenCVCamera:
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
         self._arrived = 0.0
-        self.failed = False
 
     @property
     def stalled(self) -> bool:
@@ -165,7 +174,7 @@ def open_camera(
     return OpenCVCamera(int(source) if source.isdigit() else source, now, size, fps)
 
 
-class VideoCamera:
+class VideoCamera(Camera):
     """A video file as a camera: frames at their own pace, from the beginning again at the end.
 
     Frames have the times of the file, so that time goes back where it begins again.
@@ -181,7 +190,6 @@ class VideoCamera:
         self._path = Path(path)
         with Video(path) as video:
             self.size, self.fps = video.size, video.fps
-        self.failed = False
         self._stopped = threading.Event()
         self._thread: threading.Thread | None = None
 

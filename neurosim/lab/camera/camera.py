@@ -12,8 +12,7 @@ import numpy as np
 from neurosim.lab.camera import scene
 from neurosim.lab.camera.optics import Optics
 from neurosim.lab.nxt.params import CameraParams, PrintedLine
-
-OnFrame = Callable[[float, np.ndarray], None]
+from tracking.camera.cameras import Camera, OnFrame
 
 #: An exposure is looked at at these shares of its duration; between them the robot moves evenly.
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -36,7 +35,7 @@ def _seen_by(params: CameraParams) -> tuple[Optics, np.ndarray, np.ndarray]:
     return optics, optics.plane_map(0.0), optics.plane_map(scene.MARKER_HEIGHT)
 
 
-class RoofCamera:
+class RoofCamera(Camera):
     """A camera under the roof that sees the board, its floor and the robot.
 
     The lab moves it through its exposures; :meth:`render` alone makes a picture of anything.
@@ -51,7 +50,7 @@ class RoofCamera:
     """
 
     #: The lab's time stands still while a frame is taken.
-    waits = True
+    waits, looked_after = True, False
 
     def __init__(
         self,
