@@ -14,7 +14,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from neurosim.base.compiled import keep_compiled
+from neurosim.base.compiled import keep_compiled_later
 
 __version__ = "0.1.0"
 
@@ -54,8 +54,7 @@ _PUBLIC = {
     "UserError": "neurosim.base.errors",
 }
 
-# Before anything imports Numba.
-keep_compiled(Path(__file__).parent, Path(__file__).parents[1] / "tracking")
+keep_compiled_later(Path(__file__).parent, Path(__file__).parents[1] / "tracking")
 
 #: What can be registered by name, and where.
 _REGISTRIES = {

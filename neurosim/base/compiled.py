@@ -6,11 +6,42 @@ import atexit
 import hashlib
 import os
 import shutil
+import sys
 import tempfile
 from pathlib import Path
+from typing import Any
 
 #: Folders of machine code are named after it and what they were compiled from.
 _PREFIX = "neurosim-compiled-"
+
+
+#: Folders of sources, until :func:`keep_compiled` has named where their machine code is kept.
+_later: list[Path] = []
+
+
+class _BeforeNumba:
+    """Has the folder named when Numba is imported: that takes a moment, and not all need it."""
+
+    @staticmethod
+    def find_spec(name: str, path: Any = None, target: Any = None) -> None:
+        """Find no module, and see that Numba is asked for."""
+        if name == "numba":
+            _named_now()
+
+
+def keep_compiled_later(*packages: Path) -> None:
+    """Have :func:`keep_compiled` called before Numba is imported, or now if it is already."""
+    _later.extend(packages)
+    sys.meta_path.insert(0, _BeforeNumba)
+    if "numba" in sys.modules:
+        _named_now()
+
+
+def _named_now() -> None:
+    packages = tuple(_later)
+    _later.clear()
+    if packages:
+        keep_compiled(*packages)
 
 
 def keep_compiled(*packages: Path) -> None:
@@ -46,6 +77,7 @@ def keep_compiled(*packages: Path) -> None:
 
 def compiled_ahead() -> Path:
     """Return the file that says that all that a demo needs is compiled, beside the machine code."""
+    _named_now()
     return Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled-ahead"
 
 

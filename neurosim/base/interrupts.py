@@ -21,13 +21,13 @@ SIGNALS = [
 
 
 #: A process that was asked to end is ended after so long, s; where something runs that must not be
-#: interrupted (a generation, a compiled loop), after so long.
+#: interrupted (a generation, a compiled loop), after so long, unless it is only being compiled.
 PATIENCE, LONGEST = 4.0, 60.0
 
 #: The one that asked last.
 _last = [int(signal.SIGINT)]
-#: How often it was asked, since :func:`forget_signals`.
-_asked = [0]
+#: How often it was asked since :func:`forget_signals`; whether :func:`_watch` waits for its end.
+_asked, _watched = [0], [False]
 #: Whether something runs in the main thread that is not to be interrupted.
 _outer = [False]
 #: How many things run that end by themselves before they answer, and when the last one ended.
@@ -47,6 +47,13 @@ def own_process() -> None:
     for number in SIGNALS:
         if signal.getsignal(number) != signal.SIG_IGN:
             signal.signal(number, lambda number, frame: end_now(number))
+    # Python runs handlers between two of its own steps, and a compiler may take a minute for one.
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    signal.set_wakeup_fd(writer, warn_on_full_buffer=False)
+    if hasattr(os, "register_at_fork"):  # what a child is asked is not asked of this process
+        os.register_at_fork(after_in_child=lambda: signal.set_wakeup_fd(-1))
+    threading.Thread(target=_watch, args=(reader,), name="end", daemon=True).start()
     ignored = sys.unraisablehook
 
     def again(unraisable: Any) -> None:
@@ -66,7 +73,7 @@ def asked_to_end() -> bool:
 
 def forget_signals() -> None:
     """Take what was asked so far for answered, as by a program that Ctrl-C ends as it should."""
-    _asked[0] = 0
+    _asked[0], _watched[0] = 0, False
 
 
 def ended_as_usual() -> None:
@@ -116,24 +123,37 @@ def _quietly(stop: Callable[[], object]) -> None:
 
 
 def _note(number: int) -> None:
-    """Note that a signal asked to end, and see to it that the process does."""
+    """Note that a signal asked to end."""
     _last[0] = number
     _asked[0] += 1
-    if _asked[0] == 1 and _own_process[0]:
-        threading.Thread(target=_watch, name="end", daemon=True).start()
 
 
-def _watch() -> None:
-    began = time.monotonic()
-    while _asked[0]:
-        now = time.monotonic()
-        if _outer[0] or _deferring[0]:
-            late = now > began + LONGEST
-        else:
-            late = now > max(began, _deferred_until[0]) + PATIENCE
-        if late:
-            end_now(_last[0])
-        time.sleep(0.1)
+def _watch(reader: int) -> None:
+    """End the process if it does not end in time after a signal, whose number comes from a pipe."""
+    while True:
+        number = os.read(reader, 1)[0]
+        began, _watched[0] = time.monotonic(), number in SIGNALS
+        while _watched[0]:
+            now = time.monotonic()
+            if _outer[0] or _deferring[0]:
+                late = now > began + (PATIENCE if _compiles() else LONGEST)
+            else:
+                late = now > max(began, _deferred_until[0]) + PATIENCE
+            if late:
+                end_now(number)
+            time.sleep(0.1)
+
+
+def _compiles() -> bool:
+    """Return whether Numba compiles something: that takes long, and ending it loses nothing."""
+    module = sys.modules.get("numba.core.compiler_lock")
+    if module is None:
+        return False
+    lock = module.global_compiler_lock._lock  # its own is_locked() asks about this thread alone
+    free = lock.acquire(blocking=False)
+    if free:
+        lock.release()
+    return not free
 
 
 def answer_signals() -> None:

@@ -142,11 +142,12 @@ def main() -> None:
     try:
         # A closed terminal or a kill must stop the motors as Ctrl-C does.
         answer_signals()
-        cli.main(standalone_mode=False)
-        if asked_to_end():  # as the last line was written: what follows must not go on
+        code = cli.main(standalone_mode=False)  # that of a verb that ends with exit()
+        if asked_to_end() and not code:  # as the last line was written
             _interrupted()
-    except click.exceptions.Exit as stop:
-        sys.exit(stop.exit_code)
+        ignore_signals()
+        if code:
+            sys.exit(code)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
@@ -164,20 +165,18 @@ def main() -> None:
         # The reader of a pipe went away (head, less): not worth a word.
         sys.stderr.close()
         sys.exit(1)
-    except RuntimeError as error:
-        if not str(error).startswith("Symlink loop"):  # as Path.resolve says it
-            raise
-        click.echo(f"neurosim: a link leads to itself: {str(error).split(' from ')[-1]}", err=True)
-        sys.exit(1)
     except OSError as error:
         # Disk full, no permission: the user's to put right, and the file is named.
         where = f": {error.filename}" if error.filename else ""
         click.echo(f"neurosim: {error.strerror or error}{where}", err=True)
         sys.exit(1)
-    except Exception:
-        if not asked_to_end():
+    except Exception as error:
+        if asked_to_end():  # it came out of a compiler as another error
+            _interrupted()
+        if not str(error).startswith("Symlink loop"):  # as Path.resolve says it
             raise
-        _interrupted()  # it came out of a compiler as another error
+        click.echo(f"neurosim: a link leads to itself: {str(error).split(' from ')[-1]}", err=True)
+        sys.exit(1)
 
 
 def _interrupted() -> NoReturn:

@@ -40,6 +40,20 @@ def test_or_in_the_users_cache_or_in_a_folder_of_the_process(kept, tmp_path, mon
     folder.rmdir()
 
 
+def test_the_folder_is_named_when_numba_is_imported_and_not_before():
+    program = (
+        "import os, neurosim\nprint(os.environ.get('NUMBA_CACHE_DIR'))\n"
+        "import numba.core.config\nprint(numba.core.config.CACHE_DIR)\n"
+        "from neurosim.base.compiled import compiled_ahead\nprint(compiled_ahead().parent)"
+    )
+    env = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    done = subprocess.run([sys.executable, "-c", program], env=env, capture_output=True, text=True)
+    before, used, ahead = done.stdout.splitlines()
+    assert before == "None"
+    assert Path(used).name.startswith("neurosim-compiled-")
+    assert used == ahead
+
+
 @pytest.mark.slow
 def test_an_edited_function_that_a_compiled_one_calls_is_compiled_anew(tmp_path):
     (tmp_path / "callee.py").write_text(

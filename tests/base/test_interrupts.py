@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 
+import click
 import pytest
 from patience import PATIENCE
 
@@ -190,6 +191,22 @@ with interrupts.deferred_interrupt():
     time.sleep(30)
 """
 
+#: A generation whose loops are compiled is not waited for.
+COMPILING = """
+from numba.core.compiler_lock import global_compiler_lock
+interrupts.LONGEST = 1000.0
+with interrupts.deferred_interrupt(), global_compiler_lock:
+    send(signal.SIGTERM)
+    time.sleep(30)
+"""
+
+#: Machine code runs for minutes, and Python no handler of signals.
+DEAF = """
+import hashlib, threading
+threading.Timer(0.2, send, (signal.SIGTERM,)).start()
+hashlib.pbkdf2_hmac("sha256", b"", b"", 300_000_000)
+"""
+
 #: As Numba's compiler, which calls Python from machine code: what is raised there is printed.
 CALLBACK = """
 called = ctypes.CFUNCTYPE(None)(lambda: send(signal.SIGHUP))
@@ -213,6 +230,8 @@ with interrupts.uninterrupted():
     [
         (STUBBORN, signal.SIGTERM, "stopped"),
         (DEFERRED, signal.SIGTERM, ""),
+        (COMPILING, signal.SIGTERM, ""),
+        (DEAF, signal.SIGTERM, ""),
         (CALLBACK, signal.SIGHUP, ""),
         (THIRD, signal.SIGQUIT, ""),
     ],
@@ -262,6 +281,39 @@ def test_what_was_asked_is_not_forgotten_at_the_end(monkeypatch, capsys):
     assert stop.value.code == 128 + signal.SIGTERM
     assert capsys.readouterr().err == f"{INTERRUPTED}\n"
     assert signal.getsignal(signal.SIGTERM) != signal.SIG_IGN  # this process goes on
+
+
+@pytest.mark.parametrize("asked", [False, True])
+def test_a_verb_that_says_why_it_ends_is_its_only_line_and_code(monkeypatch, capsys, asked):
+    @main_module.cli.command("ends")
+    def ends():
+        if asked:
+            _swallow(signal.SIGTERM)
+        click.echo("why", err=True)
+        click.get_current_context().exit(exit_code() if asked else 1)
+
+    monkeypatch.setattr(sys, "argv", ["neurosim", "ends"])
+    try:
+        with pytest.raises(SystemExit) as stop:
+            main_module.main()
+    finally:
+        del main_module.cli.commands["ends"]
+    assert stop.value.code == (128 + signal.SIGTERM if asked else 1)
+    assert capsys.readouterr().err == "why\n"
+
+
+def test_any_error_that_comes_out_of_an_interrupted_compiler_is_an_interruption(
+    monkeypatch, capsys
+):
+    def compiles(**options):
+        _swallow(signal.SIGINT)
+        raise RuntimeError("no compiled object yet")
+
+    monkeypatch.setattr(main_module.cli, "main", compiles)
+    with pytest.raises(SystemExit) as stop:
+        main_module.main()
+    assert stop.value.code == 130
+    assert capsys.readouterr().err == f"{INTERRUPTED}\n"
 
 
 def _swallow(number):
