@@ -36,7 +36,7 @@ from numpy.typing import NDArray
 from neurosim.base.errors import UserError
 from neurosim.lab import VirtualRig, read_truth
 from neurosim.recording.commands import RandomCommands
-from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.recording.record import Guard, RecordSettings, Rig, record
 from neurosim.training.train import train
 from tracking.camera.camera_model import CameraModel
 from tracking.clock.motion import fit_clock_to_motion
@@ -103,8 +103,8 @@ def drive(folder: Path, seed: int) -> Recording:
     """Record 40 commands of a robot of the lab, without a camera."""
     with VirtualRig(seed, noise_seed=100 + seed, camera=False) as rig:
         return record(
-            folder, rig.robot, None, RandomCommands(seed=seed), RecordSettings(40),
-            finish=rig.write_truth, lab=rig.describe(), say=lambda message: None,
+            folder, Rig.of_lab(rig), RandomCommands(seed=seed), RecordSettings(40),
+            say=lambda message: None,
         )  # fmt: skip
 
 
@@ -112,9 +112,8 @@ def correction(folder: Path) -> list[dict[str, Any]]:
     """Train on a drive with its delay corrected and without; return the held-out errors."""
     with VirtualRig(3, noise_seed=103, camera=False) as rig:
         drive = record(
-            folder / "drive", rig.robot, None, RandomCommands(seed=3),
-            RecordSettings(500, Guard("ignore")),
-            finish=rig.write_truth, lab=rig.describe(), say=lambda message: None,
+            folder / "drive", Rig.of_lab(rig), RandomCommands(seed=3),
+            RecordSettings(500, Guard("ignore")), say=lambda message: None,
         )  # fmt: skip
     times, poses = seen(drive, 0.0, np.random.default_rng(0))
     count, rows = len(times), []
@@ -194,8 +193,8 @@ def film(folder: Path, seed: int) -> dict[str, Any]:
         rig.radio.brick = heard = Heard(rig)
         optics, params = rig.camera.optics, rig.camera.params
         record(
-            folder, rig.robot, rig.camera, RandomCommands(seed=seed), RecordSettings(15),
-            live=False, finish=rig.write_truth, lab=rig.describe(), say=lambda message: None,
+            folder, Rig.of_lab(rig), RandomCommands(seed=seed), RecordSettings(15),
+            live=False, say=lambda message: None,
         )  # fmt: skip
     model = CameraModel(
         params.size, optics.matrix, optics.distortion, optics.rotation, optics.translation

@@ -58,6 +58,7 @@ from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import evolve
 from neurosim.loop.replan import Replanner, ReplanSettings
 from neurosim.loop.settings import RobustSettings, default_settings
+from neurosim.recording.settings import Rig
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.go_to import GoTo, anywhere
@@ -294,11 +295,9 @@ class Prepared:
             report = run_trial(
                 folder / name,
                 out,
-                rig.robot,
-                rig.camera,
+                Rig.of_lab(rig),
                 track=track,
                 calibration=calibration,
-                lab=rig.describe(),
                 **how,
             )
         (out / "video-001.avi").unlink()

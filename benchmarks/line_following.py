@@ -31,7 +31,7 @@ from neurosim.controllers import SavedController
 from neurosim.lab import PrintedLine, VirtualRig
 from neurosim.loop.evaluate import Evaluator
 from neurosim.recording.commands import RandomCommands
-from neurosim.recording.record import record
+from neurosim.recording.record import Rig, record
 from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.simulators import MotionNetwork
 from neurosim.tasks.follow_line import FollowLine
@@ -91,7 +91,7 @@ def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) 
         how = RecordSettings(options.commands, Guard(by="position"), readings=True)
         source = RandomCommands(seed=seed)
         known = folder / "calibration.json"
-        record(folder / "recording", rig.robot, rig.camera, source, how, calibration=known)
+        record(folder / "recording", Rig.of_lab(rig), source, how, calibration=known)
     build([folder / "recording"], folder / "dataset")
     simulator = ns.train(folder / "dataset", folder / "simulator", seed=seed)
     assert isinstance(simulator, MotionNetwork)
@@ -129,7 +129,7 @@ def drive(
     line = PrintedLine(task.line)
     with VirtualRig(seed, noise_seed=1000 + number, start=at, camera=False, line=line) as rig:
         try:
-            record(folder / f"drive-{number}", rig.robot, None, source, how)
+            record(folder / f"drive-{number}", Rig(rig.robot), source, how)
         except UserError as error:
             print(f"robot {seed}, drive {number}: {error}", file=sys.stderr)
         truth = rig.lab.truth

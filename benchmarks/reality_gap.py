@@ -31,6 +31,7 @@ from neurosim.lab.camera.photographs import SQUARE, render_photographs
 from neurosim.lab.nxt.params import CameraParams
 from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
+from neurosim.recording.settings import Rig
 from neurosim.training.train import train
 from neurosim.trials.trial import run_trial
 from tracking.camera.calibrate import calibrate
@@ -103,11 +104,9 @@ def one_seed(folder: Path, calibration: Path, seed: int, options: argparse.Names
                 report = run_trial(
                     controller,
                     trial,
-                    rig.robot,
-                    rig.camera,
+                    Rig.of_lab(rig),
                     track=track,
                     calibration=calibration,
-                    lab=rig.describe(),
                 )
             (trial / "video-001.avi").unlink()
             drives.append(

@@ -48,7 +48,7 @@ from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings, RobustSettings
 from neurosim.recording.commands import Command, FixedCommands
-from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.recording.record import Guard, RecordSettings, Rig, record
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 from neurosim.simulators import read_simulator
 from neurosim.simulators.base import Simulator
@@ -277,7 +277,7 @@ def drive_brick(given: list, lab_seed: int, seed: int) -> bool:
         VirtualRig(lab_seed, noise_seed=seed, start=TASK.start, camera=False) as rig,
     ):
         out = Path(folder) / "drive"
-        record(out, rig.robot, None, FixedCommands(commands), settings, say=lambda _: None)
+        record(out, Rig(rig.robot), FixedCommands(commands), settings, say=lambda _: None)
         lines = [line for line in Recording(out).commands().itertuples() if line.is_motor]
         truth = rig.lab.truth
     boundaries = [line.time for line in lines][: len(commands) + 1]

@@ -155,16 +155,13 @@ def record(
     with opened(seed + 1000 * session, None) as (rig, on_seen):
         recording = record_(
             out,
-            rig.robot,
-            rig.camera,
+            rig,
             commands,
             how,
             calibration=calibration,
             live=live,
             on_seen=on_seen,
             resume=resume,
-            finish=rig.finish,
-            lab=rig.lab,
             options=given_options(),
         )
     result = _summary(out, how.commands, [recording])

@@ -112,15 +112,12 @@ def run(
         report = run_trial(
             controller,
             out,
-            rig.robot,
-            rig.camera,
+            rig,
             track=track,
             calibration=calibration,
             # A plan may lead near the edge; it must not lead over it.
             guard=Guard(at_line, margin=0.05, **guard),
             settings={"markers": marked, **settings},
-            finish=rig.finish,
-            lab=rig.lab,
             replan=again,
             seed=seed,
         )

@@ -29,7 +29,7 @@ from neurosim.cli._robots import robot_option_of, without_camera
 from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
-    from neurosim.trials.rig import Rig
+    from neurosim.recording.settings import Rig
 
 _PROMPTS = {
     "wall": "Put the robot in front of a long wall, facing it and touching it, and press Enter",

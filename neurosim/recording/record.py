@@ -20,7 +20,7 @@ from neurosim.recording.agreement import Pictures
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
 from neurosim.recording.commands import CommandSource, SeeingSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
-from neurosim.recording.settings import Guard, RecordSettings
+from neurosim.recording.settings import Guard, RecordSettings, Rig
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Robot, Sensors
 from tracking.camera.camera_model import CameraModel
@@ -31,13 +31,12 @@ from tracking.poses import marker_geometry
 from tracking.sightings import seen_live
 from tracking.track import describe_doubtful, track
 
-__all__ = ["BatteryLow", "Guard", "RecordSettings", "record"]
+__all__ = ["BatteryLow", "Guard", "RecordSettings", "Rig", "record"]
 
 
 def record(
     out: str | Path,
-    robot: Robot,
-    camera: Camera | None,
+    rig: Rig,
     source: CommandSource | SeeingSource,
     settings: RecordSettings,
     *,
@@ -45,8 +44,6 @@ def record(
     live: bool = True,
     on_seen: Callable[[Seen], None] | None = None,
     resume: bool = False,
-    finish: Callable[[Path, int], None] | None = None,
-    lab: dict[str, Any] | None = None,
     options: Mapping[str, Any] | None = None,
     say: Callable[[str], None] = lambda message: print(message, file=sys.stderr, flush=True),
 ) -> Recording:
@@ -54,8 +51,8 @@ def record(
 
     Args:
         out: folder of the recording; new, or with ``resume`` one that was interrupted.
-        robot: the robot, not connected yet; its motors are stopped whatever happens.
-        camera: what films it, or None (a video from elsewhere is joined when tracking).
+        rig: the robot, not connected yet, and its camera, if it has one (a video from elsewhere is
+            joined when tracking).
         source: where commands come from; one that sees is asked in closed loop.
         settings: the rest.
         calibration: calibration.json of the camera, copied into the recording.
@@ -63,9 +60,6 @@ def record(
             kept on the board by its position, and poses.csv is there when the recording ends.
         on_seen: is shown every frame that was tracked.
         resume: go on where the recording stopped, in a new session.
-        finish: called with (folder, session) when the session's files are closed, whatever
-            happened; the virtual lab writes its truth there.
-        lab: what the virtual lab was made with, or None for a real robot.
         options: kept in recording.json, for whoever resumes.
         say: takes messages for the user.
 
@@ -76,13 +70,13 @@ def record(
         BatteryLow: if the battery fell below the limit.
         CameraLost: if the camera delivers no more frames; the robot was stopped at once.
     """
-    out = Path(out)
+    out, robot, camera = Path(out), rig.robot, rig.camera
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
     _check_guard(settings, robot, camera, live and calibration is not None)
     if isinstance(source, SeeingSource):
         _check_source(source, robot, camera if live else None, calibration, resume)
-    wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": lab}
+    wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": rig.lab}
     if options is not None:
         wanted["options"] = dict(options)
     if resume:
@@ -152,8 +146,8 @@ def record(
                         recording.meta["stopped"] = driven.stopped.describe()
                     recording.save_meta()
         finally:
-            if finish is not None:
-                finish(out, session)
+            if rig.finish is not None:
+                rig.finish(out, session)
         if camera is not None and camera.failed:
             # After the last command: what is missing is the end of the video.
             raise UserError(

@@ -89,8 +89,8 @@ def record_rounds(
     Args:
         out: the folder of the rounds.
         opened: opens robot and camera for a session, from the seed of its noise and where the
-            robot stands; gives the rig (:class:`neurosim.trials.rig.Rig`), and what to show every
-            frame to, or None.
+            robot stands; gives the rig (:class:`neurosim.recording.settings.Rig`), and what to
+            show every frame to, or None.
         source: of random commands, among which is chosen.
         settings: of the whole recording.
         rounds: their sizes.
@@ -153,16 +153,13 @@ def record_rounds(
                 with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
                     there = record(
                         folder,
-                        rig.robot,
-                        rig.camera,
+                        rig,
                         chosen,
                         replace(settings, commands=len(indices)),
                         calibration=calibration,
                         live=live,
                         on_seen=on_seen,
                         resume=begun,
-                        finish=rig.finish,
-                        lab=rig.lab,
                         options=options,
                     )
             if not there.is_tracked:

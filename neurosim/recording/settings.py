@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from msgspec import Meta
@@ -17,6 +19,8 @@ from neurosim.base.declared import (
     Seconds,
     SecondsOrNone,
 )
+from neurosim.robots.base import Robot
+from tracking.camera.cameras import Camera
 from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
 
 
@@ -51,6 +55,32 @@ class Guard(Checked):
     margin: MetresOrNone = 0.12
     unseen: Seconds = 1.0
     by: Literal["both", "position"] = "both"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """A robot, and what films it.
+
+    Attributes:
+        robot: its driver; its motors are stopped whatever happens. That of a real robot is
+            connected, as is a virtual one inside ``with``.
+        camera: what films it, or None.
+        finish: what is to be called with (folder, session) when a session's files are closed,
+            whatever happened, or None; the virtual lab writes its truth there.
+        lab: what makes the same virtual lab again; None for a real robot.
+        place: puts a virtual robot at a pose (m, m, rad); None for a real one, which a person puts.
+    """
+
+    robot: Robot
+    camera: Camera | None = None
+    finish: Callable[[Path, int], None] | None = None
+    lab: dict[str, Any] | None = None
+    place: Callable[..., None] | None = None
+
+    @classmethod
+    def of_lab(cls, rig: Any) -> Rig:
+        """Return that of a :class:`neurosim.lab.VirtualRig`."""
+        return cls(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
 
 
 @dataclass(frozen=True)

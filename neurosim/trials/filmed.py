@@ -21,6 +21,7 @@ from neurosim.base.trajectory import Tracked, planned
 from neurosim.controllers import SavedController
 from neurosim.controllers.base import WHEELS
 from neurosim.lab import LabParams, VirtualRig
+from neurosim.recording.settings import Rig
 from neurosim.robots.base import Proximity, Robot
 from neurosim.simulators.sampling import trial_steps
 from neurosim.trials.driver import missing
@@ -121,11 +122,15 @@ class Driven:
             given = active[0]
         with (
             tempfile.TemporaryDirectory() as name,
-            self._opened(number, Path(name)) as equipment,
+            self._opened(number, Path(name)) as (rig, calibration),
         ):
             self._saved(genes).write(Path(name) / "controller")
             report = run_trial(
-                Path(name) / "controller", Path(name) / "trial", track=track, **equipment
+                Path(name) / "controller",
+                Path(name) / "trial",
+                rig,
+                track=track,
+                calibration=calibration,
             )
         actual = report["actual"]
         seen = np.array([[np.nan] * 3 if pose is None else pose for pose in actual["poses"]])
@@ -148,13 +153,9 @@ class Driven:
         return replace(saved, predicted=nothing)
 
     @contextmanager
-    def _opened(self, number: int, folder: Path) -> Iterator[dict[str, Any]]:
-        """Give the robot and the camera of a trial, as ``run_trial`` takes them."""
-        yield {
-            "robot": self._robot,
-            "camera": self._camera,
-            "calibration": self._calibration,
-        }
+    def _opened(self, number: int, folder: Path) -> Iterator[tuple[Rig, Path | str]]:
+        """Give the robot and the camera of a trial, and the camera's calibration."""
+        yield Rig(self._robot, self._camera), self._calibration
 
 
 class VirtualNxt(Driven):
@@ -216,7 +217,7 @@ class VirtualNxt(Driven):
         }
 
     @contextmanager
-    def _opened(self, number: int, folder: Path) -> Iterator[dict[str, Any]]:
+    def _opened(self, number: int, folder: Path) -> Iterator[tuple[Rig, Path | str]]:
         noise = int(np.random.default_rng([self._seed, number, 0x0271]).integers(2**31))
         with VirtualRig(
             self._lab_seed,
@@ -229,12 +230,7 @@ class VirtualNxt(Driven):
             o, calibration = rig.camera.optics, folder / "calibration.json"
             model = CameraModel(SIZE, o.matrix, o.distortion, o.rotation, o.translation)
             model.write(calibration)
-            yield {
-                "robot": rig.robot,
-                "camera": rig.camera,
-                "calibration": calibration,
-                "lab": rig.describe(),
-            }
+            yield Rig.of_lab(rig), calibration
 
 
 @contextmanager

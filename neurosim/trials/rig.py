@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -26,13 +25,13 @@ from neurosim.lab import (
     VirtualRig,
 )
 from neurosim.lab.khepera.rig import START
-from neurosim.robots.base import Robot
+from neurosim.recording.settings import Rig
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.registry import ROBOTS
 from neurosim.tasks.files import read_task
 from neurosim.tasks.follow_line import FollowLine
 from neurosim.tasks.registry import make_task
-from tracking.camera.cameras import Camera, open_camera
+from tracking.camera.cameras import open_camera
 
 #: Width or height of a frame, pixels.
 Side = Annotated[int, Meta(ge=120, le=8192)]
@@ -59,26 +58,6 @@ class Setup(Checked):
     seed: Seed = 0
     start: Pose | None = None
     arena: LabArena | None = None
-
-
-@dataclass
-class Rig:
-    """A robot, and what films it.
-
-    Attributes:
-        robot: its driver. That of a real robot is connected, as is a virtual one inside ``with``.
-        camera: what films it, or None.
-        finish: what is to be called with (folder, session) when a session's files are closed, or
-            None; the virtual lab writes its truth there.
-        lab: what makes the same virtual lab again; None for a real robot.
-        place: puts a virtual robot at a pose (m, m, rad); None for a real one, which a person puts.
-    """
-
-    robot: Robot
-    camera: Camera | None
-    finish: Callable[[Path, int], None] | None = None
-    lab: dict[str, Any] | None = None
-    place: Callable[..., None] | None = None
 
 
 @contextmanager
@@ -168,7 +147,7 @@ def virtual(
         ) as rig,
         Pacer(rig.lab) if real_time else nullcontext(),
     ):
-        yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+        yield Rig.of_lab(rig)
 
 
 def printed_line(text: str) -> PrintedLine:

@@ -28,14 +28,13 @@ from neurosim.controllers import SavedController, read_controller
 from neurosim.loop.replan import Foreseen, ReplanSettings
 from neurosim.recording.commands import Command, CommandSource, FixedCommands, SeeingSource
 from neurosim.recording.perimeter import Stop
-from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.recording.record import Guard, RecordSettings, Rig, record
 from neurosim.robots.base import Counters, Robot, WholeSpeeds
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
 from neurosim.trials.driver import Driver, Replanned, missing, plan_of
 from tracking.camera.camera_model import CameraModel
-from tracking.camera.cameras import Camera
 from tracking.datasets.displacements import Track
 from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
 
@@ -50,15 +49,12 @@ Pose = list[float] | None
 def run_trial(
     controller: str | Path,
     out: str | Path,
-    robot: Robot,
-    camera: Camera | None,
+    rig: Rig,
     *,
     track: Callable[[Path], Any] | None = None,
     calibration: str | Path | None = None,
     guard: Guard = Guard(at_line="end", margin=0.05),  # noqa: B008 - frozen
     settings: dict[str, Any] | None = None,
-    finish: Callable[[Path, int], None] | None = None,
-    lab: dict[str, Any] | None = None,
     replan: tuple[Simulator, ReplanSettings] | None = None,
     seed: int = 0,
 ) -> dict[str, Any]:
@@ -74,13 +70,11 @@ def run_trial(
     Args:
         controller: folder of a controller of any kind.
         out: folder of the trial; new.
-        robot: standing at the controller's start pose.
-        camera: what films it, or None.
+        rig: the robot, standing at the controller's start pose, and what films it.
         track: tracks the recording in a folder, where it was not tracked as it was made.
         calibration: the camera's.
         guard: of the perimeter line.
         settings: of :class:`~neurosim.recording.record.RecordSettings`, beside commands and guard.
-        finish, lab: as :func:`neurosim.recording.record.record` takes them.
         replan: the simulator in which a plan is planned again after every command, and how; None:
             it is not.
         seed: of that.
@@ -92,7 +86,7 @@ def run_trial(
         UserError: if anything on the way is not what it should be; before anything moves, if the
             robot lacks what the controller or the task needs.
     """
-    saved = read_controller(controller)
+    saved, robot, camera = read_controller(controller), rig.robot, rig.camera
     task = make_task(saved.task)
     if calibration is not None and not CameraModel.read(calibration).has_board:
         raise UserError(
@@ -118,13 +112,10 @@ def run_trial(
     board = {} if known is None else {"board": asdict(known.board)}
     record(
         out,
-        robot,
-        camera,
+        rig,
         source,
         RecordSettings(count, guard, **{**_size_of(robot), **board, **(settings or {})}),
         calibration=calibration,
-        finish=finish,
-        lab=lab,
     )
     if isinstance(source, Replanned):
         _write_foreseen(Path(out) / FORESEEN, source.replanner.foreseen)

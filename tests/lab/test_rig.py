@@ -11,12 +11,12 @@ from patience import PATIENCE, wait_until
 from neurosim.lab import Pacer, VirtualRig
 from neurosim.lab.nxt import world
 from neurosim.recording.commands import RandomCommands
-from neurosim.recording.record import RecordSettings, record
+from neurosim.recording.record import RecordSettings, Rig, record
 
 
 def recorded(folder, **options):
     with VirtualRig(1, noise_seed=3, camera=False, **options) as rig:
-        record(folder, rig.robot, None, RandomCommands(seed=3), RecordSettings(12))
+        record(folder, Rig(rig.robot), RandomCommands(seed=3), RecordSettings(12))
         return rig.lab.body.pose.copy()
 
 
@@ -31,7 +31,7 @@ def test_a_socket_does_what_a_device_file_does(tmp_path):
 
 def test_other_noise_leads_elsewhere(tmp_path):
     with VirtualRig(1, noise_seed=4, camera=False) as rig:
-        record(tmp_path / "r", rig.robot, None, RandomCommands(seed=3), RecordSettings(12))
+        record(tmp_path / "r", Rig(rig.robot), RandomCommands(seed=3), RecordSettings(12))
         assert np.abs(rig.lab.body.pose - recorded(tmp_path / "same"))[:2].max() > 1e-3
 
 

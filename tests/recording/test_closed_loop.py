@@ -7,7 +7,7 @@ import pytest
 
 from neurosim.base.errors import UserError
 from neurosim.recording.commands import Command
-from neurosim.recording.record import BatteryLow, Guard, RecordSettings, record
+from neurosim.recording.record import BatteryLow, Guard, RecordSettings, Rig, record
 from neurosim.robots.base import Geometry
 from tracking.datasets.recordings import Recording
 
@@ -117,7 +117,7 @@ class Source:
 
 def drive(folder, robot, source, *, at_line="ignore", **options):
     said, settings = [], RecordSettings(source.steps, Guard(at_line))
-    return record(folder, robot, None, source, settings, say=said.append, **options), said
+    return record(folder, Rig(robot), source, settings, say=said.append, **options), said
 
 
 def test_commands_follow_from_what_is_seen_at_a_steady_rate(tmp_path):

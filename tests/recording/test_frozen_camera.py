@@ -19,7 +19,7 @@ from neurosim.lab.nxt.world import Pacer
 from neurosim.recording.agreement import Agreement, Pictures
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.recording.perimeter import Reckoning
-from neurosim.recording.record import RecordSettings, record
+from neurosim.recording.record import RecordSettings, Rig, record
 from neurosim.recording.session import SeenToStand
 from neurosim.robots.nxt.driver import NXT
 from tracking.camera.camera_model import CameraModel
@@ -180,8 +180,8 @@ def filmed(folder, source, count, *, since=np.inf, noise=0.0, fps=30.0, sensors=
         settings = RecordSettings(count)
         try:
             record(
-                folder / "r", robot, camera, source, settings, calibration=calibration,
-                lab=rig.describe(), say=lambda text: None,
+                folder / "r", Rig(robot, camera, lab=rig.describe()), source, settings,
+                calibration=calibration, say=lambda text: None,
             )  # fmt: skip
         finally:
             outputs = [rig.lab.body.output(port) for port in (1, 2)]

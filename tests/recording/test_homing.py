@@ -7,7 +7,7 @@ import pytest
 from neurosim.lab import VirtualRig
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.homing import Homing
-from neurosim.recording.record import RecordSettings, record
+from neurosim.recording.record import RecordSettings, Rig, record
 
 
 def homing() -> Homing:
@@ -59,7 +59,7 @@ def test_the_robot_stays_on_the_board_and_no_long_run_is_lost(tmp_path, seed):
     """150 commands in the lab, without its camera; the truth says where the robot was."""
     with VirtualRig(seed, noise_seed=seed, camera=False) as rig:
         recording = record(
-            tmp_path / "r", rig.robot, None, RandomCommands(seed=seed), RecordSettings(150)
+            tmp_path / "r", Rig(rig.robot), RandomCommands(seed=seed), RecordSettings(150)
         )
         places = rig.lab.truth.poses
     motor = [line for line in recording.commands().itertuples() if line.is_motor]

@@ -16,7 +16,7 @@ from patience import PATIENCE
 from neurosim.base import files
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
-from neurosim.recording.record import BatteryLow, Guard, RecordSettings, _wanted, record
+from neurosim.recording.record import BatteryLow, Guard, RecordSettings, Rig, _wanted, record
 from neurosim.recording.session import _waiting
 from neurosim.robots import Robot
 from neurosim.robots.khepera.driver import Khepera
@@ -94,9 +94,10 @@ class FakeRobot:
         return {"kind": "fake"}
 
 
-def run(path, robot, commands, source=None, **options):
+def run(path, robot, commands, source=None, finish=None, **options):
     settings = RecordSettings(commands, **options.pop("settings", {}))
-    return record(path, robot, None, source or RandomCommands(seed=3), settings, **options)
+    rig = Rig(robot, finish=finish)
+    return record(path, rig, source or RandomCommands(seed=3), settings, **options)
 
 
 def kinds(recording):

@@ -16,7 +16,7 @@ from patience import PATIENCE, ended_by, wait_until
 from neurosim.base.errors import UserError
 from neurosim.lab import VirtualRig, read_truth
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
-from neurosim.recording.record import Guard, RecordSettings, record
+from neurosim.recording.record import Guard, RecordSettings, Rig, record
 from neurosim.robots.nxt.driver import NXT
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording
@@ -53,13 +53,10 @@ def make(folder, source, count, *, sensors=False, prepare=None, **options):
             prepare(rig)
         made = record(
             folder,
-            robot,
-            rig.camera,
+            replace(Rig.of_lab(rig), robot=robot),
             source,
             RecordSettings(count, **settings),
             calibration=calibration,
-            finish=rig.write_truth,
-            lab=rig.describe(),
             say=said.append,
             **options,
         )

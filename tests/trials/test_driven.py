@@ -18,7 +18,7 @@ from neurosim.controllers.goals import Goals
 from neurosim.lab import Push, VirtualKheperaRig, VirtualRig, read_truth
 from neurosim.loop.replan import ReplanSettings
 from neurosim.recording.commands import Observation
-from neurosim.recording.record import Guard
+from neurosim.recording.record import Guard, Rig
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
@@ -76,10 +76,7 @@ def test_a_network_on_the_nxt_goes_by_its_light_sensors(tmp_path):
     family = Network(("line_left", "line_right"), scale=40.0)
     folder = saved(tmp_path / "c", family, [[20, 0, -8], [0, 20, -8]], FindTheLine(), start)
     with VirtualRig(1, start=start, camera=False) as rig:
-        report = run_trial(
-            folder, tmp_path / "t", rig.robot, None, guard=IGNORE, finish=rig.write_truth,
-            lab=rig.describe(),
-        )  # fmt: skip
+        report = run_trial(folder, tmp_path / "t", Rig.of_lab(rig), guard=IGNORE)
     truth = read_truth(tmp_path / "t")
     assert report["kind"] == "network"
     assert report["virtual"] is True
@@ -101,7 +98,7 @@ def test_a_network_on_the_nxt_goes_by_its_light_sensors(tmp_path):
     assert min(command[0] for command in report["commands"]) < 0
     # The guard that is there by default ends it at the line.
     with VirtualRig(1, start=start, camera=False) as rig:
-        report = run_trial(folder, tmp_path / "guarded", rig.robot, None)
+        report = run_trial(folder, tmp_path / "guarded", Rig.of_lab(rig))
     assert report["ended_early"] is True
     assert report["actual"]["completes"] is False
     assert len(report["commands"]) < 20
@@ -118,10 +115,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
         CameraModel(
             SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
         ).write(calibration)
-        report = run_trial(
-            folder, tmp_path / "t", rig.robot, rig.camera, calibration=calibration,
-            finish=rig.write_truth, lab=rig.describe(),
-        )  # fmt: skip
+        report = run_trial(folder, tmp_path / "t", Rig.of_lab(rig), calibration=calibration)
     truth = read_truth(tmp_path / "t")
     actual = report["actual"]
     assert actual["seen_by"] == "camera"
@@ -163,8 +157,8 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
             SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
         ).write(calibration)
         report = run_trial(
-            folder, tmp_path / "t", rig.robot, rig.camera, calibration=calibration,
-            finish=rig.write_truth, lab=rig.describe(), replan=(SlippingWheels(), how), seed=1,
+            folder, tmp_path / "t", Rig.of_lab(rig), calibration=calibration,
+            replan=(SlippingWheels(), how), seed=1,
         )  # fmt: skip
     truth = read_truth(tmp_path / "t").poses[-1]
     assert math.hypot(*(truth - goal)[:2]) < 0.04
@@ -187,7 +181,7 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     network = saved(tmp_path / "n", Network(("goal_x",)), np.zeros((2, 2)), task)
     with pytest.raises(UserError, match="a network cannot be planned again"):
         run_trial(
-            network, tmp_path / "no", rig.robot, rig.camera, calibration=calibration,
+            network, tmp_path / "no", Rig.of_lab(rig), calibration=calibration,
             replan=(SlippingWheels(), how),
         )  # fmt: skip
     assert not (tmp_path / "no").exists()
@@ -203,7 +197,7 @@ def test_a_network_of_eight_sensors_on_the_khepera_and_its_path_by_odometry(tmp_
     names = tuple(f"sensor_{index}" for index in range(8))
     folder = saved(tmp_path / "c", Network(names), weights, task, start)
     with VirtualKheperaRig(1, start=start) as rig:
-        report = run_trial(folder, tmp_path / "t", rig.robot, None, lab=rig.describe())
+        report = run_trial(folder, tmp_path / "t", Rig(rig.robot, lab=rig.describe()))
         truth = rig.lab.pose
     actual = report["actual"]
     assert actual["seen_by"] == "counters"
@@ -230,7 +224,7 @@ def test_a_plan_is_driven_without_a_camera_where_wheels_are_counted(tmp_path):
     folder = tmp_path / "c"
     SavedController(plan, np.empty(0), task.describe(), start, predicted).write(folder)
     with VirtualKheperaRig(1, start=start) as rig:
-        report = run_trial(folder, tmp_path / "t", rig.robot, None)
+        report = run_trial(folder, tmp_path / "t", Rig(rig.robot))
     assert report["kind"] == "plan"
     assert report["plan_length"] == 3
     assert report["commands"] == [[50.0, 50.0, 1.0], [50.0, -50.0, 0.4]]
@@ -248,7 +242,7 @@ def test_what_is_missing_is_said_before_anything_moves(tmp_path):
         task = FindTheLine()
         folder = saved(tmp_path / "c", Network(names), np.zeros((2, 3)), task)
         with pytest.raises(UserError) as refused:
-            run_trial(folder, tmp_path / "t", robot, None)
+            run_trial(folder, tmp_path / "t", Rig(robot))
         assert str(refused.value) == (
             "the controller needs sensor_3, which this robot (nxt) has not: it reads line_left, "
             "line_right"

@@ -12,7 +12,7 @@ from neurosim.controllers import FixedPlan, Network, SavedController
 from neurosim.lab import VirtualRig
 from neurosim.loop.evaluate import Evaluator
 from neurosim.networks.control import POSE_INPUTS
-from neurosim.recording.record import Guard
+from neurosim.recording.record import Guard, Rig
 from neurosim.reports.report import write_report
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 from neurosim.tasks.go_to import GoTo
@@ -41,11 +41,8 @@ def drive(tmp_path):
             return run_trial(
                 folder,
                 tmp_path / "t",
-                rig.robot,
-                rig.camera,
+                Rig.of_lab(rig),
                 calibration=calibration,
-                finish=rig.write_truth,
-                lab=rig.describe(),
                 **options,
             )
 

@@ -11,7 +11,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.cli.main import cli
 from neurosim.lab import PrintedLine, VirtualRig
 from neurosim.recording.commands import RandomCommands
-from neurosim.recording.record import record
+from neurosim.recording.record import Rig, record
 from neurosim.recording.settings import Guard, RecordSettings
 from neurosim.trials.rig import Setup, open_rig, printed_line
 from neurosim.trials.trial import run_trial
@@ -34,13 +34,10 @@ def made(tmp_path_factory):
         CameraModel(SIZE, *lens).write(folder / "calibration.json")
         record(
             folder / "recording",
-            rig.robot,
-            rig.camera,
+            Rig.of_lab(rig),
             RandomCommands(seed=1),
             RecordSettings(40, POSITION, readings=True),
             calibration=folder / "calibration.json",
-            finish=rig.write_truth,
-            lab=rig.describe(),
         )
     build([folder / "recording"], folder / "dataset")
     ns.train(folder / "dataset", folder / "simulator", members=1, noise=False, progress=False)
@@ -116,11 +113,9 @@ def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp
         report = run_trial(
             tmp_path / "c",
             tmp_path / "t",
-            rig.robot,
-            rig.camera,
+            Rig.of_lab(rig),
             calibration=made / "calibration.json",
             guard=Guard("end", by="position"),
-            lab=rig.describe(),
         )
     assert report["ended_early"] is False
     assert report["actual"]["seen_by"] == "camera"
@@ -144,7 +139,7 @@ def test_without_sensors_it_is_another_simulator(made, tmp_path):
 
 def test_what_cannot_guard_is_refused(tmp_path):
     with VirtualRig(2, camera=False) as rig:
-        args = (tmp_path / "r", rig.robot, None, RandomCommands())
+        args = (tmp_path / "r", Rig(rig.robot), RandomCommands())
         with pytest.raises(UserError, match="by its position"):
             record(*args, RecordSettings(3, POSITION))
     assert not (tmp_path / "r").exists()
