@@ -30,12 +30,8 @@ def errors(simulator, data):
     return (found - data.y).abs().mean(0)
 
 
-#: With these rows the search ends beside the best laws: a short lag that slows less, and friction.
-LOCAL = pytest.mark.xfail(reason="the search ends in a local optimum", strict=False)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [pytest.param(0, marks=LOCAL), 1, 2])
+@pytest.mark.parametrize("seed", range(5))
 def test_the_laws_of_a_robot_that_keeps_them_are_found(seed):
     lag, delay = (0.12, 0.2), 0.06
     data = drive_data(400, seed=seed, lag=lag, delay=delay, bend=(0.1, 0.2), rate=3.0, noise=0.0)
@@ -115,10 +111,6 @@ def test_one_row_in_a_hundred_far_off_changes_nothing_that_matters():
     assert (own < 1.5 * clean + torch.tensor([1e-4, 1e-4, 1e-3])).all()
 
 
-@pytest.mark.xfail(
-    reason="a robot that keeps the laws is known as well from whole commands, to 0.1 mm",
-    strict=False,
-)
 @pytest.mark.slow
 def test_poses_within_commands_make_their_beginnings_known():
     data, fresh = drive_data(300), drive_data(200, seed=9, noise=0.0)

@@ -1,18 +1,20 @@
 """Finding the drive model that rows are best explained by.
 
 Given the actuators' laws, the displacement is linear in the kinematics: first the turn, then, the
-turn taken as measured, the translation. The laws themselves are found by search over a few numbers
-each, for the largest likelihood; errors are taken to be distributed as Student's t (Lange, Little
-and Taylor 1989), because a drive model leaves large ones. What rows say little about keeps to what
-is usual: a weak prior on every law, and on the products in the kinematics.
+turn taken as measured, the translation. The laws themselves are a few numbers for each actuator,
+searched for by the method of Levenberg (1944) and Marquardt (1963), with the kinematics fitted anew
+at each step (Golub and Pereyra 1973). Errors are taken to be distributed as Student's t (Lange,
+Little and Taylor 1989), because a drive model leaves large ones. What rows say little about keeps
+to what is usual: a weak prior on every law, and on the products in the kinematics.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -29,12 +31,14 @@ _ROWS = 600
 _LAGS = (0.005, 0.03, 0.06, 0.1, 0.15, 0.25, 0.4)
 _RATES = (0.5, 1.0, 2.0, 4.0, 20.0)
 _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
-#: The fine search: one number after the other by these steps, in units of each prior's width.
-#: Lag and delay together are to be found to within a millisecond or two: in each, a robot that is
-#: told to turn the other way turns by a fifth of a degree.
-_STEPS, _ROUNDS = (0.5, 0.2, 0.08, 0.03, 0.012, 0.005), 6
-#: A step must raise the log-likelihood by this much.
-_GAIN = 0.05
+#: The fine search starts from the best of the coarse one at so many rates.
+_STARTS = 2
+#: It ends after so many steps, or when one gains less in log-likelihood.
+_STEPS, _GAIN = 40, 0.05
+#: Derivatives are differences over this share of each prior's width; no step is longer than this.
+_DIFFERENCE, _LONGEST = 1e-4, 2.0
+#: How much steps are damped, at first, at least and at most, and by which factors that changes.
+_DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
 #: A delay, which is nearly a lag where only the ends of commands are known, must raise it by this.
 _BELIEF = 10.0
 #: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
@@ -94,6 +98,27 @@ class Motion:
         return chain(drive, self.columns, x, self.follows, self.longest)
 
 
+class _Errors(NamedTuple):
+    """Errors of one kind.
+
+    Attributes:
+        error: [N].
+        size: what they are like, robustly.
+        weight: what each counts.
+    """
+
+    error: Tensor
+    size: Tensor
+    weight: float = 1.0
+
+    @property
+    def cost(self) -> float:
+        """Minus the log-likelihood."""
+        each = (self.error / self.size).square() / _FREEDOM
+        cost = (_FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(self.error) * self.size.log()
+        return self.weight * cost.item()
+
+
 def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
     """Return the drive model of rows.
 
@@ -101,75 +126,121 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
         motion: rows.
         laws: whether to look for the actuators' laws; if not, speeds are reached at once.
     """
-    if not laws:
-        return _fitted(_model(_AT_ONCE.repeat(1, len(motion.columns.driven))), motion)[0]
     count = len(motion.columns.driven)
+    if not laws:
+        return _fitted(_model(_AT_ONCE.repeat(1, count)), motion)[0]
     searched = motion.first(_ROWS)
-    usual = torch.tensor(_USUAL, dtype=torch.float64)
-    width = torch.tensor(_WIDTH, dtype=torch.float64)
-    # First of all actuators together, then of each. A delay is one for all: the first column's.
-    each = torch.eye(len(_USUAL), dtype=torch.float64)
-    shared = [one[:, None].repeat(1, count) for one in each]
-    own = [torch.zeros_like(shared[0]) for _ in range(_DELAY * count)]
-    for number, direction in enumerate(own):
-        direction[number // count, number % count] = 1.0
-    directions = [direction * width.unsqueeze(1) for direction in (*shared, *own)]
-    lowest, highest = (
-        torch.tensor(limit, dtype=torch.float64).unsqueeze(1) for limit in (_LOWEST, _HIGHEST)
+    lowest, usual, highest = (
+        torch.tensor(values, dtype=torch.float64).unsqueeze(1).repeat(1, count)
+        for values in (_LOWEST, _USUAL, _HIGHEST)
     )
-    best = usual.unsqueeze(1).repeat(1, count)
-    cost = math.inf
 
-    def tried(laws: Tensor) -> bool:
-        nonlocal best, cost
-        laws = torch.maximum(torch.minimum(laws, highest), lowest)
-        off = (laws - usual.unsqueeze(1)) / width.unsqueeze(1)
-        off[_DELAY, 1:] = 0.0
-        # A rate above the usual is no limit.
-        off[_RATE] = off[_RATE].clamp(max=0.0)
-        found = _fitted(_model(laws), searched)[1] + 0.5 * off.square().sum().item()
-        if found < cost - _GAIN:
-            best, cost = laws, found
-            return True
-        return False
+    def errors(laws: Tensor) -> list[_Errors]:
+        return _fitted(_model(laws), searched)[1]
 
-    def coarsely(delays: Sequence[float]) -> None:
-        for lag, rate, delay in product(_LAGS, _RATES, delays):
-            coarse = usual.unsqueeze(1).repeat(1, count)
-            coarse[_TOTAL], coarse[_RATE] = math.log(lag + delay), math.log(rate)
-            coarse[_DELAY] = delay
-            tried(coarse)
+    coarse: list[tuple[float, float, float, Tensor]] = []
+    for lag, rate, delay in product(_LAGS, _RATES, _DELAYS):
+        laws_ = usual.clone()
+        laws_[_TOTAL], laws_[_RATE], laws_[_DELAY] = math.log(lag + delay), math.log(rate), delay
+        laws_ = torch.maximum(torch.minimum(laws_, highest), lowest)
+        coarse.append((_cost(laws_, errors(laws_)), rate, delay, laws_))
+    coarse.sort(key=lambda one: one[0])
 
-    def followed(change: Tensor) -> None:
-        """Go on in a direction for as long as that helps."""
-        while tried(best + change):
-            pass
+    def best_of(starts: list[Tensor], longest_delay: float) -> tuple[Tensor, float]:
+        limit = highest.clone()
+        limit[_DELAY] = longest_delay
+        found = [_refined(errors, start, lowest, limit) for start in starts]
+        return min(found, key=lambda one: one[1])
 
-    def refined() -> tuple[Tensor, float]:
-        """Search by patterns (Hooke and Jeeves 1961): a round's change is tried once more."""
-        for step in _STEPS:
-            for _ in range(_ROUNDS):
-                before = best
-                for direction in directions:
-                    for sign in (step, -step):
-                        followed(sign * direction)
-                if torch.equal(best, before):
-                    break
-                followed(best - before)
-        return best, cost
+    def starts(longest_delay: float) -> list[Tensor]:
+        # Of each rate the best, as no step leads from a rate that never limits to one that does.
+        of_rates: dict[float, Tensor] = {}
+        for _, rate, delay, laws_ in coarse:
+            if delay <= longest_delay:
+                of_rates.setdefault(rate, laws_)
+        return list(of_rates.values())[:_STARTS]
 
-    coarsely(_DELAYS)
-    found, least = refined()
+    found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
     if found[_DELAY, 0] > 0.0:
-        highest = highest.clone()
-        highest[_DELAY] = 0.0
-        delayed = found
-        for begin in (lambda: coarsely(_DELAYS[:1]), lambda: tried(delayed)):
-            cost = math.inf
-            begin()
-            if refined()[1] < least + _BELIEF:
-                found, least = best, cost - _BELIEF
+        at_once, cost = best_of([*starts(0.0), found], 0.0)
+        if cost < least + _BELIEF:
+            found = at_once
     return _fitted(_model(found), motion)[0]
+
+
+def _refined(
+    errors: Callable[[Tensor], list[_Errors]], laws: Tensor, lowest: Tensor, highest: Tensor
+) -> tuple[Tensor, float]:
+    """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
+
+    Args:
+        errors: of laws [7, C].
+        laws: to begin at.
+        lowest: that each may be, [7, C].
+        highest: that each may be, [7, C].
+    """
+    laws = torch.minimum(laws, highest)
+    width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
+    varied = highest > lowest
+    varied[_DELAY, 1:] = False  # a delay is one for all: the first column's
+    places = torch.nonzero(varied)
+    now = errors(laws)
+    cost, damping = _cost(laws, now), _DAMPING
+    for _ in range(_STEPS):
+        size = torch.cat([one.size.expand_as(one.error) for one in now])
+        weight = torch.cat([torch.full_like(one.error, one.weight) for one in now])
+        error = torch.cat([one.error for one in now])
+        # Weights of iteratively reweighted least squares for Student's t.
+        weight = weight * (_FREEDOM + 1.0) / (_FREEDOM + (error / size).square())
+        slopes, unit = [], width[varied]
+        for place in places:
+            at, moved = tuple(place), laws.clone()
+            share = _DIFFERENCE
+            if laws[at] + share * width[at] > highest[at]:
+                share = -share
+            moved[at] += share * width[at]
+            change = torch.cat([one.error for one in errors(moved)]) - error
+            slopes.append(change / size / share)
+        slope = torch.stack(slopes, dim=1)  # of each error, by each law in units of its prior
+        off, counts = _off(laws)
+        gradient = slope.T @ (weight * error / size) + off[varied]
+        curvature = slope.T @ (weight.unsqueeze(1) * slope) + torch.diag(counts[varied])
+        # What stands at a limit and would go beyond stays there.
+        here, low, high = laws[varied], lowest[varied], highest[varied]
+        free = ~(((here <= low) & (gradient > 0.0)) | ((here >= high) & (gradient < 0.0)))
+        before = cost
+        while damping < _STIFFEST and cost == before:
+            damped = curvature + damping * torch.diag(curvature.diagonal() + 1.0)
+            step = torch.zeros_like(gradient)
+            step[free] = -torch.linalg.solve(damped[free][:, free], gradient[free])
+            tried = laws.clone()
+            tried[varied] = here + unit * step.clamp(-_LONGEST, _LONGEST)
+            tried = torch.maximum(torch.minimum(tried, highest), lowest)
+            found = errors(tried)
+            reached = _cost(tried, found)
+            if reached < cost:
+                laws, now, cost = tried, found, reached
+                damping = max(_LESS * damping, _FREEST)
+            else:
+                damping *= _MORE
+        if before - cost < _GAIN:
+            break
+    return laws, cost
+
+
+def _cost(laws: Tensor, errors: list[_Errors]) -> float:
+    """Return minus the logarithm of laws' probability after errors."""
+    off, _ = _off(laws)
+    return sum(one.cost for one in errors) + 0.5 * off.square().sum().item()
+
+
+def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
+    """Return how far laws [7, C] are off the usual, in widths of the prior, and where it counts."""
+    usual, width = (torch.tensor(v, dtype=torch.float64).unsqueeze(1) for v in (_USUAL, _WIDTH))
+    counts = torch.ones_like(laws)
+    counts[_DELAY, 1:] = 0.0
+    counts[_RATE] = (laws[_RATE] < _USUAL[_RATE]).to(laws)  # above the usual it is no limit
+    return (laws - usual) / width * counts, counts
 
 
 def _model(laws: Tensor) -> DriveModel:
@@ -181,14 +252,14 @@ def _model(laws: Tensor) -> DriveModel:
     return DriveModel(*parts, torch.zeros(shape))
 
 
-def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, float]:
-    """Return a drive model with the best kinematics, and minus the log-likelihood of the rows."""
+def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[_Errors]]:
+    """Return a drive model with the best kinematics, and the errors that it leaves."""
     x, turn = motion.inputs(drive), motion.y[:, 2]
     columns = motion.columns
     under, told = rows_underway(drive, columns, x), x[:, list(columns.driven)]
     pieces = drive.pieces(under, told, x[:, columns.duration] * motion.longest)
     linear = len(columns.driven)
-    rate, cost = _regression(sum(pieces[1:], pieces[0]), turn, linear)
+    rate, turns_left = _regression(sum(pieces[1:], pieces[0]), turn, linear)
     turns = [piece @ rate for piece in pieces[:-1]]
     turns.append(turn - sum(turns, torch.zeros_like(turn)))
     ahead, aside, heading = 0.0, 0.0, -turn / 2.0
@@ -199,37 +270,38 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, float]:
         heading = heading + part
     moved = se2.mid_turn(motion.y)
     columns_x, columns_y = torch.cat([ahead, -aside], 1), torch.cat([aside, ahead], 1)
-    speeds, more = _regression(
+    speeds, shifts_left = _regression(
         torch.cat([columns_x, columns_y]), torch.cat([moved[:, 0], moved[:, 1]]), linear
     )
     kinematics = torch.stack([*speeds.view(2, -1), rate], dim=1)
     laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
     drive = DriveModel(*laws, kinematics)
-    return drive, cost + more + _cost_within(drive, motion, under, told)
+    return drive, [turns_left, shifts_left, *_errors_within(drive, motion, under, told)]
 
 
-def _cost_within(drive: DriveModel, motion: Motion, under: Underway, told: Tensor) -> float:
-    """Return minus the log-likelihood of poses within commands.
+def _errors_within(
+    drive: DriveModel, motion: Motion, under: Underway, told: Tensor
+) -> list[_Errors]:
+    """Return the errors of poses within commands.
 
     They are from the same commands as the rows, which they are not to outweigh: they count as many
     as there are rows, at most.
     """
     within = motion.within
     if within is None or len(within.row) == 0:
-        return 0.0
+        return []
     row = within.row
     under = Underway(*(part[row] for part in under))
     changing, twist = drive.phases(under, told[row], within.time.to(told))
     error = se2.compose(changing, se2.exp(twist)) - within.moved.to(told)
     # What is short is measured by what is short.
     size = (1.4826 * error.abs().median(0).values).clamp(min=1e-6)
-    each = (error / size).square() / _FREEDOM
-    cost = (_FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(row) * size.log().sum()
-    return cost.item() * min(len(motion.x) / len(row), 1.0)
+    weight = min(len(motion.x) / len(row), 1.0)
+    return [_Errors(error[:, k], size[k], weight) for k in range(error.shape[1])]
 
 
-def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, float]:
-    """Return the weights of a regression with Huber's loss, and minus the log-likelihood.
+def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, _Errors]:
+    """Return the weights of a regression with Huber's loss, and the errors that they leave.
 
     Args:
         features: [N, k F]: k times linear features and products.
@@ -255,6 +327,4 @@ def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, 
         size = (1.4826 * error.median()).clamp(min=1e-9)
         shares = (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()
-    each = ((features @ weights - target) / size).square() / _FREEDOM
-    cost = (_FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(target) * size.log()
-    return weights, cost.item()
+    return weights, _Errors(features @ weights - target, size)
