@@ -1,7 +1,8 @@
 """Commands that are asked to end at random moments, by Ctrl-C, a kill or a closed terminal.
 
 Each case runs a command in a process of its own and sends one signal, or three in a burst, at a
-random moment; in some the machine code of all loops has to be compiled first. It is a fault where
+random moment, early or late by how long a command takes on this computer now, or once the robot
+drives; in some the machine code of all loops has to be compiled first. It is a fault where
 
   - the command takes longer than --patience to end, or ends with another code than 128 and the
     signal's number (`lab` and `watch`: or 0, after Ctrl-C);
@@ -29,7 +30,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -132,14 +133,11 @@ def case(made: Path, work: Path, number: int, options: argparse.Namespace) -> di
     (work / "plugin.py").write_text(PLUGIN)
     with robots(line) as (words, stands):
         environment = {**os.environ, "NUMBA_CACHE_DIR": str(work / "compiled")} if cold else None
-        what, ended, took, faults = asked_to_end(words, work, environment, rng, patience)
-        time.sleep(1.0)
-        if not stands():
-            faults.append("the robot drives on")
+        what, ended, took, faults = asked_to_end(words, work, environment, rng, patience, stands)
         kept = "out" if line.startswith(("record", "sample")) else "out.checkpoint"
         if (work / kept).exists() and "demo" not in line:
             words = [*words, "--resume"]
-            then, ended, later, more = asked_to_end(words, work, environment, rng, patience)
+            then, ended, later, more = asked_to_end(words, work, environment, rng, patience, stands)
             what, took = f"{what}, then {then}", max(took, later)
             faults += more
     faults += unreadable(work)
@@ -149,15 +147,26 @@ def case(made: Path, work: Path, number: int, options: argparse.Namespace) -> di
 
 
 def asked_to_end(
-    words: list[str], work: Path, environment: Any, rng: random.Random, patience: float
+    words: list[str],
+    work: Path,
+    environment: Any,
+    rng: random.Random,
+    patience: float,
+    stands: Callable[[], bool],
 ) -> tuple[str, str, float, list[str]]:
     number, burst = rng.choice(SIGNALS), rng.choice([1, 1, 3])
-    after = rng.uniform(0.05, rng.choice([1.0, 4.0, 12.0]))
-    what = f"{number.name} x {burst} after {after:.2f} s"
+    after, drives = rng.uniform(0.05, rng.choice([0.5, 2.0, 6.0]) * start_up()), ""
+    drive = any("/dev/" in word for word in words) and rng.random() < 0.75  # a robot on its line
     with subprocess.Popen(
         [sys.executable, "-m", "neurosim", *words], cwd=work, env=environment, text=True,
         stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
     ) as process:  # fmt: skip
+        began = time.monotonic()
+        while drive and stands() and process.poll() is None and time.monotonic() < began + 120.0:
+            time.sleep(0.01)
+        if drive and not stands():
+            after, drives = rng.uniform(0.0, 5.0), " that it drives"
+        what = f"{number.name} x {burst} after {after:.2f} s{drives}"
         with suppress(subprocess.TimeoutExpired):
             process.wait(after)
         done, began = process.poll() is not None, time.monotonic()
@@ -170,6 +179,9 @@ def asked_to_end(
             process.kill()
             return what, "hung", 100.0, ["did not end within 100 s"]
     took, code = time.monotonic() - began, process.returncode
+    time.sleep(1.0)
+    if not stands():
+        return what, "interrupted", took, ["the robot drives on"]
     lines = [line for line in said.splitlines() if line.startswith("neurosim: ")]
     if code == 0 and (done or not lines):
         return what, "done", 0.0 if done else took, []
@@ -192,8 +204,15 @@ def asked_to_end(
     return what, "interrupted", took, faults
 
 
+def start_up() -> float:
+    """Return how long it takes now to start Python and import what most commands need, s."""
+    began = time.monotonic()
+    subprocess.run([sys.executable, "-c", "import neurosim.loop.evolve"], check=True)
+    return time.monotonic() - began
+
+
 @contextmanager
-def robots(line: str) -> Iterator[tuple[list[str], Any]]:
+def robots(line: str) -> Iterator[tuple[list[str], Callable[[], bool]]]:
     """Put virtual robots outside of a command on their lines, where it drives them.
 
     Gives the words of the command, and a function that says whether they stand.
