@@ -127,7 +127,7 @@ class Robot:
         rows, moved, within = [], [], []
         self.drive((*before, 0.5))
         for command in commands:
-            given = (command.left, command.right, command.duration)
+            given = command.row
             for _ in range(ATTEMPTS):
                 start = self.pose
                 seen = self.drive(given, LINE)
@@ -189,16 +189,16 @@ def outcomes(lab_seed: int, commands: int, repeats: int) -> tuple[NDArray, NDArr
     inputs, found, draws = [], [], 10 * commands
     for n in range(commands):
         one, two = source.command(2 * n), source.command(2 * n + 1)
-        inputs.append([one.left, one.right, two.left, two.right, two.duration])
+        inputs.append([*one.numbers, *two.row])
         runs = []
         while len(runs) < repeats:
             robot.put()
             draws += 1
             earlier = source.command(draws)
-            robot.drive((earlier.left, earlier.right, LEAD_IN))
-            robot.drive((one.left, one.right, one.duration))
+            robot.drive((*earlier.numbers, LEAD_IN))
+            robot.drive(one.row)
             start = robot.pose
-            robot.drive((two.left, two.right, two.duration))
+            robot.drive(two.row)
             # A long drive that leaves the board is taken as it is, once in fifty times, so that
             # no command waits for ever; the ground is another there.
             ends = np.abs([start[:2], robot.pose[:2]]) < LINE

@@ -68,7 +68,7 @@ class Drives:
         """Return the next random command (left, right, duration)."""
         command = self._commands.command(self._next)
         self._next += 1
-        return np.array([command.left, command.right, command.duration])
+        return np.array(command.row)
 
     def pose(self) -> NDArray:
         """Return a random pose on the board."""
@@ -88,7 +88,7 @@ class Drives:
         """Send a command and let it run; return the time at which it counts as begun."""
         clock = self._rig.robot.clock
         sent = clock.now()
-        self._rig.robot.drive(*command[:2])
+        self._rig.robot.drive(command[:2])
         clock.sleep_until(sent + command[2])
         return sent + TAKEN
 

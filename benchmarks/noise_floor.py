@@ -97,7 +97,7 @@ def displacements(settings: Settings, pair: int) -> np.ndarray:
     """Drive one pair of commands; return its displacements [repetitions, 3] (m, m, rad)."""
     rng = np.random.default_rng([settings.seed, pair])
     row = pairs_of(settings).iloc[pair]
-    command = Command(row.left, row.right, row.duration)
+    command = Command((row.left, row.right), row.duration)
     found: list[np.ndarray] = []
     with VirtualRig(
         settings.robot,
@@ -112,8 +112,8 @@ def displacements(settings: Settings, pair: int) -> np.ndarray:
             if tries > 40 * settings.repetitions:
                 raise RuntimeError(f"command {pair} fits nowhere on the board")
             first = RandomCommands(seed=int(rng.integers(2**31))).command(0)
-            before = Command(first.left, first.right, 1.0)
-            previous = Command(row.prev_left, row.prev_right, rng.uniform(*_DURATIONS))
+            before = Command((first.left, first.right), 1.0)
+            previous = Command((row.prev_left, row.prev_right), rng.uniform(*_DURATIONS))
             moved = _drive(rig, [before, previous, command], rng, eye)
             if moved is not None:
                 found.append(moved)
@@ -134,7 +134,7 @@ def _drive(
     times = []
     for number, command in enumerate(commands):
         times.append(clock.now())
-        rig.robot.drive(command.left, command.right)
+        rig.robot.drive(command.numbers)
         last_two = number >= len(commands) - 2
         _wait(rig, times[-1] + command.duration, eye if last_two else None)
         if (np.abs(lab.body.pose[:2]) > half).any():

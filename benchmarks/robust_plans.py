@@ -270,7 +270,7 @@ def drive(given: list, lab_seed: int, seed: int, changes: dict[str, float] | Non
 
 def drive_brick(given: list, lab_seed: int, seed: int) -> bool:
     """Drive a plan once through driver, radio and brick, without the perimeter's guard."""
-    commands = [Command(*command) for command in given]
+    commands = [Command.of(command) for command in given]
     settings = RecordSettings(len(commands), Guard(at_line="ignore"))
     with (
         tempfile.TemporaryDirectory() as folder,

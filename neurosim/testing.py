@@ -20,6 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.commands import Commands
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Tracked, Trajectory
 from neurosim.controllers.base import Controller
@@ -93,11 +94,14 @@ def check_robot(make: Callable[[], Robot]) -> None:
             "virtual in describe() must be true or false",
         )
         _check_clock(robot)
-        for wrong in ((101.0, 0.0), (0.0, -100.5), (math.nan, 0.0)):
-            _refuses(f"drive{wrong}", robot.drive, *wrong)
+        takes = robot.commands
+        gentle = [0.2 * one.high if one.speed else 0.0 for one in takes.numbers]
+        beyond = _beyond(gentle, takes)
+        for wrong in beyond:
+            _refuses(f"drive({wrong})", robot.drive, wrong)
         if isinstance(robot, Counters):
             _check_counters(robot)
-        robot.drive(20.0, -20.0)
+        robot.drive(gentle)
         robot.stop()
         if isinstance(robot, Sensors):
             _check_sensors(robot)
@@ -112,14 +116,23 @@ def check_robot(make: Callable[[], Robot]) -> None:
             volts = robot.battery()
             _require(not volts <= 0, f"battery() must be volts above 0 or NaN, not {volts}")
         if isinstance(robot, SelfStopping):
-            for wrong in ((101.0, 0.0), (0.0, math.inf)):
-                _refuses(f"drive_for{(*wrong, 0.1)}", robot.drive_for, *wrong, 0.1)
-            robot.drive_for(20.0, -20.0, 0.1)
+            for wrong in beyond:
+                _refuses(f"drive_for({wrong}, 0.1)", robot.drive_for, wrong, 0.1)
+            robot.drive_for(gentle, 0.1)
             robot.stop()
         if isinstance(robot, Lamp):
             robot.lamp(True)
             robot.lamp(False)
     robot.close()  # never raises
+
+
+def _beyond(command: list[float], takes: Commands) -> list[list[float]]:
+    """Return a command with each number in turn beyond its limits, or none at all."""
+    found = []
+    for place, one in enumerate(takes.numbers):
+        for value in (one.high + 0.01 * abs(one.high), 2.0 * one.low - one.high, math.nan):
+            found.append([*command[:place], value, *command[place + 1 :]])
+    return found
 
 
 def _check_clock(robot: Robot) -> None:
@@ -139,7 +152,7 @@ def _check_counters(robot: Any) -> None:
     robot.set_counts(100, -100)
     counts = tuple(robot.read_counts())
     _require(counts == (100, -100), f"set_counts(100, -100) and then read_counts() gave {counts}")
-    robot.drive(20.0, 20.0)
+    robot.drive([0.2 * one.high for one in robot.commands.numbers])
     robot.clock.sleep_until(robot.clock.now() + 0.5)
     after = tuple(robot.read_counts())
     robot.stop()

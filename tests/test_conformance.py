@@ -44,8 +44,9 @@ def test_our_robots():
         check_robot(nxt(rig, lamp=None, light_left=None, light_right=None))
     with VirtualKheperaRig(1) as rig:
         check_robot(khepera(rig))
-    with VirtualLinesRig(1, camera=False) as rig:
-        check_robot(lambda: Lines(rig.address, clock=rig.lab.clock, timeout=10.0))
+    for kind in ("wheels", "car", "omni"):
+        with VirtualLinesRig(1, kind=kind, camera=False) as rig:
+            check_robot(lambda: Lines(rig.address, clock=rig.lab.clock, timeout=10.0))
 
 
 @pytest.mark.parametrize("make", [motion_network, tables, Walker])
@@ -144,7 +145,8 @@ class Raw(Khepera):
 
 
 class Careless(Khepera):
-    def drive(self, left, right):
+    def drive(self, command):
+        left, right = command
         self.set_speeds(round(np.nan_to_num(left) / 10), round(right / 10))
 
 

@@ -134,6 +134,7 @@ class Recording(Format):
     board: Board
     camera: dict[str, Any] | None = None
     settings: RecordedWith | None = None
+    commands: dict[str, Any] | None = None
     complete: bool | None = None
     stopped: Stopped | None = None
 

@@ -129,12 +129,21 @@ def khepera(
 
 
 @lab.command()
+@click.option(
+    "--kind",
+    type=click.Choice(["wheels", "car", "omni"]),
+    default="wheels",
+    show_default=True,
+    help="Two wheels, a model car, or a base that drives in any direction.",
+)
 @_socket_option
 @_port_option
 @_seconds_option
 @seed_option
 @json_option
-def lines(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
+def lines(
+    kind: str, by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool
+) -> None:
     """Keep a virtual robot running in real time that speaks lines of text (docs/lines.md)."""
     from neurosim.lab import VirtualLinesRig
     from neurosim.lab.nxt.world import Pacer
@@ -142,7 +151,9 @@ def lines(by_socket: bool, port: int, seconds: float | None, seed: int, as_json:
     _check_port(by_socket)
     device = "socket" if by_socket else None
     with (
-        VirtualLinesRig(seed, camera=False, device=device, port=port, real_time=True) as rig,
+        VirtualLinesRig(
+            seed, kind=kind, camera=False, device=device, port=port, real_time=True
+        ) as rig,
         Pacer(rig.lab),
     ):
         emit(

@@ -196,5 +196,5 @@ def _lab_camera(size: tuple[int, int], fps: float) -> Iterator[Any]:
         rig.robot,
         Pacer(rig.lab),
     ):
-        rig.robot.drive(22, 31)
+        rig.robot.drive((22, 31))
         yield rig.camera

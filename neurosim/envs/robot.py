@@ -193,7 +193,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         left, right = (float(value) for value in commands[0, :2])
         now = clock.now()
         due = now if self._due is None else self._due
-        drive_for(self.robot, left, right, episode.step)
+        drive_for(self.robot, (left, right), episode.step)
         missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
         self._due = (now if missed else due) + episode.step
         before, readings = face.judged.progress, self._readings

@@ -17,9 +17,9 @@ from neurosim.recording.perimeter import Reckoning
 SLOWEST, SLOWEST_GUARDED = 0.4, 0.6
 #: Sights are remembered for so long, s, one in so many; two say something if so far apart.
 MEMORY, BETWEEN, APART = 1.4, 0.05, 0.4
-#: Below this speed (percent) a robot may stand in its dead band.
-DEAD_BAND = 15.0
-#: A robot that should have moved by this share of its track width, and is seen to move by less than
+#: Below this share of its full speed a robot may stand in its dead band.
+DEAD_BAND = 0.15
+#: A robot that should have moved by this share of its width, and is seen to move by less than
 #: this share of that, stands.
 FAR, STANDS = 0.3, 0.25
 
@@ -27,31 +27,31 @@ FAR, STANDS = 0.3, 0.25
 class Agreement:
     """Compares commands with sights, in the middle of a drive.
 
-    Distances are the mean way of the two wheels: of the middle between them, and that of turning.
+    Distances are the way of the robot's middle, and that of turning: of two wheels their mean way.
 
     Args:
-        full_speed: wheel speed at 100 %, m/s.
-        track: distance between the wheels, m.
+        full_speed: m/s.
+        arm: length at which a turn counts as a way, m; of two wheels half the track.
 
     Attributes:
         slowest: what is seen is at most so much later than what was commanded, s.
     """
 
-    def __init__(self, full_speed: float, track: float):
+    def __init__(self, full_speed: float, arm: float):
         self.slowest = SLOWEST
-        self._track = track
-        self._commands = Reckoning(full_speed, track)
+        self._arm = arm
+        self._commands = Reckoning()
         self._seen: deque[tuple[float, NDArray]] = deque()
         self._full_speed = full_speed
         self._fastest: deque[tuple[float, float]] = deque([(-math.inf, 0.0)])
 
-    def sent(self, time: float, left: float, right: float) -> None:
-        """Remember that the motors were set to these percents at a time (s)."""
-        fastest = max(abs(left), abs(right))
-        if fastest < DEAD_BAND:
-            left = right = fastest = 0.0
-        self._commands.sent(time, left, right)
-        self._fastest.append((time, fastest / 100 * self._full_speed))
+    def sent(self, time: float, twist: NDArray) -> None:
+        """Remember that the robot was commanded a twist [3] (m/s, m/s, rad/s) at a time (s)."""
+        fastest = math.hypot(twist[0], twist[1]) + self._arm * abs(twist[2])
+        if fastest < DEAD_BAND * self._full_speed - 1e-9:
+            twist, fastest = np.zeros(3), 0.0
+        self._commands.sent(time, twist)
+        self._fastest.append((time, fastest))
         while len(self._fastest) > 1 and self._fastest[1][0] < time - 2 * MEMORY:
             self._fastest.popleft()
 
@@ -74,11 +74,11 @@ class Agreement:
             return False
         delays = np.linspace(0.0, self.slowest, 1 + round(self.slowest / 0.1))
         should = np.min([self._ways(self._commanded(times - late)) for late in delays], axis=0)
-        return bool((apart & (should > FAR * self._track) & (moved < STANDS * should)).any())
+        return bool((apart & (should > 2 * FAR * self._arm) & (moved < STANDS * should)).any())
 
     @property
     def _speed(self) -> float:
-        """The fastest that a wheel was set to lately, m/s."""
+        """The fastest that the robot was commanded to be lately, m/s."""
         return max(speed for _, speed in self._fastest)
 
     def _commanded(self, times: NDArray) -> NDArray:
@@ -92,7 +92,7 @@ class Agreement:
         """Return how far from each of the poses [T, 3] the robot was at most afterwards, [T] m."""
         change = poses[None] - poses[:, None]
         turn = np.abs(np.remainder(change[..., 2] + math.pi, 2 * math.pi) - math.pi)
-        way = np.hypot(change[..., 0], change[..., 1]) + self._track / 2 * turn
+        way = np.hypot(change[..., 0], change[..., 1]) + self._arm * turn
         return np.triu(way).max(axis=1)
 
 

@@ -109,7 +109,7 @@ class ClosedLoopSession(Session):
         super().__init__(recording, session, robot, source, *others)
         self.deadlines = Deadlines()
         self._seeing = source
-        self._must_agree = self._must_agree or source.needs_pose
+        self._must_agree = self._must_agree or (source.needs_pose and self._takes.moves_as_known)
         self._odometry: Odometry | None = None
         self._took: deque[float] = deque(maxlen=LOOKS)
         self._sensors = robot if isinstance(robot, Sensors) else None
@@ -147,7 +147,7 @@ class ClosedLoopSession(Session):
                 if command is None:
                     break
                 self._clock.sleep_until(due)
-                self._write("command", command.left, command.right, command.duration, number)
+                self._write("command", command.numbers, command.duration, number)
                 missed = self.deadlines.sent(self._sent - due, command.duration)
                 due = (self._sent if missed else due) + command.duration
                 progress.advance()
@@ -222,7 +222,7 @@ class ClosedLoopSession(Session):
     def _cut(self) -> bool:
         """Stop at once and look where that was; the drive is then over: return True."""
         if self.deadlines.steps:
-            self._write("cut", 0, 0, number=self.deadlines.steps - 1)
+            self._write("cut", self._rest, number=self.deadlines.steps - 1)
         self._end_early()
         self._look(self._clock.now())
         return True

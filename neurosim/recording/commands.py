@@ -7,13 +7,14 @@ argument. One that is shown what the robot sees before each command is a :class:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any, Protocol, runtime_checkable
 
 import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.declared import Checked, Fraction, Percent, Seed
 from neurosim.base.errors import UserError
 
@@ -23,11 +24,21 @@ CommandTime = Annotated[float, Meta(ge=0.001, le=60)]
 
 @dataclass(frozen=True)
 class Command:
-    """Motor speeds in percent of full speed, held for a duration in seconds."""
+    """The numbers of a command, in the robot's units, held for a duration in seconds."""
 
-    left: float
-    right: float
+    numbers: tuple[float, ...]
     duration: float
+
+    @property
+    def row(self) -> tuple[float, ...]:
+        """The numbers, and the duration behind them."""
+        return (*self.numbers, self.duration)
+
+    @classmethod
+    def of(cls, row: Sequence[float]) -> Command:
+        """Return the command of such a row."""
+        *numbers, duration = map(float, row)
+        return cls(tuple(numbers), duration)
 
 
 class CommandSource(Protocol):
@@ -104,9 +115,10 @@ class RandomCommands(Checked):
     Attributes:
         max_speed: Largest speed, percent of full speed.
         durations: Shortest and longest command, s.
-        straight: Share of commands with equal speeds in one direction.
-        stopped: Share of commands with both speeds zero. The rest is random.
+        straight: Share of commands that do not turn.
+        stopped: Share of commands with all speeds zero. The rest is random.
         seed: Random seed.
+        takes: what the robot takes for a command.
     """
 
     max_speed: Percent = 50.0
@@ -114,6 +126,7 @@ class RandomCommands(Checked):
     straight: Fraction = 0.3
     stopped: Fraction = 0.2
     seed: Seed = 0
+    takes: Commands = TWO_WHEELS
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -127,21 +140,28 @@ class RandomCommands(Checked):
             )
 
     def command(self, index: int) -> Command:
-        """Return command ``index``; speeds are whole percents, as the NXT takes them."""
+        """Return command ``index``; percents are whole ones, as the NXT takes them."""
         rng = np.random.default_rng([self.seed, index])
-        kind = rng.random()
-        speeds = rng.uniform(0, self.max_speed, 2) * rng.choice([-1, 1], 2)
+        kind, numbers = rng.random(), self.takes.numbers
+        shares = rng.uniform(0, self.max_speed, len(numbers)) / 100
+        shares = np.where([one.speed for one in numbers], shares, shares * 100 / self.max_speed)
+        forward = rng.choice([-1, 1], len(numbers)) > 0
+        command = [
+            float(share * (one.high if ahead else one.low))
+            for share, ahead, one in zip(shares, forward, numbers, strict=True)
+        ]
         duration = round(float(rng.uniform(*self.durations)), 3)
+        given: Sequence[float] = command
         if kind < self.straight:
-            speeds[1] = speeds[0]
+            given = self.takes.straight(command)
         elif kind < self.straight + self.stopped:
-            speeds[:] = 0
-        left, right = (int(speed) for speed in np.round(speeds))
-        return Command(left, right, duration)
+            given = self.takes.rest(command)
+        return Command(self.takes.within(given), duration)
 
     def describe(self) -> dict[str, Any]:
         """Return the shares, limits and seed."""
-        return {"kind": "random", **asdict(self), "durations": list(self.durations)}
+        about = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "takes"}
+        return {"kind": "random", **about, "durations": list(self.durations)}
 
 
 @dataclass(frozen=True)
@@ -162,4 +182,4 @@ class FixedCommands:
 
     def describe(self) -> dict[str, Any]:
         """Return where the commands are from, and the commands themselves."""
-        return {**self.how, "commands": [list(asdict(c).values()) for c in self.commands]}
+        return {**self.how, "commands": [list(c.row) for c in self.commands]}

@@ -20,24 +20,19 @@ class Homing:
     """Dead reckoning with a memory of where the robot has been.
 
     Args:
-        full_speed: wheel speed at 100 %, m/s.
-        track: distance between the wheels, m.
         memory: how long where it was is remembered, s.
     """
 
-    def __init__(self, full_speed: float, track: float, memory: float = 30.0):
-        self._full_speed = full_speed
-        self._track = track
+    def __init__(self, memory: float = 30.0):
         self._memory = memory
         self._pose = np.zeros(3)
         self._trail: deque[tuple[float, float, float]] = deque()  # seconds, x, y
         self._time = 0.0
 
-    def moved(self, left: float, right: float, seconds: float) -> None:
-        """Go on from where it was: wheels at these percents for so many seconds."""
+    def moved(self, twist: NDArray, seconds: float) -> None:
+        """Go on from where it was, with a twist [3] (m/s, m/s, rad/s) for so many seconds."""
         steps = max(1, math.ceil(seconds / 0.1))
-        speed = self._full_speed / 100
-        step = se2.exp(se2.of_wheels(speed * left, speed * right, self._track) * seconds / steps)
+        step = se2.exp(np.asarray(twist, float) * seconds / steps)
         for _ in range(steps):
             self._pose = se2.compose(self._pose, step)
             self._time += seconds / steps
@@ -53,10 +48,6 @@ class Homing:
         """
         places = np.array([place[1:] for place in self._trail])
         return bearing(self._pose, places.mean(axis=0) if len(places) else np.zeros(2))
-
-    def turning_time(self, angle: float, speed: float) -> float:
-        """Return the seconds that a turn on the spot takes at ``speed`` percent."""
-        return abs(angle) * self._track / 2 / (self._full_speed * speed / 100)
 
 
 def bearing(pose: NDArray, goal: NDArray) -> tuple[float, float]:

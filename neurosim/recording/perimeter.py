@@ -69,21 +69,14 @@ class Stop:
 
 
 class Reckoning:
-    """Where a robot comes to by its last commands.
+    """Where a robot comes to by its last commands."""
 
-    Args:
-        full_speed: wheel speed at 100 %, m/s.
-        track: distance between the wheels, m.
-    """
+    def __init__(self) -> None:
+        self._sent: deque[tuple[float, NDArray]] = deque([(-math.inf, np.zeros(3))])
 
-    def __init__(self, full_speed: float, track: float):
-        self._full_speed = full_speed
-        self._track = track
-        self._sent: deque[tuple[float, float, float]] = deque([(-math.inf, 0.0, 0.0)])
-
-    def sent(self, time: float, left: float, right: float) -> None:
-        """Remember that the motors were set to these percents at a time (s)."""
-        self._sent.append((time, left, right))
+    def sent(self, time: float, twist: NDArray) -> None:
+        """Remember that the robot was commanded a twist [3] (m/s, m/s, rad/s) at a time (s)."""
+        self._sent.append((time, np.asarray(twist, float)))
         while len(self._sent) > 1 and self._sent[1][0] < time - MEMORY:
             self._sent.popleft()
 
@@ -96,15 +89,13 @@ class Reckoning:
             until: s; after the last command, that goes on.
         """
         pose, way = np.asarray(pose, float), 0.0
-        ends = [*[time for time, _, _ in self._sent][1:], math.inf]
-        for (begin, left, right), end in zip(self._sent, ends, strict=True):
+        ends = [*[time for time, _ in self._sent][1:], math.inf]
+        for (begin, twist), end in zip(self._sent, ends, strict=True):
             seconds = min(end, until) - max(begin, since)
             if seconds <= 0:
                 continue
-            forward = self._full_speed * (left + right) / 200
-            turn = self._full_speed * (right - left) / 100 / self._track
-            pose = se2.compose(pose, se2.exp(np.array([forward, 0.0, turn]) * seconds))
-            way += abs(forward) * seconds
+            pose = se2.compose(pose, se2.exp(twist * seconds))
+            way += math.hypot(twist[0], twist[1]) * seconds
         return pose, way
 
 
@@ -114,11 +105,10 @@ class PositionGuard(Reckoning):
     Args:
         board: ``length`` and ``width`` in metres, the frame at its centre.
         margin: how far inside the board's edge the middle of the axle must stay, m.
-        full_speed, track: as :class:`Reckoning` takes them.
     """
 
-    def __init__(self, board: Mapping[str, float], margin: float, full_speed: float, track: float):
-        super().__init__(full_speed, track)
+    def __init__(self, board: Mapping[str, float], margin: float):
+        super().__init__()
         self._half = np.array([board["length"], board["width"]], float) / 2
         self._margin = margin
 
@@ -135,12 +125,13 @@ class PositionGuard(Reckoning):
         since = seen_at - LATENCY
         here, _ = self.predict(pose, since, now)
         there, way = self.predict(pose, since, now + STOPPING)
-        beyond = self._beyond(there)
-        return beyond + DOUBT * way > 0 and beyond > self._beyond(here) + 1e-4
+        beyond = self.beyond(there)
+        return beyond + DOUBT * way > 0 and beyond > self.beyond(here) + 1e-4
 
     def middle(self, clearance: float, rng: np.random.Generator) -> NDArray:
         """Return a random place [2] with ``clearance`` (m) to every edge, if there is one."""
         return rng.uniform(-1, 1, 2) * np.maximum(self._half - clearance, 0.0)
 
-    def _beyond(self, pose: NDArray) -> float:
+    def beyond(self, pose: NDArray) -> float:
+        """Return how far beyond the margin a pose is, m; below 0 where it is inside."""
         return float((np.abs(pose[:2]) - (self._half - self._margin)).max())

@@ -7,7 +7,7 @@ import json
 import shutil
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from neurosim.base.files import atomic_path, check_new_folder, check_no_links, l
 from neurosim.base.provenance import robot_kind
 from neurosim.recording.agreement import Pictures
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
-from neurosim.recording.commands import CommandSource, SeeingSource
+from neurosim.recording.commands import CommandSource, RandomCommands, SeeingSource
 from neurosim.recording.session import FLASHES, BatteryLow, Session
 from neurosim.recording.settings import Guard, RecordSettings, Rig
 from neurosim.recording.spotter import Spotter
@@ -76,6 +76,8 @@ def record(
     _check_guard(settings, robot, camera, live and calibration is not None)
     if isinstance(source, SeeingSource):
         _check_source(source, robot, camera if live else None, calibration, resume)
+    if isinstance(source, RandomCommands):
+        source = replace(source, takes=robot.commands)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": rig.lab}
     if options is not None:
         wanted["options"] = dict(options)
@@ -262,6 +264,9 @@ def _wanted(
             "battery_limit": settings.battery_limit,
             "flashes": [list(flash) for flash in FLASHES],
         },
+        "commands": robot.commands.measured(
+            full=settings.full_speed, track=settings.track
+        ).describe(),
         "markers": settings.markers,
         "board": settings.board,
     }
@@ -295,6 +300,7 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
 #: What a resumed recording must share with its beginning: all of a part, or some keys of it.
 _SAME: dict[str, tuple[str, ...] | None] = {
     "settings": None,
+    "commands": ("numbers",),
     "markers": None,
     "board": None,
     "robot": ("kind", "ports", "invert", "regulation", "dialect", "baud", "full_speed"),

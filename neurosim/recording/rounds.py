@@ -132,17 +132,14 @@ def record_rounds(
             begun = (folder / "recording.json").exists()
             start = _end(made[-1]) if made else (0.0, 0.0, 0.0)
             # What was chosen before an interruption stands; with other settings it is refused.
-            if begun:
-                chosen = _chosen_before(folder, how)
-            elif not made:
-                drawn = [source.command(index) for index in indices]
-                chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
-            else:
+            chosen = _chosen_before(folder, how) if begun else None
+            if chosen is None and made:
                 _say(
                     f"round {number} of {len(numbers)}: learning from what was recorded, then "
                     f"choosing {len(indices)} commands"
                 )
-                commands, said = choose(made, source, indices, start)
+                candidates = replace(source, takes=made[0].takes)
+                commands, said = choose(made, candidates, indices, start)
                 chosen = FixedCommands(commands, {**how, **said})
             there = Recording(folder) if begun else None
             if there is None or not there.meta["complete"]:
@@ -151,6 +148,10 @@ def record_rounds(
                 sessions += there.sessions if there else 0
                 # Each session has noise of its own, and begins where the last one ended.
                 with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
+                    if chosen is None:
+                        first = replace(source, takes=rig.robot.commands)
+                        drawn = [first.command(index) for index in indices]
+                        chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
                     there = record(
                         folder,
                         rig,
@@ -211,10 +212,10 @@ def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
                 "resume with the same settings, or start a new recording"
             )
     try:
-        commands = [Command(*map(float, command)) for command in source["commands"]]
+        commands = [Command.of(command) for command in source["commands"]]
     except (KeyError, TypeError, ValueError):
         raise FileError(
-            path, "expected a list of [left, right, duration]", field="settings.source.commands"
+            path, "expected a list of rows of numbers", field="settings.source.commands"
         ) from None
     kept = {key: value for key, value in source.items() if key != "commands"}
     return FixedCommands(commands, kept)

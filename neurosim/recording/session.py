@@ -20,6 +20,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.base.files import LineLog
 from neurosim.base.perimeter import EDGE, LINE, UNSEEN
@@ -47,6 +48,8 @@ LOOK_EVERY = 1 / 30
 PATIENCE = 60.0
 #: A frame is written into the video so long after it was taken, at most, s.
 WRITTEN_LATE = 2.0
+#: A robot that cannot turn on the spot looks so far ahead on its way back, s.
+ARC = 1.2
 #: Going back inside by position ends this near to its goal, m.
 NEAR = 0.25
 
@@ -97,15 +100,16 @@ class Session:
         self._camera = camera
         self._running: int | None = None
         self._spotter = spotter
-        self._perimeter = PositionGuard(
-            settings.board, settings.guard.margin, settings.full_speed, settings.track
-        )
+        takes = robot.commands.measured(full=settings.full_speed, track=settings.track)
+        self._takes = takes
+        self._perimeter = PositionGuard(settings.board, settings.guard.margin)
         self.stopped: Stop | None = None
         self._stop: Stop | None = None
-        self._agreement = Agreement(settings.full_speed, settings.track)
+        known = takes.moves_as_known
+        self._agreement = Agreement(*((takes.fastest, takes.arm) if known else (1.0, 1.0)))
         self._sights = spotter or pictures
         # A robot that nothing keeps from walls may stand at one.
-        self._must_agree = spotter is None or settings.guard.at_line != "ignore"
+        self._must_agree = known and (spotter is None or settings.guard.at_line != "ignore")
         self._session = session
         self._path = recording.path
         self._recording = recording
@@ -117,9 +121,9 @@ class Session:
         self._log = log
         self._say = say
         self._waiting = _waiting(recording, settings)
-        self._speeds = (0.0, 0.0)
+        self._numbers = takes.rest()
         self._since = self._clock.now()
-        self._homing = Homing(settings.full_speed, settings.track)
+        self._homing = Homing()
         self._sent = 0.0
         self._board: dict[str, float] = {}
         self._readings: LineLog | None = None
@@ -151,13 +155,13 @@ class Session:
             if self._is_blind():
                 self._wait_for_sight()
             done = self._drive()
-            self._write("stop", 0, 0)
+            self._write("stop", self._rest)
             self._stopped()
             self._flash()
             self._write("end")
         except CameraLost:
             kind = "stop" if self._running is None else "cut"
-            self._write(kind, 0, 0, number=self._running)
+            self._write(kind, self._rest, number=self._running)
             raise
         return done
 
@@ -174,12 +178,12 @@ class Session:
                 since_battery += 1
                 todo = self._waiting.popleft()
                 command = self._source.command(todo.index)
-                before = self._speeds
-                self._write("command", command.left, command.right, command.duration, todo.index)
+                before = self._numbers
+                self._write("command", command.numbers, command.duration, todo.index)
                 if self._hold(command, self._sent + command.duration):
                     progress.advance()
                     continue
-                self._write("cut", 0, 0, number=todo.index)
+                self._write("cut", self._rest, number=todo.index)
                 if self._guard.at_line == "end":
                     self._waiting.clear()
                     self._end_early()
@@ -205,27 +209,34 @@ class Session:
     def _write(
         self,
         kind: str,
-        left: float | None = None,
-        right: float | None = None,
+        numbers: tuple[float, ...] | None = None,
         duration: float | None = None,
         number: int | None = None,
     ) -> None:
         now = round(self._clock.now(), 6)
-        self._log.append(self._session, number, kind, now, left, right, duration)
-        if left is not None and right is not None:
-            self._homing.moved(*self._speeds, now - self._since)
-            self._perimeter.sent(now, left, right)
-            self._agreement.sent(now, left, right)
+        written = [None] * len(self._numbers) if numbers is None else numbers
+        self._log.append(self._session, number, kind, now, *written, duration)
+        if numbers is not None:
+            if self._takes.moves_as_known:
+                twist = self._takes.twist(numbers)
+                self._homing.moved(self._takes.twist(self._numbers), now - self._since)
+                self._perimeter.sent(now, twist)
+                self._agreement.sent(now, twist)
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
             elif duration is None:
-                self._robot.drive(left, right)
+                self._robot.drive(numbers)
             else:
-                drive_for(self._robot, left, right, duration)
-            self._speeds = (left, right)
+                drive_for(self._robot, numbers, duration)
+            self._numbers = numbers
             self._running = number if kind == "command" else None
         self._sent = now
+
+    @property
+    def _rest(self) -> tuple[float, ...]:
+        """The command of a robot that was stopped now."""
+        return self._takes.rest(self._numbers)
 
     def _flash(self) -> None:
         """Stand still, and flash the lamp, where there is one."""
@@ -289,7 +300,7 @@ class Session:
             took: how long a look takes, s, as far as that is known: the last one must not make
                 the next command late.
         """
-        moving = command.left != 0 or command.right != 0
+        moving = not self._takes.stands(command.numbers)
         guarded = self._guard.at_line != "ignore" and bool(self._board or self._spotter)
         if moving and (guarded or self._readings is not None):
             while (now := self._clock.now()) + 1.5 * took < end:
@@ -390,7 +401,7 @@ class Session:
         end = self._clock.now() + PATIENCE
         while self._is_blind():
             if self._clock.now() > end:
-                self._write("stop", 0, 0)
+                self._write("stop", self._rest)
                 raise UserError(
                     f"the robot was not seen for {PATIENCE:.0f} s; look at neurosim watch, put the "
                     f"robot {self.go_on}"
@@ -409,6 +420,9 @@ class Session:
     def _return_to_middle(self) -> None:
         """Drive by position to where there is room for a long straight run, and turn some way."""
         goal = self._perimeter.middle(self._guard.retreat, self._rng)
+        if not self._takes.turns_on_the_spot:
+            self._return_by_arcs(goal)
+            return
         for _ in range(12):
             pose = self._pose()
             if pose is None:
@@ -421,11 +435,33 @@ class Session:
                 return
             angle, direction = bearing(pose, goal)
             self._turn(angle)
-            speed = direction * self._guard.speed
-            seconds = distance / (self._guard.speed / 100 * self._settings.full_speed)
+            straight, speed = self._straight(direction)
             # In pieces, so that it is seen when it goes astray.
-            self._manoeuvre(speed, speed, min(seconds, 1.0), look=False)
-            self._manoeuvre(0, 0, 0.3, look=False)
+            self._manoeuvre(straight, min(distance / speed, 1.0), look=False)
+            self._manoeuvre(self._rest, 0.3, look=False)
+        self._give_up()
+
+    def _return_by_arcs(self, goal: NDArray) -> None:
+        """Drive to a place [2] as a car does, forward and back, each time by the best of some arcs.
+
+        That is the one after which the robot is nearest, and on the board.
+        """
+        speed = self._guard.speed / 100 * self._takes.fastest
+        turns = np.linspace(-1, 1, 5) * speed / self._takes.arm
+        arcs = {self._takes.toward(way * speed, turn) for way in (1, -1) for turn in turns}
+        choices = sorted(arcs)
+        twists = self._takes.twist(np.array(choices))
+        for _ in range(60):
+            pose = self._pose()
+            if pose is None:
+                self._return_inside()
+                return
+            if float(np.hypot(*(goal - pose[:2]))) < NEAR:
+                return
+            ends = se2.compose(pose, se2.exp(twists * ARC))
+            outside = np.maximum([self._perimeter.beyond(end) for end in ends], 0.0)
+            costs = np.hypot(*(ends[:, :2] - goal).T) + 10.0 * outside
+            self._manoeuvre(choices[int(costs.argmin())], ARC / 2, look=False)
         self._give_up()
 
     def _return_from_line(self) -> None:
@@ -437,15 +473,15 @@ class Session:
         for _ in range(12):
             angle, direction = self._homing.way_in()
             self._turn(angle)
-            speed = direction * guard.speed
-            seconds = guard.retreat / (guard.speed / 100 * self._settings.full_speed)
+            straight, speed = self._straight(direction)
+            seconds = guard.retreat / speed
             # The first stretch takes the sensors off the line they stand on.
-            self._manoeuvre(speed, speed, 0.3 * seconds, look=False)
+            self._manoeuvre(straight, 0.3 * seconds, look=False)
             began = self._clock.now()
-            arrived = self._manoeuvre(speed, speed, 0.7 * seconds, look=True)
+            arrived = self._manoeuvre(straight, 0.7 * seconds, look=True)
             if not arrived and self._clock.now() - began > 0.2 * seconds:
                 # So far from the first line, this one is on the other side: half way back.
-                self._manoeuvre(-speed, -speed, 0.3 * seconds, look=False)
+                self._manoeuvre(self._straight(-direction)[0], 0.3 * seconds, look=False)
                 arrived = True
             if arrived:
                 self._turn(float(self._rng.uniform(-math.pi, math.pi)))
@@ -453,30 +489,35 @@ class Session:
         self._give_up()
 
     def _give_up(self) -> NoReturn:
-        self._write("stop", 0, 0)
+        self._write("stop", self._rest)
         raise UserError(
             f"the robot does not find its way back inside the lines; put it {self.go_on}"
         )
 
-    def _turn(self, angle: float) -> None:
-        speed = math.copysign(self._guard.speed / 2, angle)
-        seconds = self._homing.turning_time(angle, abs(speed))
-        if seconds > 0.05:
-            self._manoeuvre(-speed, speed, seconds, look=False)
+    def _straight(self, direction: float) -> tuple[tuple[float, ...], float]:
+        """Return the command that drives straight on (1) or back (-1), and its speed, m/s."""
+        speed = self._guard.speed / 100 * self._takes.fastest
+        command = self._takes.toward(direction * speed, 0.0)
+        return command, float(abs(self._takes.twist(command)[0]))
 
-    def _manoeuvre(self, left: float, right: float, seconds: float, *, look: bool) -> bool:
-        command = Command(round(left), round(right), seconds)
-        self._write("manoeuvre", command.left, command.right, round(seconds, 3))
+    def _turn(self, angle: float) -> None:
+        speed = self._guard.speed / 200 * self._takes.fastest
+        command = self._takes.toward(0.0, math.copysign(speed / self._takes.arm, angle))
+        rate = float(abs(self._takes.twist(command)[2]))
+        if rate > 0 and abs(angle) / rate > 0.05:
+            self._manoeuvre(command, abs(angle) / rate, look=False)
+
+    def _manoeuvre(self, numbers: tuple[float, ...], seconds: float, *, look: bool) -> bool:
+        command = Command(numbers, seconds)
+        self._write("manoeuvre", numbers, round(seconds, 3))
         if not look:
             self._sleep_until(self._sent + seconds)
             return True
         return self._hold(command, self._sent + seconds)
 
-    def _lead_in(self, speeds: tuple[float, float]) -> None:
-        if any(speeds):
-            self._manoeuvre(*speeds, self._guard.lead_in, look=True)
-        else:
-            self._manoeuvre(0, 0, self._guard.lead_in, look=False)
+    def _lead_in(self, numbers: tuple[float, ...]) -> None:
+        moves = not self._takes.stands(numbers)
+        self._manoeuvre(numbers, self._guard.lead_in, look=moves)
 
     # The battery
 
@@ -486,7 +527,7 @@ class Session:
         volts, limit = self._robot.battery(), self._settings.battery_limit
         if not volts < limit:
             return
-        self._write("stop", 0, 0)
+        self._write("stop", self._rest)
         self._write("pause")
         raise BatteryLow(
             f"the battery is at {volts:.2f} V, below the limit of {limit:.2f} V; charge it, put "

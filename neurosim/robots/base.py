@@ -10,12 +10,14 @@ is not connected yet.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
+
+from neurosim.base.commands import Commands
 
 #: An NXT's light sensors are so far ahead of the axle and to either side of its middle, m, unless
 #: its driver is given other places.
@@ -52,7 +54,7 @@ class SystemClock:
 
 @runtime_checkable
 class Robot(Protocol):
-    """A robot on two driven wheels that takes motor commands; all else is a capability.
+    """A robot that takes commands; all else is a capability.
 
     Drivers raise :class:`neurosim.base.errors.RobotError` for whatever a user can put right
     (nothing on the port, the wrong thing on it) and
@@ -71,8 +73,13 @@ class Robot(Protocol):
         """Stop the motors if the line still stands, and close it. Never raises."""
         ...
 
-    def drive(self, left: float, right: float) -> None:
-        """Set both motors, in percent of full speed, -100 to 100; they hold it until the next.
+    @property
+    def commands(self) -> Commands:
+        """What the robot takes for a command; known once it is connected, at the latest."""
+        ...
+
+    def drive(self, command: Sequence[float]) -> None:
+        """Set all numbers of a command, in the robot's units; they hold until the next.
 
         Returns when the robot has acknowledged it. Motors go straight from one speed into the
         next, with speed regulation where the robot has it.
@@ -80,7 +87,7 @@ class Robot(Protocol):
         ...
 
     def stop(self) -> None:
-        """Stop both motors, actively braked where the robot can."""
+        """Stop, actively braked where the robot can."""
         ...
 
     def describe(self) -> dict[str, Any]:
@@ -148,24 +155,23 @@ class SelfStopping(Protocol):
     the line is cut; a robot that has this does it alone.
     """
 
-    def drive_for(self, left: float, right: float, seconds: float) -> None:
-        """Set both motors as ``drive`` does, for a command that is to last so long (s).
+    def drive_for(self, command: Sequence[float], seconds: float) -> None:
+        """Set a command as ``drive`` does; it is to last so long (s).
 
-        They hold the speeds for at least that long; how much longer, without another command, the
-        driver says.
+        It holds for at least that long; how much longer, without another command, the driver says.
         """
         ...
 
 
-def drive_for(robot: Robot, left: float, right: float, seconds: float) -> None:
-    """Set both motors (percent) for a command that is to last ``seconds``.
+def drive_for(robot: Robot, command: Sequence[float], seconds: float) -> None:
+    """Set a command that is to last ``seconds``.
 
     A robot that can stops by itself some time later, if no other command comes; the others go on.
     """
     if isinstance(robot, SelfStopping):
-        robot.drive_for(left, right, seconds)
+        robot.drive_for(command, seconds)
     else:
-        robot.drive(left, right)
+        robot.drive(command)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ stays spread out, and what the committee agrees on by mistake is met now and the
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -29,7 +29,7 @@ from neurosim.simulators import MotionNetwork
 from neurosim.training.base import TrainingData
 from neurosim.training.error_size import size_features, size_weights
 from neurosim.training.train import MIN_ROWS, learn
-from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS
+from tracking.datasets.dataset import MOTOR_INPUTS, OUTPUTS, inputs_of
 from tracking.datasets.displacements import displacements
 from tracking.datasets.recordings import Recording
 
@@ -160,13 +160,14 @@ def choose(
     """
     settings = settings or GuidedSettings()
     chosen: list[Command] = []
-    speeds, pose = (0.0, 0.0), None if place is None else np.array(place.pose, float)
+    before: tuple[float, ...] | None = None
+    pose = None if place is None else np.array(place.pose, float)
     for number in numbers:
         first = settings.candidates * number
         drawn = [source.command(first + k) for k in range(settings.candidates)]
-        x = torch.tensor(
-            [[*speeds, c.left, c.right, c.duration] for c in drawn], dtype=torch.float64
-        )
+        if before is None:  # the robot stands
+            before = (0.0,) * len(drawn[0].numbers)
+        x = torch.tensor([[*before, *c.row] for c in drawn], dtype=torch.float64)
         told = committee.displacements(x)
         worth = committee.worth(x, told).numpy()
         if place is None or pose is None:
@@ -181,7 +182,7 @@ def choose(
                 best = int(np.hypot(path[-1, :, 0], path[-1, :, 1]).argmin())
             pose = path[-1, best]
         chosen.append(drawn[best])
-        speeds = (drawn[best].left, drawn[best].right)
+        before = drawn[best].numbers
     return chosen
 
 
@@ -191,9 +192,14 @@ def _inside(path: NDArray, place: Place) -> NDArray:
     return (np.abs(path[..., :2]) <= half).all((0, 2))
 
 
-def motor_data(x: NDArray, y: NDArray) -> TrainingData:
-    """Return rows (N, 5) and (N, 3) of a robot with two motors as a trainer takes them."""
-    inputs = [{"name": name, "unit": unit} for name, unit in MOTOR_INPUTS.items()]
+def motor_data(x: NDArray, y: NDArray, units: Mapping[str, str] = MOTOR_INPUTS) -> TrainingData:
+    """Return rows (N, I) and (N, 3) as a trainer takes them; by default of a robot on wheels.
+
+    Args:
+        x, y: inputs and displacements.
+        units: of the inputs, by name.
+    """
+    inputs = [{"name": name, "unit": unit} for name, unit in units.items()]
     return TrainingData(inputs, torch.tensor(x), torch.tensor(y))
 
 
@@ -214,9 +220,10 @@ def choose_round(
     Raises:
         UserError: if too few commands were tracked so far.
     """
-    x, y = _rows(made)
+    units = inputs_of(made[0].takes)
+    x, y = _rows(made, units)
     settings = GuidedSettings()
-    committee = Committee(motor_data(x, y), source.seed, settings)
+    committee = Committee(motor_data(x, y, units), source.seed, settings)
     board = made[-1].meta["board"]
     place = Place(pose, board["length"] - 2 * MARGIN, board["width"] - 2 * MARGIN)
     # Little at a time: a second thread would only wait.
@@ -233,8 +240,8 @@ def choose_round(
     }
 
 
-def _rows(made: Sequence[Recording]) -> tuple[NDArray, NDArray]:
-    """Return inputs [N, 5] and displacements [N, 3] of what was recorded so far."""
+def _rows(made: Sequence[Recording], units: Mapping[str, str]) -> tuple[NDArray, NDArray]:
+    """Return inputs [N, I] and displacements [N, 3] of what was recorded so far."""
     rows = [row for recording in made for row in displacements(recording).rows]
     if len(rows) < MIN_ROWS:
         raise UserError(
@@ -243,6 +250,6 @@ def _rows(made: Sequence[Recording]) -> tuple[NDArray, NDArray]:
         )
     inputs, outputs = (
         np.array([[row[name] for name in names] for row in rows], float)
-        for names in (MOTOR_INPUTS, OUTPUTS)
+        for names in (units, OUTPUTS)
     )
     return inputs, outputs

@@ -32,7 +32,7 @@ def plan_of(saved: SavedController) -> list[Command]:
     if not saved.controller.blind:
         return []
     commands, active = saved.controller.commands(saved.genes[None], 0.0)
-    return [Command(*map(float, command)) for command in commands[0][active[0]]]
+    return [Command.of(command) for command in commands[0][active[0]]]
 
 
 class Driver:
@@ -102,7 +102,7 @@ class Driver:
                 "which is no command: its weights or its function are at fault"
             )
         left, right = (min(max(speeds[name], -100.0), 100.0) for name in WHEELS)
-        return Command(left, right, self._episode.step)
+        return Command((left, right), self._episode.step)
 
     def describe(self) -> dict[str, Any]:
         """Return kind and origin of the controller."""
@@ -166,7 +166,7 @@ class Replanned:
         pose, ahead = (seen.pose, 0.0) if seen.sight is None else seen.sight
         assert pose is not None
         command = self.replanner.next(pose, ahead)
-        return None if command is None else Command(*command)
+        return None if command is None else Command.of(command)
 
     def describe(self) -> dict[str, Any]:
         """Return how it is planned again, and the origin of the plan."""

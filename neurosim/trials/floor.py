@@ -165,11 +165,11 @@ class OnFloor:
             if self._given_up:
                 raise LinkLost("the trial was given up")
             seen = self.robot.read_sensors()
-            command = Command(0.0, 0.0, step)  # of a plan without any
+            command = Command((0.0, 0.0), step)  # of a plan without any
             if driver.steps:
                 command = driver.react(Observation(number * step, None, seen))
             clock.sleep_until(time + self.hold)
-            drive_for(self.robot, command.left, command.right, command.duration)
+            drive_for(self.robot, command.numbers, command.duration)
             readings.append(list(seen.values()))
             commands.append(astuple(command))
             # A step that took too long shifts those after it rather than shortening them.
@@ -203,7 +203,7 @@ class OnFloor:
             near = self.robot.activations()[ahead].max() > NEAR
             forward = 0.0 if now - begin < turning or near else 60.0
             turn = 0.0 if forward else side
-            drive_for(self.robot, forward - turn, forward + turn, self.evaluator.episode.step)
+            drive_for(self.robot, (forward - turn, forward + turn), self.evaluator.episode.step)
             clock.sleep_until(now + self.evaluator.episode.step)
         self.rest()
 

@@ -22,6 +22,7 @@ from neurosim.lab import (
     PrintedLine,
     Push,
     VirtualKheperaRig,
+    VirtualLinesRig,
     VirtualRig,
 )
 from neurosim.lab.khepera.rig import START
@@ -195,6 +196,51 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
         yield Rig(rig.robot, rig.camera, None, rig.describe(), rig.lab.place)
 
 
+@contextmanager
+@checks
+def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+    """Open the virtual lab's model car (a speed and a steering angle) under its roof camera.
+
+    It says what it is in lines of text, and has no lamp.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's cars.
+    """
+    with _lines("car", setup, lab_seed) as rig:
+        yield rig
+
+
+@contextmanager
+@checks
+def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+    """Open the virtual lab's omnidirectional base (vx, vy, omega) under its roof camera.
+
+    It says what it is in lines of text.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's bases.
+    """
+    with _lines("omni", setup, lab_seed) as rig:
+        yield rig
+
+
+@contextmanager
+def _lines(kind: str, setup: Setup, lab_seed: int) -> Iterator[Rig]:
+    with VirtualLinesRig(
+        lab_seed,
+        kind=kind,
+        noise_seed=setup.seed,
+        start=setup.start or (0.0, 0.0, 0.0),
+        camera=_has_camera(setup),
+        camera_size=setup.size or (640, 480),
+        fps=setup.fps or 30.0,
+    ) as rig:
+        rig.robot.connect()  # what it takes is known from now on
+        yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+
+
 def _has_camera(setup: Setup) -> bool:
     """Return whether the virtual lab's own camera is wanted."""
     if setup.camera not in (None, "lab", "none"):
@@ -208,6 +254,8 @@ def _has_camera(setup: Setup) -> bool:
 _VIRTUAL: dict[str, Callable[..., AbstractContextManager[Rig]]] = {
     "virtual": virtual,
     "virtual-khepera": virtual_khepera,
+    "virtual-car": virtual_car,
+    "virtual-omni": virtual_omni,
 }
 
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import datetime
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, astuple, dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -137,7 +137,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     by_command = bool(plan)
     if foreseen is not None:
         # The plan was another one after every command: what was sent is what there is.
-        plan = [Command(line.left, line.right, line.duration) for line in driven.sent]
+        plan = [Command(line.numbers, line.duration) for line in driven.sent]
         _check_driver(source, recording)
     elif plan:
         _check_same(plan, driven.sent, recording.path)
@@ -168,7 +168,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         "simulator": dict(saved.simulator) or None,
         "virtual": bool(is_virtual(recording.meta)),
         "task": dict(saved.task),
-        "commands": [[line.left, line.right, line.duration] for line in driven.sent],
+        "commands": [[*line.numbers, line.duration] for line in driven.sent],
         "start": {"planned": list(saved.start), "actual": actual[0]},
         "predicted": {
             name: predicted.get(name)
@@ -199,7 +199,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
     }
     if plan:
         # All commands of the plan, also those that were not sent any more.
-        report["commands"] = [list(astuple(command)) for command in plan]
+        report["commands"] = [list(command.row) for command in plan]
         report["plan_length"] = len(saved.commands) or len(plan)
         report["errors"] = [
             _error(number, was, reached[number] if number < len(reached) else None)
@@ -293,8 +293,8 @@ class _Drive:
             timed: whether commands have their duration as a column.
             stops: whether how the robot stops belongs to it.
         """
-        columns = [(line.left, line.right, line.duration)[: 2 + timed] for line in self.sent]
-        commands = np.array(columns + [(0.0,) * (2 + timed)] * stops)
+        columns = [(*line.numbers, *([line.duration] * timed)) for line in self.sent]
+        commands = np.array(columns + [(0.0,) * len(columns[0])] * stops)
         active = np.append(np.ones(len(self.sent), bool), [False] * stops)
         readings = None
         if self.looks is not None and self.looks.names:
@@ -402,7 +402,7 @@ def _check_driver(source: Mapping[str, str], recording: Recording) -> None:
 
 def _check_same(plan: list[Command], sent: list[CommandLine], path: Path) -> None:
     for number, (one, line) in enumerate(zip(plan, sent, strict=False), start=1):
-        same = (line.left, line.right) == (one.left, one.right)
+        same = line.numbers == one.numbers
         if not same or abs(line.duration - one.duration) > 1e-6:
             raise UserError(f"{path}: command {number} is not the plan's; it is another's trial")
 

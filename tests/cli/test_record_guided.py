@@ -72,7 +72,7 @@ def test_a_guided_recording_that_is_killed_goes_on_with_what_it_had_chosen(pipel
     source = RandomCommands(seed=4)
     for number, command in enumerate(chosen["commands"], start=30):
         drawn = [source.command(8 * number + k) for k in range(8)]
-        assert command in [[c.left, c.right, c.duration] for c in drawn]
+        assert command in [list(c.row) for c in drawn]
     for recording in recordings:
         truth = read_truth(recording.path, recording.sessions)  # a killed session has none
         place = np.abs(truth.poses[:, :2])

@@ -85,7 +85,7 @@ def test_micropython(name, real):
 def test_the_driver_drives_the_arduino(arduino):
     with on_a_terminal(arduino) as port, Lines(port) as robot:
         robot.set_counts(0, 0)
-        robot.drive_for(50, -50, 0.3)
+        robot.drive_for((50, -50), 0.3)
         robot.clock.sleep_until(robot.clock.now() + 1.0)
         left, right = robot.read_counts()
         assert left == -right

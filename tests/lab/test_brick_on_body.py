@@ -33,7 +33,7 @@ def test_from_a_percentage_to_the_wheels():
             light = robot.read_sensors()
             assert light["line_left"] == pytest.approx(0.55, abs=0.02)
             robot.lamp(True)
-            robot.drive(50, 50)
+            robot.drive((50, 50))
             clock.sleep_until(clock.now() + 1.0)
             robot.stop()
             clock.sleep_until(clock.now() + 0.5)

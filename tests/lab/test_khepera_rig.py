@@ -24,12 +24,12 @@ def drive(rig, robot, steps=60):
     """Drive around on what the sensors say; return the way."""
     way = []
     begin = robot.clock.now()
-    robot.drive(60, 50)
+    robot.drive((60, 50))
     activations = robot.activations()
     for step in range(1, steps + 1):
         robot.clock.sleep_until(begin + 0.1 * step)
         left, right = 60 - 120 * activations[2:5].max(), 60 - 60 * activations[:2].max()
-        robot.drive(left, right)
+        robot.drive((left, right))
         activations = robot.activations()
         way.append([*rig.lab.pose, *activations])
     return np.array(way)
@@ -59,7 +59,7 @@ def test_the_driver_drives_and_reads_it(device):
     ):
         robot.set_counts(0, 0)
         begin = rig.lab.pose[0]
-        robot.drive(100, 100)
+        robot.drive((100, 100))
         robot.clock.sleep_until(robot.clock.now() + 0.5)
         robot.stop()
         robot.clock.sleep_until(robot.clock.now() + 0.5)

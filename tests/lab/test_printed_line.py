@@ -61,7 +61,7 @@ def test_a_robot_that_steers_towards_the_dark_goes_round():
         for _ in range(130):
             seen = robot.read_sensors()
             steer = 35 * (seen["line_left"] - seen["line_right"])
-            robot.drive(30 + steer, 30 - steer)
+            robot.drive((30 + steer, 30 - steer))
             due += 0.2
             robot.clock.sleep_until(due)
         poses = rig.lab.truth.poses

@@ -92,7 +92,7 @@ def test_what_breaks_inside_the_lab_is_told_and_not_a_lost_link(tmp_path):
         with rig, rig.robot as robot:
             rig.camera.start(on_frame)
             for _ in range(20):
-                robot.drive(10, 10)
+                robot.drive((10, 10))
 
     with pytest.raises(DiskFull):
         drive()
@@ -105,7 +105,7 @@ def test_a_line_that_closes_does_not_hang_up_a_notebook(tmp_path):
     program = (
         "from neurosim.lab import VirtualRig\n"
         "with VirtualRig(0, camera=False) as rig, rig.robot as robot:\n"
-        "    robot.drive(10, 10)\n"
+        "    robot.drive((10, 10))\n"
         "print('alive')\n"
     )
     done = subprocess.run(

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.base.errors import UserError
 from neurosim.recording.commands import Command
 from neurosim.recording.record import BatteryLow, Guard, RecordSettings, Rig, record
@@ -56,10 +57,12 @@ class Robot:
             self.ways[wheel] += speed / 100 * FULL_SPEED * (now - self.since)
         self.since = now
 
-    def drive(self, left, right):
+    commands = TWO_WHEELS
+
+    def drive(self, command):
         self._move()
-        self.speeds = (left, right)
-        self.sent.append((self.clock.now(), left, right))
+        self.speeds = tuple(command)
+        self.sent.append((self.clock.now(), *command))
 
     def stop(self):
         self._move()
@@ -109,7 +112,7 @@ class Source:
     def react(self, seen):
         self.seen.append(seen)
         speed = 50.0 - 40.0 * seen.readings["sensor_0"]
-        return Command(speed, speed, self.step)
+        return Command((speed, speed), self.step)
 
     def describe(self):
         return {"kind": "test"}
@@ -190,7 +193,7 @@ def test_a_line_is_seen_though_the_controller_reads_nothing(tmp_path):
         reads = False
 
         def react(self, seen):
-            return Command(50, 50, self.step)
+            return Command((50, 50), self.step)
 
     robot = Robot(line=0.2)
     recording, _ = drive(tmp_path / "r", robot, Blindly(50, ()), at_line="end")
@@ -211,7 +214,9 @@ class Dumb:
     def close(self):
         pass
 
-    def drive(self, left, right):
+    commands = TWO_WHEELS
+
+    def drive(self, command):
         self.driven = True
 
     def stop(self):

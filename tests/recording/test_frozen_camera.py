@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from patience import PATIENCE, wait_until
 
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.lab import VirtualKheperaRig, VirtualRig
 from neurosim.lab.nxt.world import Pacer
 from neurosim.recording.agreement import Agreement, Pictures
@@ -195,7 +196,7 @@ def stopped_after(folder, begun):
     return last.time - begun
 
 
-ON = FixedCommands([Command(50, 40, 3.0), Command(-40, 40, 3.0), Command(40, 50, 3.0)])
+ON = FixedCommands([Command((50, 40), 3.0), Command((-40, 40), 3.0), Command((40, 50), 3.0)])
 
 
 @pytest.mark.slow
@@ -222,7 +223,7 @@ def test_a_robot_that_is_held_is_stopped(tmp_path, fps, sensors):
 
 @pytest.mark.slow
 def test_a_robot_that_is_commanded_to_stand_may_stand(tmp_path):
-    stand = FixedCommands([Command(0, 0, 3.0), Command(8, 10, 2.0), Command(0, 0, 2.0)])
+    stand = FixedCommands([Command((0, 0), 3.0), Command((8, 10), 2.0), Command((0, 0), 2.0)])
     filmed(tmp_path, stand, 3, since=0.0, noise=3.0, held=True)
     kinds = [line.kind for line in Recording(tmp_path / "r").commands().itertuples()]
     assert "cut" not in kinds
@@ -251,20 +252,21 @@ def drive(commands, delay, gain, fps, noise=0.0, slowest=None):
         noise: of these, m and rad.
         slowest: of the agreement.
     """
-    found = Agreement(0.5, 0.13)
+    takes = TWO_WHEELS.measured(full=0.5, track=0.13)
+    found = Agreement(0.5, takes.arm)
     if slowest is not None:
         found.slowest = slowest
-    truth = Reckoning(0.5 * gain, 0.13)
+    truth = Reckoning()
     rng, begin, pose, time = np.random.default_rng(0), 10.0, np.zeros(3), 8.0
     starts = begin + np.cumsum([0.0, *[seconds for _, _, seconds in commands]])
     for start, (left, right, _) in zip(starts[:-1], commands, strict=True):
-        truth.sent(start, left, right)
+        truth.sent(start, gain * takes.twist((left, right)))
     waiting = list(zip(starts[:-1], commands, strict=True))
     while time < starts[-1]:
         time += 1 / fps
         while waiting and waiting[0][0] <= time:
             start, (left, right, _) = waiting.pop(0)
-            found.sent(start, left, right)
+            found.sent(start, takes.twist((left, right)))
         pose = truth.predict(pose, time - 1 / fps - delay, time - delay)[0]
         found.seen(time, pose + noise * rng.standard_normal(3))
         if found.broken():

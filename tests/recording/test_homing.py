@@ -4,36 +4,35 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.lab import VirtualRig
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.homing import Homing
 from neurosim.recording.record import RecordSettings, Rig, record
 
-
-def homing() -> Homing:
-    return Homing(full_speed=0.5, track=0.13)
+TAKES = TWO_WHEELS.measured(full=0.5, track=0.13)
 
 
 def test_after_driving_ahead_the_way_in_is_back():
-    home = homing()
-    home.moved(50, 50, 2.0)
+    home = Homing()
+    home.moved(TAKES.twist((50, 50)), 2.0)
     angle, direction = home.way_in()
     assert angle == pytest.approx(0)
     assert direction == -1
 
 
 def test_after_backing_the_way_in_is_ahead():
-    home = homing()
-    home.moved(-50, -50, 2.0)
+    home = Homing()
+    home.moved(TAKES.twist((-50, -50)), 2.0)
     assert home.way_in() == (pytest.approx(0), 1)
 
 
 def test_after_a_quarter_turn_on_the_spot_the_way_in_is_to_the_side():
-    home = homing()
-    home.moved(50, 50, 2.0)
+    home = Homing()
+    home.moved(TAKES.twist((50, 50)), 2.0)
     # The wheels turn the robot by 2 v / track a second.
     quarter = math.pi / 2 / (2 * 0.25 / 0.13)
-    home.moved(-50, 50, quarter)
+    home.moved(TAKES.twist((-50, 50)), quarter)
     angle, direction = home.way_in()
     # It faces left now, so what lies behind where it came from lies to its left: +90 degrees
     # ahead or -90 degrees backing.
@@ -43,14 +42,10 @@ def test_after_a_quarter_turn_on_the_spot_the_way_in_is_to_the_side():
     ]
 
 
-def test_turning_takes_as_long_as_it_takes_the_wheels():
-    assert homing().turning_time(math.pi, 50) == pytest.approx(math.pi * 0.065 / 0.25)
-
-
 def test_old_places_are_forgotten():
-    home = Homing(0.5, 0.13, memory=5.0)
-    home.moved(50, 50, 4.0)
-    home.moved(0, 0, 6.0)
+    home = Homing(memory=5.0)
+    home.moved(TAKES.twist((50, 50)), 4.0)
+    home.moved(TAKES.twist((0, 0)), 6.0)
     assert home.way_in() == (0.0, -1.0)
 
 

@@ -14,6 +14,7 @@ import pytest
 from patience import PATIENCE
 
 from neurosim.base import files
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.recording.commands import Command, FixedCommands, RandomCommands
 from neurosim.recording.record import BatteryLow, Guard, RecordSettings, Rig, _wanted, record
@@ -65,12 +66,14 @@ class FakeRobot:
             self.place += self.speeds[0] / 100 * 0.5 * (now - self.since)
         self.since = now
 
-    def drive(self, left, right):
+    commands = TWO_WHEELS
+
+    def drive(self, command):
         self._move()
         if len(self.sent) >= self.dies_after:
             raise LinkLost("the robot stopped answering")
-        self.speeds = (left, right)
-        self.sent.append((left, right))
+        self.speeds = tuple(command)
+        self.sent.append(self.speeds)
 
     def stop(self):
         self._move()
@@ -106,16 +109,16 @@ def kinds(recording):
 
 def test_random_commands_have_the_shares_and_limits_of_the_paper():
     commands = [RandomCommands(seed=1).command(i) for i in range(4000)]
-    stops = sum(c.left == c.right == 0 for c in commands)
-    equal = sum(c.left == c.right != 0 for c in commands)
+    stops = sum(c.numbers == (0, 0) for c in commands)
+    equal = sum(c.numbers[0] == c.numbers[1] != 0 for c in commands)
     assert stops / 4000 == pytest.approx(0.2, abs=0.02)
     assert equal / 4000 == pytest.approx(0.3, abs=0.02)
-    assert max(abs(c.left) for c in commands) == 50
+    assert max(abs(c.numbers[0]) for c in commands) == 50
     durations = [c.duration for c in commands]
     assert min(durations) >= 0.5
     assert max(durations) <= 3.0
     assert np.mean(durations) == pytest.approx(1.75, abs=0.05)
-    forwards = sum(c.left > 0 for c in commands) / (4000 - stops)
+    forwards = sum(c.numbers[0] > 0 for c in commands) / (4000 - stops)
     assert forwards == pytest.approx(0.5, abs=0.03)
 
 
@@ -164,7 +167,7 @@ def test_the_lamp_flashes_at_the_beginning_and_at_the_end(tmp_path):
 
 def test_a_command_cut_at_the_line_is_repeated_from_the_same_speeds(tmp_path):
     robot = FakeRobot(half_width=1.2)
-    source = FixedCommands([Command(20, 20, 2), *[Command(50, 50, 3)] * 4, Command(0, 0, 1)])
+    source = FixedCommands([Command((20, 20), 2), *[Command((50, 50), 3)] * 4, Command((0, 0), 1)])
     recording = run(tmp_path / "r", robot, 6, source)
     lines = [line for line in recording.commands().itertuples() if line.is_motor]
     cut = [i for i, line in enumerate(lines) if line.kind == "cut"]
@@ -187,7 +190,7 @@ def test_a_command_cut_at_the_line_is_repeated_from_the_same_speeds(tmp_path):
 
 def test_a_guard_that_ends_stops_at_the_line(tmp_path):
     robot = FakeRobot(half_width=0.3)
-    source = FixedCommands([Command(50, 50, 3), Command(50, 50, 3)])
+    source = FixedCommands([Command((50, 50), 3), Command((50, 50), 3)])
     recording = run(tmp_path / "r", robot, 2, source, settings={"guard": Guard("end")})
     assert [line.kind for line in recording.commands().itertuples() if line.is_motor] == [
         "command",
@@ -204,7 +207,7 @@ def test_a_robot_that_does_not_find_back_asks_for_help(tmp_path):
 
     robot = Lost()
     with pytest.raises(UserError, match="middle of the board"):
-        run(tmp_path / "r", robot, 20, FixedCommands([Command(30, 30, 2)] * 20))
+        run(tmp_path / "r", robot, 20, FixedCommands([Command((30, 30), 2)] * 20))
     assert robot.speeds == (0.0, 0.0)
 
 
@@ -219,9 +222,9 @@ def test_a_lost_link_leaves_a_recording_that_resumes(tmp_path):
     assert recording.sessions == 2
     assert recording.meta["complete"] is True
     second = [line for line in recording.commands().itertuples() if line.session == 2]
-    sent = [(line.command, line.left, line.right) for line in second if line.kind == "command"]
+    sent = [(line.command, line.numbers) for line in second if line.kind == "command"]
     # The last two of the first session did not run to their end as far as the log can tell.
-    assert sent == [(i, source.command(i).left, source.command(i).right) for i in range(7, 15)]
+    assert sent == [(i, source.command(i).numbers) for i in range(7, 15)]
 
 
 def test_resuming_with_other_settings_is_refused_and_names_the_setting(tmp_path):
@@ -255,8 +258,8 @@ def test_a_low_battery_pauses_and_says_so(tmp_path):
 @pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError, LinkLost("gone")])
 def test_the_motors_are_stopped_whatever_happens(tmp_path, error):
     class Faulty(FakeRobot):
-        def drive(self, left, right):
-            super().drive(left, right)
+        def drive(self, command):
+            super().drive(command)
             if len(self.sent) == 4:
                 raise error
 
@@ -282,8 +285,10 @@ class Bare:
     def close(self):
         pass
 
-    def drive(self, left, right):
-        self.sent.append((left, right))
+    commands = TWO_WHEELS
+
+    def drive(self, command):
+        self.sent.append(tuple(command))
 
     def stop(self):
         pass
@@ -333,8 +338,8 @@ def test_a_khepera_resumed_on_another_dialect_or_line_is_refused(tmp_path, then,
 
 
 def test_a_recording_says_what_chose_its_commands():
-    source = FixedCommands([Command(10, -20, 1.5)], {"kind": "guided", "round": 2})
-    assert source.command(0) == Command(10, -20, 1.5)
+    source = FixedCommands([Command((10, -20), 1.5)], {"kind": "guided", "round": 2})
+    assert source.command(0) == Command((10, -20), 1.5)
     assert source.describe() == {"kind": "guided", "round": 2, "commands": [[10, -20, 1.5]]}
 
 
@@ -395,8 +400,8 @@ def test_a_recording_killed_at_any_step_goes_on_or_starts_anew(tmp_path, monkeyp
 
 def test_two_do_not_record_into_one_folder(tmp_path):
     class Second(FakeRobot):
-        def drive(self, left, right):
-            super().drive(left, right)
+        def drive(self, command):
+            super().drive(command)
             if len(self.sent) == 2:
                 with pytest.raises(UserError, match="is being recorded into by process"):
                     run(tmp_path / "r", FakeRobot(), 5, resume=True)

@@ -142,7 +142,7 @@ def test_a_camera_that_does_not_wait_is_never_slowed_and_misses_nothing_in_the_e
     def impatient(rig):
         rig.camera.waits = False
 
-    source = FixedCommands([Command(20, 25, 1.0)] * 4)
+    source = FixedCommands([Command((20, 25), 1.0)] * 4)
     made, _, _ = make(
         tmp_path / "r", source, 4, prepare=impatient, settings={"guard": Guard("ignore")}
     )
@@ -163,7 +163,7 @@ def taken_away(begin, end):
     return prepare
 
 
-STEADY = FixedCommands([Command(15, 18, 1.0)] * 8)
+STEADY = FixedCommands([Command((15, 18), 1.0)] * 8)
 
 
 @pytest.mark.slow
@@ -357,7 +357,7 @@ class ToTheEdge:
     def react(self, seen):
         self.seen.append(seen)
         speed = float(np.clip(200 * (self.goal - seen.pose[0]), -40, 40))
-        return Command(round(speed), round(speed), self.step)
+        return Command((round(speed), round(speed)), self.step)
 
     def describe(self):
         return {"kind": "test"}

@@ -79,7 +79,7 @@ def test_the_driver_over_bluetooth(radio, piece):
     sock = radio(FakeSocket(piece))
     with NXT(host=HOST, clock=LabClock()) as robot:
         assert sock.connected == (HOST, 1)
-        robot.drive(30, -30)
+        robot.drive((30, -30))
         assert [output.power for output in sock.brick.hardware.outputs] == [0, 30, -30]
         assert robot.read_sensors()["line_left"] == pytest.approx(0.55, abs=0.001)
     assert sock.frames[0] == b"\x02\x00\x01\x9b"

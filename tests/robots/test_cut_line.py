@@ -89,13 +89,13 @@ def whole(data):
 
 
 def drive_for(left, right, seconds):
-    return lambda robot: robot.drive_for(left, right, seconds)
+    return lambda robot: robot.drive_for((left, right), seconds)
 
 
 COMMANDS = {
     **{f"drive_for {speeds}": (drive_for(*speeds, 1.0), 1.0) for speeds in SPEEDS},
     "drive_for short": (drive_for(40, 70, 0.2), 0.2),
-    "drive": (lambda robot: robot.drive(60, -60), LONGEST),
+    "drive": (lambda robot: robot.drive((60, -60)), LONGEST),
     "stop": (lambda robot: robot.stop(), 0.0),
     "lamp on": (lambda robot: robot.lamp(True), 0.0),
     "lamp off": (lambda robot: robot.lamp(False), 0.0),
@@ -106,7 +106,7 @@ BEFORE = {
     "driving": (drive_for(70, 40, 2.0), 2.0, 0.6),
     "turning": (drive_for(-80, 80, 2.0), 2.0, 1.9),
     "one wheel": (drive_for(0, -50, 2.0), 2.0, 0.6),
-    "held": (lambda robot: robot.drive(30, 90), LONGEST, 0.6),
+    "held": (lambda robot: robot.drive((30, 90)), LONGEST, 0.6),
     "ended by itself": (drive_for(70, 40, 0.5), 0.5, 6.0),
 }
 
@@ -209,12 +209,12 @@ class Rig:
 @pytest.mark.parametrize("lost", [{2}, {3}, {2, 3}, {0, 2}, {1, 3}, {0, 1, 2, 3}])
 def test_a_command_that_was_lost_stops_the_robot(lost, seconds):
     with Rig() as rig:
-        rig.robot.drive_for(30, 30, seconds)
+        rig.robot.drive_for((30, 30), seconds)
         rig.lose(lost)
         with pytest.raises(RobotError, match=r"motor port . is at .* it was told to stop"):
             for _ in range(2 if seconds < 0.5 else 1):
                 rig.radio.patience = 0.01
-                rig.robot.drive_for(60, -60, seconds)
+                rig.robot.drive_for((60, -60), seconds)
                 # A short command is asked for on one side, and lost again the next time.
                 rig.lose(lost)
         wait_until(lambda: rig.powers == [0, 0], "a stop")
@@ -223,9 +223,9 @@ def test_a_command_that_was_lost_stops_the_robot(lost, seconds):
 @pytest.mark.parametrize("lost", [{0}, {1}, {0, 1}])
 def test_without_its_first_telegrams_a_command_ends_later_but_ends(lost):
     with Rig() as rig:
-        rig.robot.drive_for(60, 60, 2.0)
+        rig.robot.drive_for((60, 60), 2.0)
         rig.lose(lost)
-        rig.robot.drive_for(30, 60, 1.0)
+        rig.robot.drive_for((30, 60), 1.0)
         # What was left of the last limit is turned, too.
         left = DEGREES * (60 * 3.0 + 60 * 2.0)
         stood = rig.brick.stands_after(60.0)
@@ -237,7 +237,7 @@ def test_without_its_first_telegrams_a_command_ends_later_but_ends(lost):
 @pytest.mark.slow
 def test_a_brick_that_answers_late_is_stopped_and_lost():
     with Rig(deadline=None) as rig:
-        rig.robot.drive_for(30, 30, 2.0)
+        rig.robot.drive_for((30, 30), 2.0)
         rig.radio.patience = 0.01
         handle = rig.brick.brick.handle
 
@@ -248,7 +248,7 @@ def test_a_brick_that_answers_late_is_stopped_and_lost():
 
         rig.brick.brick.handle = late
         with pytest.raises(LinkLost, match="stopped answering: no reply within 1 s"):
-            rig.robot.drive_for(60, 60, 2.0)
+            rig.robot.drive_for((60, 60), 2.0)
         with pytest.raises(RobotError):
             rig.robot.stop()
         wait_until(lambda: rig.powers == [0, 0], "a stop")

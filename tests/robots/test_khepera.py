@@ -133,7 +133,7 @@ def test_it_is_a_robot_and_says_which(line):
 
 def test_every_command(line, robot):
     script, _ = line
-    robot.drive(100, -54)
+    robot.drive((100, -54))
     robot.set_speeds(3, 127)
     np.testing.assert_array_equal(robot.read_proximity(), [0, 1, 2, 3, 4, 5, 6, 1023])
     np.testing.assert_array_equal(robot.read_ambient(), np.arange(500, 508))
@@ -150,7 +150,7 @@ def test_every_command(line, robot):
 @pytest.mark.parametrize(("left", "right"), [(101, 0), (0, -100.5), (math.nan, 0), (0, math.inf)])
 def test_no_such_speed(robot, left, right):
     with pytest.raises(UserError, match="is not a speed"):
-        robot.drive(left, right)
+        robot.drive((left, right))
 
 
 def test_no_such_speed_of_its_own(robot):
@@ -326,7 +326,7 @@ def test_the_khepera_iii_has_other_letters_prefixes_and_sensors(line):
     script.table |= {b"R": b"r,l10,-20\r\n"}
     with Khepera(path, dialect="khepera3", timeout=PATIENCE) as driver:
         script.heard.clear()
-        driver.drive(100, -100)
+        driver.drive((100, -100))
         driver.set_counts(0, 5)
         assert driver.read_counts() == (10, -20)
         # Its answer begins behind to the left; ours ends there.
@@ -350,7 +350,7 @@ def test_the_e_puck_has_other_letters_and_its_own_order(line):
     with Khepera(path, dialect="epuck", timeout=PATIENCE) as driver:
         script.heard.clear()
         assert driver.describe()["version"] == "Version 1.1.3 September 2006"
-        driver.drive(50, 100)
+        driver.drive((50, 100))
         driver.lamp(True)
         driver.set_counts(1, 2)
         assert driver.read_counts() == (77, -77)

@@ -121,7 +121,7 @@ def test_the_next_program_stops_what_an_earlier_one_left_running():
             "import os, signal\n"
             "from neurosim.robots.nxt.driver import NXT\n"
             f"robot = NXT(filename={robot[-1]!r})\n"
-            "robot.connect(); robot.drive(20, 20); os.kill(os.getpid(), signal.SIGKILL)"
+            "robot.connect(); robot.drive((20, 20)); os.kill(os.getpid(), signal.SIGKILL)"
         )
         subprocess.run([sys.executable, "-c", driving], timeout=PATIENCE)
         time.sleep(0.2)

@@ -16,6 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from patience import PATIENCE
 
+from neurosim.base.commands import Commands, Number
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.lab import VirtualLinesRig
 from neurosim.lab.nxt.physics import S
@@ -26,7 +27,6 @@ from neurosim.robots.lines.protocol import (
     Counter,
     Greeting,
     GreetingError,
-    Number,
     Sensor,
     checksum,
     decode,
@@ -67,10 +67,12 @@ def test_a_greeting_is_read_as_it_is_written():
     told = Greeting(
         "car",
         "1.0",
-        (Number("speed", "m/s", -0.25, 0.5), Number("steer", "rad", -0.4, 0.4, speed=False)),
+        Commands(
+            (Number("speed", "m/s", -0.25, 0.5), Number("steer", "rad", -0.4, 0.4, speed=False)),
+            "car",
+            {"wheelbase": 0.15},
+        ),
         2.5,
-        "car",
-        {"wheelbase": 0.15},
         (Sensor("sensor_0", 4095, {"angle": -45.0}), Sensor("light", 1)),
         (Counter("rear", 812.5),),
         lamp=True,
@@ -106,9 +108,11 @@ def test_greetings_that_are_wrong(line, why):
             Greeting.read([text.split() for text in good[:left_out] + good[left_out + 1 :]])
 
 
-@pytest.mark.parametrize("device", DEVICES)
-def test_the_virtual_robot_keeps_to_the_protocol(device):
-    with a_rig(device=device) as rig:
+@pytest.mark.parametrize(
+    ("device", "kind"), [*((device, "wheels") for device in DEVICES), (None, "car"), (None, "omni")]
+)
+def test_the_virtual_robots_keep_to_the_protocol(device, kind):
+    with a_rig(device=device, kind=kind) as rig:
         greeting = check_lines(rig.address, clock=rig.lab.clock)
         assert greeting == rig.firmware.greeting
 
@@ -125,7 +129,7 @@ def test_the_driver_drives_and_reads_it(device):
         assert rig.lab.body._lamp.port_level == 1.0
         begin = rig.lab.body.pose
         robot.set_counts(1000, -1000)
-        robot.drive_for(40, 40, 1.0)
+        robot.drive_for((40, 40), 1.0)
         robot.clock.sleep_until(robot.clock.now() + 1.0)
         assert moves(rig)
         robot.clock.sleep_until(robot.clock.now() + LATE + 0.5)
@@ -144,18 +148,18 @@ def test_the_driver_drives_and_reads_it(device):
 def test_what_the_robot_does_not_take_is_refused_before_it_is_sent():
     with a_rig() as rig, rig.robot as robot:
         for command in ((101, 0), (0, -100.5), (math.nan, 0)):
-            with pytest.raises(UserError, match="not a speed"):
-                robot.drive(*command)
+            with pytest.raises(UserError, match="is beyond its limits"):
+                robot.drive(command)
         with pytest.raises(UserError, match="they last up to 60 s"):
-            robot.drive_for(1, 1, 61)
-        with pytest.raises(UserError, match="right: -200 is beyond the robot's limits"):
-            robot.send((0, -200), 1)
-        with pytest.raises(UserError, match="has 2 numbers, not 3"):
-            robot.send((0, 0, 0), 1)
+            robot.drive_for((1, 1), 61)
+        with pytest.raises(UserError, match="right: -200 is beyond its limits; use -100 to 100 %"):
+            robot.drive_for((0, -200), 1)
+        with pytest.raises(UserError, match=r"has 2 numbers \(left, right\), not 3"):
+            robot.drive((0, 0, 0))
         assert rig.standing
         moved = []
         rig.firmware.hardware.move = moved.append
-        robot.send((1e-7, -33.33333), 0.1)  # never with an exponent
+        robot.drive((1e-7, -33.33333))  # never with an exponent
         assert moved == [(0.0, -33.3333)]
 
 
@@ -166,8 +170,8 @@ def test_wherever_the_line_is_cut_the_robot_stops_by_itself():
         feed = rig.firmware.feed
         rig.firmware.feed = lambda data: sent.append(data) or feed(data)
         with rig.robot as robot:
-            robot.drive_for(30, 30, 0.5)
-            robot.drive_for(-30, 30, 0.5)
+            robot.drive_for((30, 30), 0.5)
+            robot.drive_for((-30, 30), 0.5)
             drives = b"".join(sent)
         drives = drives[drives.index(b"drive") - 5 :]
         assert drives.count(b"drive") == 2
@@ -198,7 +202,7 @@ def test_a_line_that_loses_and_changes_bytes():
         lost = 0
         for step in range(100):
             with suppress(RobotError):
-                robot.drive_for(step % 7, -step % 7, 0.1)
+                robot.drive_for((step % 7, -step % 7), 0.1)
             try:
                 counts = robot.read_counts()
             except LinkLost:
@@ -214,7 +218,7 @@ def test_a_line_that_loses_and_changes_bytes():
 def test_a_robot_that_starts_anew_counts_on():
     with a_rig() as rig, rig.robot as robot:
         robot.set_counts(0, 0)
-        robot.drive_for(50, 50, 1.0)
+        robot.drive_for((50, 50), 1.0)
         robot.clock.sleep_until(robot.clock.now() + 2.0)
         before = robot.read_counts()
         assert min(before) > 100
@@ -227,7 +231,7 @@ def test_a_robot_that_starts_anew_counts_on():
 
 def test_a_robot_whose_radio_fails_stops_by_itself():
     with a_rig() as rig, rig.robot as robot:
-        robot.drive_for(50, 50, 1.0)
+        robot.drive_for((50, 50), 1.0)
         rig.switch_off()
         robot._timeout = 0.05
         with pytest.raises(LinkLost, match="stopped answering: no good reply to 'stop'"):
@@ -236,7 +240,7 @@ def test_a_robot_whose_radio_fails_stops_by_itself():
         assert rig.standing
         assert not moves(rig)
         with pytest.raises(LinkLost, match="stopped answering"):
-            robot.drive(1, 1)
+            robot.drive((1, 1))
 
 
 @contextmanager

@@ -85,7 +85,7 @@ def test_drive_sets_both_motors_regulated_and_for_a_minute(rig):
         assert isinstance(robot, Battery)
         assert isinstance(robot, Sensors)
         assert not isinstance(robot, Counters)
-        robot.drive(40.4, -100)
+        robot.drive((40.4, -100))
         left, right = rig.body.outputs[1], rig.body.outputs[2]
         for output, power in ((left, 40), (right, -100)):
             assert output.power == power
@@ -102,7 +102,7 @@ def test_drive_returns_when_the_lab_has_taken_it(one):
         for alone, took in ((False, 0.0425), (True, 0.0850)):
             robot.alone = alone
             before = one.clock.now()
-            robot.drive(10, 20)
+            robot.drive((10, 20))
             # Two telegrams, or four, and a question leave together; the answer takes another
             # 20 ms, and so does a second question, and its answer.
             assert one.clock.now() - before == pytest.approx(took, abs=1e-6)
@@ -114,7 +114,7 @@ def test_the_brick_is_kept_awake(one):
     one.radio.deliver = lambda telegram: heard.append(telegram[1]) or plain(telegram)
     with one.robot() as robot:
         for _ in range(100):
-            robot.drive(10, 20)
+            robot.drive((10, 20))
             one.clock.sleep_until(one.clock.now() + 1.0)
     assert heard.count(0x0D) == 3  # at the start, and two in 100 s
 
@@ -122,7 +122,7 @@ def test_the_brick_is_kept_awake(one):
 def test_mirrored_motors_and_other_ports(one):
     body = one.body
     with one.robot(left="C", right="a", lamp="B", invert=True) as robot:
-        robot.drive(30, 50)
+        robot.drive((30, 50))
         assert [output.power for output in body.outputs] == [-50, 0, -30]
         robot.lamp(True)
         assert body.outputs[1].power == 100
@@ -135,7 +135,7 @@ def test_impossible_speeds_are_refused_before_anything_is_sent(one, speed):
     with one.robot() as robot:
         sent = one.radio.telegrams
         with pytest.raises(UserError, match="right motor"):
-            robot.drive(10, speed)
+            robot.drive((10, speed))
         assert one.radio.telegrams == sent
 
 
@@ -236,14 +236,14 @@ def test_wrong_ports_are_named(options, words):
 def test_motors_stop_whatever_happens(rig):
     with pytest.raises(KeyboardInterrupt), rig.robot() as robot:
         robot.lamp(True)
-        robot.drive(50, 50)
+        robot.drive((50, 50))
         raise KeyboardInterrupt
     assert rig.motors() == [(0, 0), (0, 7), (0, 7)]
 
 
 def test_interrupted_while_waiting_for_a_reply_the_motors_still_stop(rig):
     with rig.robot() as robot:
-        robot.drive(50, 50)
+        robot.drive((50, 50))
         guard = robot._brick._sock
         guard.send(b"\x00\x0b")  # the reply to this is never read
         assert robot.odometry() == (0.0, 0.0)
@@ -254,12 +254,12 @@ def test_interrupted_while_waiting_for_a_reply_the_motors_still_stop(rig):
 def test_closed_and_connected_again(rig):
     robot = rig.robot()
     with pytest.raises(RobotError, match="not connected"):
-        robot.drive(1, 1)
+        robot.drive((1, 1))
     robot.close()
     for _ in range(2):
         robot.connect()
         robot.connect()
-        robot.drive(7, 7)
+        robot.drive((7, 7))
         robot.close()
         robot.close()
     assert rig.motors()[1:] == [(0, 7), (0, 7)]
@@ -267,11 +267,11 @@ def test_closed_and_connected_again(rig):
 
 def test_a_brick_that_falls_silent_is_lost_within_the_deadline(rig, monkeypatch):
     with rig.robot() as robot:
-        robot.drive(50, 50)
+        robot.drive((50, 50))
         rig.radio.silent = True
         robot._brick._sock._deadline = SHORT
         with pytest.raises(LinkLost, match=r"stopped answering: no reply within 0\.3 s") as error:
-            robot.drive(10, 10)
+            robot.drive((10, 10))
         where = rig.options.get("filename") or "127.0.0.1:"
         assert where in one_sentence(error)
         for read in ("_read_frame", "_read_packet"):
@@ -283,11 +283,11 @@ def test_a_brick_that_falls_silent_is_lost_within_the_deadline(rig, monkeypatch)
 
 def test_a_line_that_closes_is_lost(rig):
     with rig.robot() as robot:
-        robot.drive(50, 50)
+        robot.drive((50, 50))
         rig.server.hang_up()
         with pytest.raises(LinkLost, match="stopped answering: the line was closed"):
             for _ in range(3):
-                robot.drive(10, 10)
+                robot.drive((10, 10))
 
 
 @pytest.mark.parametrize(
@@ -312,7 +312,7 @@ def test_what_the_brick_refuses_is_no_lost_link(one):
     with one.robot() as robot:
         one.radio.brick.hardware.set_output = lambda *settings: None
         with pytest.raises(RobotError, match="motor port B is at 0 % instead of 10 %") as error:
-            robot.drive(10, 20)
+            robot.drive((10, 20))
         assert not isinstance(error.value, LinkLost)
         one.radio.deliver = lambda telegram: bytes([2, telegram[1], 0xFB]) + bytes(22)
         with pytest.raises(RobotError, match="insufficient memory"):
@@ -497,7 +497,7 @@ def test_usb_with_a_brick(monkeypatch):
     device.brick = brick
     monkeypatch.setattr(nxt.backend.usb.usb.core, "find", usb_find([device]))
     with NXT(clock=LabClock()) as robot:
-        robot.drive(20, 30)
+        robot.drive((20, 30))
         assert [output.power for output in brick.hardware.outputs] == [0, 20, 30]
         assert robot.describe()["name"] == "Sam"
     assert [output.power for output in brick.hardware.outputs] == [0, 0, 0]
@@ -552,11 +552,11 @@ def faulty(rig, fault):
 @pytest.mark.parametrize("then", ["drive", "read", "leave"])
 def test_after_one_bad_reply_the_motors_stop(rig, fault, then):
     with suppress(RobotError), rig.robot(lamp=None) as robot:
-        robot.drive(50, -50)
+        robot.drive((50, -50))
         robot._brick._sock._deadline = SHORT
         faulty(rig, fault)
         if then == "drive":
-            robot.drive(60, 60)
+            robot.drive((60, 60))
         elif then == "read":
             robot.read_sensors()
     wait_until(lambda: not any(output.power for output in rig.body.outputs), "a stop")
@@ -564,7 +564,7 @@ def test_after_one_bad_reply_the_motors_stop(rig, fault, then):
 
 def test_a_stop_that_is_interrupted_is_sent_all_the_same(rig):
     with rig.robot(lamp=None) as robot:
-        robot.drive(50, 50)
+        robot.drive((50, 50))
         rig.radio.patience = 0.01
 
         def interrupted(*_):
@@ -580,12 +580,12 @@ def test_a_stop_that_is_interrupted_is_sent_all_the_same(rig):
 def test_a_command_that_lasts_ends_by_itself(rig):
     with rig.robot() as robot:
         assert isinstance(robot, SelfStopping)
-        robot.drive_for(40, -100, 2.0)
+        robot.drive_for((40, -100), 2.0)
         # 12 degrees a second for each percent, for 2 s and one more.
         limits = [output.tacho_limit for output in rig.body.outputs]
         assert limits == [0, 12 * 40 * 3, 12 * 100 * 3]
         assert [output.power for output in rig.body.outputs] == [0, 40, -100]
-        robot.drive_for(0, 10, 0.1)
+        robot.drive_for((0, 10), 0.1)
         assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 132]
     assert [output.tacho_limit for output in rig.body.outputs] == [0, 0, 0]
 
@@ -602,7 +602,7 @@ def test_a_limit_counts_from_where_the_motor_is(one):
     )
     with one.robot() as robot:
         heard.clear()
-        robot.drive_for(50, -50, 1.0)
+        robot.drive_for((50, -50), 1.0)
         # At 1 %, and without regulation, no motor turns.
         assert heard == [(1, 1, 0), (2, 1, 0), (1, 50, 1200), (2, -50, 1200)]
 

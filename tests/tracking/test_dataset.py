@@ -519,11 +519,11 @@ def test_the_fit_beats_interpolation_and_has_no_bias():
 
 def test_the_cutting_report():
     sent = [
-        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "cut", "attempt": 1},
-        {"left": 50.0, "right": 50.0, "duration": 2.0, "fate": "completed", "attempt": 2},
-        {"left": -20.0, "right": -20.0, "duration": 1.0, "fate": "completed", "attempt": 1},
-        {"left": 0.0, "right": 0.0, "duration": 1.2, "fate": "completed", "attempt": 1},
-        {"left": 10.0, "right": -10.0, "duration": 0.5, "fate": "other", "attempt": 1},
+        {"forward": 50.0, "turn": 0.0, "duration": 2.0, "fate": "cut", "attempt": 1},
+        {"forward": 50.0, "turn": 0.0, "duration": 2.0, "fate": "completed", "attempt": 2},
+        {"forward": -20.0, "turn": 0.0, "duration": 1.0, "fate": "completed", "attempt": 1},
+        {"forward": 0.0, "turn": 0.0, "duration": 1.2, "fate": "completed", "attempt": 1},
+        {"forward": 0.0, "turn": -10.0, "duration": 0.5, "fate": "other", "attempt": 1},
     ]
     report = cutting(sent)
     assert report["by_class"] == {

@@ -118,6 +118,14 @@ class MotorLine(NamedTuple):
     left: float
     right: float
 
+    @property
+    def forward(self):
+        return (self.left + self.right) / 2
+
+    @property
+    def turn(self):
+        return (self.right - self.left) / 2
+
 
 def commanded():
     rng = np.random.default_rng(1)

@@ -23,6 +23,14 @@ class Line:
     left: float
     right: float
 
+    @property
+    def forward(self):
+        return (self.left + self.right) / 2
+
+    @property
+    def turn(self):
+        return (self.right - self.left) / 2
+
 
 def commands(count, seed, first=3.0):
     """Lines as a recording has them: new speeds every 0.5 to 2 s, then a stop."""

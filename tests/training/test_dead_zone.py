@@ -111,7 +111,7 @@ def test_inputs_of_one_sign_have_none():
 def test_of_the_labs_robots_200_rows_tell_which_commands_do_nothing(seed):
     params, source = LabParams.drawn(seed), RandomCommands(seed=seed)
     drawn = [source.command(n) for n in range(200)]
-    told = np.array([[c.left, c.right, c.duration] for c in drawn])
+    told = np.array([c.row for c in drawn])
     state = new_state(params, seed, (0.0, 0.0, 0.0))
     poses = displacements(state, told, params.coefficients(), slip_field(params))
     x = np.column_stack([np.vstack([np.zeros(2), told[:-1, :2]]), told])

@@ -78,10 +78,10 @@ def test_each_command_is_the_best_of_its_candidates_after_the_one_before(committ
         range(20, 30), choose(committee, source, range(20, 30), settings=QUICK), strict=True
     ):
         drawn = [source.command(6 * number + k) for k in range(6)]
-        x = torch.tensor([[*speeds, c.left, c.right, c.duration] for c in drawn])
+        x = torch.tensor([[*speeds, *c.row] for c in drawn])
         told = committee.displacements(x.double())
         assert command == drawn[int(committee.worth(x.double(), told).argmax())]
-        speeds = (command.left, command.right)
+        speeds = command.numbers
 
 
 def test_chosen_commands_keep_to_the_source_s_limits_and_to_the_rectangle(committee):
@@ -90,16 +90,16 @@ def test_chosen_commands_keep_to_the_source_s_limits_and_to_the_rectangle(commit
     commands = choose(committee, source, range(20, 60), place, GuidedSettings(candidates=12))
     pose, speeds = np.array(place.pose), (0.0, 0.0)
     for command in commands:
-        assert max(abs(command.left), abs(command.right)) <= 40
+        assert max(map(abs, command.numbers)) <= 40
         assert 0.5 <= command.duration <= 2.0
-        x = torch.tensor([[*speeds, command.left, command.right, command.duration]])
+        x = torch.tensor([[*speeds, *command.row]])
         moved = committee.displacements(x.double()).mean(0).numpy()[0]
-        pose, speeds = se2.compose(pose, moved), (command.left, command.right)
+        pose, speeds = se2.compose(pose, moved), command.numbers
         assert (np.abs(pose[:2]) <= [1.0, 0.7]).all()
 
 
 def test_a_command_that_leads_out_is_taken_only_if_all_do_and_then_the_nearest():
-    ahead = [Command(50, 50, 2.0), Command(50, 50, 1.0), Command(10, 10, 1.0)]
+    ahead = [Command((50, 50), 2.0), Command((50, 50), 1.0), Command((10, 10), 1.0)]
     settings = GuidedSettings(candidates=3)
 
     def first(x):

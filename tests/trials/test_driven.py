@@ -294,7 +294,7 @@ def test_a_driver_asks_as_a_simulator_does():
             goals.at(pose), 0.1 * step,
         )  # fmt: skip
         given, memory = family.act(tensor(genes[None]), seen, memory)
-        assert [command.left, command.right] == pytest.approx(given[0].tolist(), rel=1e-12)
+        assert [*command.numbers] == pytest.approx(given[0].tolist(), rel=1e-12)
         assert command.duration == task.step
     assert drive() == first  # begun anew, nothing of before is left
 
@@ -306,6 +306,6 @@ def test_speeds_that_are_none_are_refused_and_too_fast_ones_cut_off():
 
     seen = Observation(0.0, None, {})
     command = driver(lambda seen: (250.0, -101.0)).react(seen)
-    assert (command.left, command.right) == (100.0, -100.0)
+    assert command.numbers == (100.0, -100.0)
     with pytest.raises(UserError, match=r"gave \{'left': nan, 'right': 1.0\} after 0.0 s"):
         driver(lambda seen: (math.nan, 1.0)).react(seen)

@@ -188,11 +188,10 @@ def _speeds(times: NDArray, signals: NDArray, grid: NDArray) -> NDArray:
 
 
 def _commanded(lines: Sequence[MotorLine], begin: float, end: float, step: float) -> NDArray:
-    """Return [2, N] mean and half difference of the commanded speeds, behind a lag of 0.1 s."""
+    """Return [2, N] the commanded forward and turning speeds, behind a lag of 0.1 s."""
     grid = np.arange(begin, end + 0.5, step)
     current = np.searchsorted([line.time for line in lines], grid, side="right") - 1
-    speeds = np.array([(line.left, line.right) for line in lines], float)[current]
-    profile = np.stack([speeds.mean(axis=1), (speeds[:, 1] - speeds[:, 0]) / 2])
+    profile = np.array([(line.forward, line.turn) for line in lines], float)[current].T
     lag = np.exp(-np.arange(0.0, 0.6, step) / 0.1)
     lag /= lag.sum()
     return np.stack([np.convolve(row, lag)[: profile.shape[1]] for row in profile])

@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 
 #: Seconds of track before and after a command that its answer is sought in.
 BEFORE, AFTER = 0.2, 0.45
-#: A change of the mean or of half the difference of the speeds below this (percent) is no
+#: A change of the forward or of the turning speed below this (percent) is no
 #: event; one command must last this long (s) for the next one's answer to be told from its own.
 LEAST_CHANGE, LEAST_DURATION = 8.0, 0.45
 #: Fewer answers than this fix no delay.
@@ -39,12 +39,12 @@ SYSTEMATIC = 0.002
 
 
 class MotorLine(Protocol):
-    """A line of a command log that changes the motors' speeds (percent); see
+    """A line of a command log that changes the forward and turning speed (percent); see
     ``Recording.commands``."""
 
     time: float
-    left: float
-    right: float
+    forward: float
+    turn: float
 
 
 @dataclass(frozen=True)
@@ -103,11 +103,11 @@ def signals_of(times: ArrayLike, poses: ArrayLike) -> tuple[NDArray, NDArray]:
 
 
 def changes_of(lines: Iterable[MotorLine]) -> NDArray:
-    """Return [K, 4]: time of each change of speed, change of mean and half difference, room.
+    """Return [K, 4]: time of each change of speed, change of forward and turning speed, room.
 
     The room is the time until the next line; a change right after another one has none.
     """
-    rows = [(line.time, line.left, line.right) for line in lines]
+    rows = [(line.time, line.forward, line.turn) for line in lines]
     if not rows:
         return np.empty((0, 4))
     table = np.array(rows, float)
@@ -115,8 +115,7 @@ def changes_of(lines: Iterable[MotorLine]) -> NDArray:
     change = table[:, 1:] - before
     length = np.append(np.diff(table[:, 0]), np.inf)
     room = np.where(np.append(np.inf, length[:-1]) < LEAST_DURATION, 0.0, length)
-    mean, half = change.mean(axis=1), (change[:, 1] - change[:, 0]) / 2
-    return np.column_stack([table[:, 0], mean, half, room])
+    return np.column_stack([table[:, 0], change, room])
 
 
 def answers_to(times: NDArray, signals: NDArray, changes: NDArray) -> Answers | None:

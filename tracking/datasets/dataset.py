@@ -24,6 +24,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.base import files, formats
+from neurosim.base.commands import Commands
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import track
@@ -38,6 +39,13 @@ FORMAT, VERSION = "neurosim-dataset", 1
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
 OUTPUTS = {"dx": "m", "dy": "m", "dtheta": "rad"}
+
+
+def inputs_of(takes: Commands) -> dict[str, str]:
+    """Return the inputs of a robot with these commands, with units: the command before, and it."""
+    units = takes.units
+    return {**{f"prev_{name}": unit for name, unit in units.items()}, **units, "duration": "s"}
+
 
 #: Nothing can be learned from fewer rows; importers warn, training refuses.
 FEWEST_ROWS = 20
@@ -273,6 +281,7 @@ def build(
     markers: list[dict[str, Any]] = []
     readings: list[pd.DataFrame] = []
     sources, robots, perimeters, virtual = [], [], [], False
+    inputs: dict[str, str] = {}
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
         found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
@@ -302,9 +311,16 @@ def build(
         if recording.meta["robot"] not in robots:
             robots.append(recording.meta["robot"])
         perimeters.append(Perimeter.of_recording(recording.meta))
+        own = inputs_of(recording.takes)
+        inputs = inputs or own
+        if own != inputs:
+            raise UserError(
+                f"{recordings[0]} and {path} have other commands ({', '.join(inputs)}; "
+                f"{', '.join(own)}): make a dataset of each"
+            )
     dataset = make(
         rows,
-        MOTOR_INPUTS,
+        inputs,
         sources=sources,
         left_out=left_out,
         settings=asdict(settings),
@@ -367,7 +383,7 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
     commands that were completed are slower, shorter and turn more than those that were sent.
 
     Args:
-        sent: left, right (percent), duration (s), fate and attempt (from 1) of every command
+        sent: forward, turn (percent), duration (s), fate and attempt (from 1) of every command
             that was sent, one that was cut and sent again as often as it was sent.
         bin_width: width of the bins of duration, s.
 
@@ -407,13 +423,13 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
 
 
 def _reach(commands: Iterable[Mapping[str, Any]]) -> float | None:
-    values = [abs(command["left"]) * command["duration"] for command in commands]
+    values = [abs(command["forward"]) * command["duration"] for command in commands]
     return float(np.mean(values)) if values else None
 
 
 def _class(command: Mapping[str, Any]) -> str:
-    if command["left"] == command["right"]:
-        return "stop" if command["left"] == 0 else "equal"
+    if command["turn"] == 0:
+        return "stop" if command["forward"] == 0 else "equal"
     return "random"
 
 

@@ -73,13 +73,15 @@ class Displacements:
     """What one recording gives.
 
     Attributes:
-        rows: one dict per usable command, keys command, prev_left, prev_right, left, right
-            (percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1), and ``within``,
-            the tracked poses at some frames within the command
+        rows: one dict per usable command, keys command, the numbers of the command and, with
+            ``prev_`` before their names, of the one before (for two wheels prev_left, prev_right,
+            left, right, percent), duration (s), dx, dy (m), dtheta (rad), quality (0..1), and
+            ``within``, the tracked poses at some frames within the command
             (:func:`tracking.datasets.within.poses_within`).
         left_out: reason -> count of the commands that gave no row.
-        sent: every command as often as it was sent, dicts with left, right, duration, attempt
-            (from 1) and ``fate``: ``cut``, ``completed`` or ``other``.
+        sent: every command as often as it was sent, dicts with its numbers by name, ``forward``
+            and ``turn`` (percent), duration, attempt (from 1) and ``fate``: ``cut``,
+            ``completed`` or ``other``.
         delays: of every session in which it could be found, how late the motors answered
             (:class:`tracking.clock.motor_delay.Delay`).
         corrected: the sessions whose displacements count from that later instant.
@@ -224,15 +226,17 @@ def displacements(
             found.corrected.add(session)
     late = {session: found.delays[session].delay for session in found.corrected}
     attempts: Counter[int | None] = Counter()
+    takes, names = recording.takes, recording.takes.names
     for place, line in enumerate(lines):
         if line.kind != "command":
             continue
         before, after = _neighbour(lines, place, -1), _neighbour(lines, place, +1)
         reason = _not_completed(line, after, settings)
         fate = {None: "completed", "cut": "cut"}.get(reason, "other")
-        planned = {"left": line.left, "right": line.right, "duration": line.duration}
+        planned = {**dict(zip(names, line.numbers, strict=True)), "duration": line.duration}
         attempts[line.command] += 1
-        found.sent.append({**planned, "fate": fate, "attempt": attempts[line.command]})
+        commanded = {"forward": line.forward, "turn": line.turn}
+        found.sent.append({**planned, **commanded, "fate": fate, "attempt": attempts[line.command]})
         if reason is None:
             shown = (
                 None if x is None else x._replace(time=x.time + late.get(line.session, 0.0))
@@ -245,12 +249,11 @@ def displacements(
                     reason = "doubtful"
             else:
                 # A session begins with the robot standing.
-                previous = (before.left, before.right) if before is not None else (0.0, 0.0)
+                previous = takes.rest() if before is None else before.numbers
                 found.rows.append(
                     {
                         "command": line.command,
-                        "prev_left": previous[0],
-                        "prev_right": previous[1],
+                        **{f"prev_{x}": v for x, v in zip(names, previous, strict=True)},
                         **planned,
                         **taken,
                     }

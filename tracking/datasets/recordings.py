@@ -26,6 +26,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from neurosim.base import formats
+from neurosim.base.commands import Commands
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import (
     LineLog,
@@ -65,7 +66,7 @@ KINDS = (
 #: The kinds that change what the motors do.
 MOTOR_KINDS = frozenset({"command", "cut", "manoeuvre", "stop"})
 
-_COMMAND_COLUMNS = ("session", "command", "kind", "time", "left", "right", "duration")
+_COMMAND_COLUMNS = ("session", "command", "kind", "time")  # the numbers, and the duration
 _FRAME_COLUMNS = ("session", "frame", "time")
 SIGHTING_COLUMNS = (
     "session", "frame", "front_u", "front_v", "rear_u", "rear_v", "quality", "lamp",
@@ -198,7 +199,7 @@ class Recording:
         Raises:
             UserError: if there is something at ``path``.
         """
-        path = Path(path)
+        path, takes = Path(path), Commands.of(meta.get("commands"))
         content = {
             "created": _wall_clock(),
             "complete": False,
@@ -207,7 +208,7 @@ class Recording:
             "settings": {},
             "markers": DEFAULT_MARKERS,
             "board": DEFAULT_BOARD,
-            "units": {"time": "s", "left": "%", "right": "%", "duration": "s", "board": "m"},
+            "units": {"time": "s", **takes.units, "duration": "s", "board": "m"},
             "sessions": [],
             "videos": [],
             **meta,
@@ -218,6 +219,20 @@ class Recording:
             if calibration is not None:
                 shutil.copyfile(calibration, folder / "calibration.json")
         return cls(path)
+
+    @property
+    def takes(self) -> Commands:
+        """What the robot takes for a command.
+
+        Raises:
+            FileError: if recording.json says something else there.
+        """
+        try:
+            return Commands.of(self.meta.get("commands"))
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(
+                self.path / "recording.json", f"describes no commands: {error}", field="commands"
+            ) from None
 
     def save_meta(self) -> None:
         """Write ``meta`` back to recording.json."""
@@ -246,7 +261,8 @@ class Recording:
 
     def command_log(self) -> LineLog:
         """Open commands.csv for appending; a torn last line is removed."""
-        return LineLog(self.path / "commands.csv", _COMMAND_COLUMNS)
+        columns = (*_COMMAND_COLUMNS, *self.takes.names, "duration")
+        return LineLog(self.path / "commands.csv", columns)
 
     def frame_log(self) -> LineLog:
         """Open frames.csv for appending; a torn last line is removed."""
@@ -268,8 +284,10 @@ class Recording:
         Returns:
             A row for each line, indexed by the number of the line in the file: session, command
             (its number, -1 where there is none), kind (one of :data:`KINDS`), time (s on the
-            session's robot clock), left and right (percent), duration (s), and is_motor, whether
-            it changes the motors' speeds.
+            session's robot clock), the numbers of the command by name and together (a tuple),
+            duration (s), is_motor, whether it changes what the motors do, and ``forward`` and
+            ``turn``, the speeds that are commanded (percent of the greatest; 0 where nobody says
+            how the robot moves).
 
         Raises:
             FileError: naming line and field: a column that is missing, a word where a number
@@ -277,12 +295,20 @@ class Recording:
         """
         path = self.path / "commands.csv"
         parsers = {"session": integer, "command": _optional_integer, "kind": _kind, "time": number}
-        parsers |= dict.fromkeys(("left", "right", "duration"), optional_number)
+        names = self.takes.names
+        parsers |= dict.fromkeys((*names, "duration"), optional_number)
         table = read_csv(path, parsers, drop_torn_line=True)
         table = table.astype({"command": int}).assign(is_motor=table["kind"].isin(MOTOR_KINDS))
         refuse = partial(refuse_lines, path, table)
-        speeds = table[["left", "right"]].notna().all(axis=1)
-        refuse(table["is_motor"] & ~speeds, "a motor command needs both speeds")
+        numbers = table[[*names]].to_numpy(float)
+        whole = np.isfinite(numbers).all(axis=1)
+        missing = "both speeds" if len(names) == 2 else "all its numbers"
+        refuse(table["is_motor"] & ~whole, f"a motor command needs {missing}")
+        known = self.takes.moves_as_known
+        percent = self.takes.percent(numbers) if known else np.zeros((len(table), 2))
+        table = table.assign(
+            numbers=list(map(tuple, numbers.tolist())), forward=percent[:, 0], turn=percent[:, 1]
+        )
         lasts = table["duration"].between(0, LONGEST, inclusive="right")
         refuse(
             (table["kind"] == "command") & ((table["command"] == -1) | ~lasts),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.lab.nxt.body import (
     MODE_BRAKE,
     MODE_ON,
@@ -12,7 +13,7 @@ from neurosim.lab.nxt.body import (
     NxtBody,
 )
 from neurosim.lab.nxt.params import LabParams
-from neurosim.robots.lines.protocol import Counter, Greeting, Number, Sensor
+from neurosim.robots.lines.protocol import Counter, Greeting, Sensor
 
 _TYPICAL = LabParams()
 _HELD = MODE_ON | MODE_BRAKE | MODE_REGULATED
@@ -42,14 +43,12 @@ class TwoWheels:
         self.greeting = Greeting(
             name="two-wheels",
             firmware="neurosim-lab",
-            commands=(Number("left", "%", -100, 100), Number("right", "%", -100, 100)),
+            commands=TWO_WHEELS.measured(
+                full=_TYPICAL.full_speed * _TYPICAL.diameter_left / 2,
+                track=_TYPICAL.track,
+                radius=0.12,
+            ),
             longest=60.0,
-            body="wheels",
-            measures={
-                "full": _TYPICAL.full_speed * _TYPICAL.diameter_left / 2,
-                "track": _TYPICAL.track,
-                "radius": 0.12,
-            },
             sensors=tuple(Sensor(name, _FULL_SCALE, place) for name, place in places.items()),
             counters=(Counter("left", per_metre), Counter("right", per_metre)),
             lamp=True,

@@ -124,7 +124,7 @@ class LinesFirmware:
             milliseconds, command = int(words[0]), tuple(map(float, words[1:]))
         except (ValueError, IndexError):
             return False
-        limits = self.greeting.commands
+        limits = self.greeting.commands.numbers
         if not 1 <= milliseconds <= 1000 * self.greeting.longest or len(command) != len(limits):
             return False
         if not all(

@@ -8,15 +8,19 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.errors import UserError
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.lines.bodies import TwoWheels
 from neurosim.lab.lines.firmware import LinesFirmware
+from neurosim.lab.lines.planar import KINDS, PlanarBody
 from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.rig import PLACING
 from neurosim.lab.nxt.world import Lab
 from neurosim.robots.lines.driver import BAUD, Lines
 
+#: The robots that there are.
+LINES_ROBOTS = ("wheels", *KINDS)
 #: Bits that a byte takes on the line: a start bit, 8 data bits, a stop bit.
 BITS = 10
 
@@ -26,6 +30,8 @@ class VirtualLinesRig:
 
     Args:
         robot_seed: which robot and which board; the same number is the same robot.
+        kind: wheels for the virtual NXT's motors and sensors, car, or omni for a base that drives
+            in any direction.
         noise_seed: of everything that differs from one session to the next.
         start: where a person tries to put the robot (m, m, rad, board frame).
         camera: whether there is a camera.
@@ -48,6 +54,7 @@ class VirtualLinesRig:
         self,
         robot_seed: int,
         *,
+        kind: str = "wheels",
         noise_seed: int = 0,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         camera: bool = True,
@@ -58,16 +65,21 @@ class VirtualLinesRig:
         baud: int = BAUD,
         real_time: bool = False,
     ):
-        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        if kind not in LINES_ROBOTS:
+            raise UserError(f"there is no robot {kind!r}; there are {', '.join(LINES_ROBOTS)}")
+        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": kind}
         rng = np.random.default_rng([noise_seed, robot_seed, 0x11E5])
         x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
+        seed = int(rng.integers(2**31))
+        body = None if kind == "wheels" else PlanarBody(kind, robot_seed, seed)
         self.lab = Lab(
-            int(rng.integers(2**31)),
+            seed,
+            body=body,
             params=LabParams.drawn(robot_seed),
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=(float(x), float(y), float(theta)),
         )
-        hardware = TwoWheels(self.lab.body)
+        hardware = TwoWheels(self.lab.body) if body is None else body
         self.firmware = LinesFirmware(hardware, hardware.greeting, self.lab.lock)
         self.lab.program = self.firmware
         self._cable = SerialCable(self.firmware, self.lab.clock, BITS / baud)

@@ -95,7 +95,7 @@ class NxtBody:
         self._zeros = [[0.0, 0.0] for _ in range(3)]  # block and rotation, degrees
         self._ends = [0.0, 0.0]  # where the last limit of a wheel would have ended, degrees
         self._types = [(0, 0)] * 4
-        self._lamp = _Lamp(params.lamp_lag)
+        self._lamp = Lamp(params.lamp_lag)
         #: When a wheel was first told to turn, s; None: none was.
         self.driven_at: float | None = None
         self._compile()
@@ -281,7 +281,7 @@ def _share(depth: float) -> float:
     return min(max(0.5 + 0.5 * depth, 0.0), 1.0)
 
 
-class _Lamp:
+class Lamp:
     """A lamp that follows its level with a first-order lag, and the sum of its light."""
 
     def __init__(self, lag: float):

@@ -7,7 +7,7 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -70,6 +70,43 @@ class Program(Protocol):
         ...
 
 
+class Body(Protocol):
+    """A robot's body in a time that moves when asked to; see :class:`NxtBody`."""
+
+    driven_at: float | None
+
+    @property
+    def time(self) -> float:
+        """The time in seconds."""
+        ...
+
+    @property
+    def pose(self) -> np.ndarray:
+        """The true pose, [3] (m, m, rad unwrapped, board frame)."""
+        ...
+
+    @property
+    def voltage(self) -> float:
+        """The battery's voltage, V."""
+        ...
+
+    def place(self, x: float, y: float, theta: float) -> None:
+        """Put it down at a pose (m, m, rad)."""
+        ...
+
+    def shove(self, x: float, y: float) -> None:
+        """Push it aside by so much, m."""
+        ...
+
+    def advance(self, until: float) -> None:
+        """Drive on to a time, s."""
+        ...
+
+    def lamp_light(self) -> float:
+        """Return the lamp's light summed over time until now, in seconds of full brightness."""
+        ...
+
+
 class LabTime:
     """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
 
@@ -117,6 +154,7 @@ class Lab(LabTime):
         truth_rate: true poses kept per second of lab time; 0 for none.
         line: what is printed on the board, or None.
         push: what pushes the robot, or None.
+        body: a robot in place of the NXT.
     """
 
     def __init__(
@@ -130,12 +168,13 @@ class Lab(LabTime):
         truth_rate: float = 100.0,
         line: PrintedLine | None = None,
         push: Push | None = None,
+        body: Body | None = None,
     ):
         self.seed = seed
         self._push, self._pushed = push, 0
         super().__init__()
         self.params = LabParams.drawn(seed) if params is None else params
-        self.body = NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, line)
+        self.body: Any = body or NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, line)
         self.place(*start)
         self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time, line)
         self._truth_rate = truth_rate

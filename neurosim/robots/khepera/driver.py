@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
 
+from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.declared import Baud, Count, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
@@ -129,7 +131,15 @@ class Khepera:
         finally:
             self._line.close()
 
-    def drive(self, left: float, right: float) -> None:
+    @property
+    def commands(self) -> Commands:
+        """Both wheels, in percent of full speed."""
+        full = self.full_speed * self.speed_unit
+        return TWO_WHEELS.measured(
+            full=full, track=self.geometry.wheel_base, radius=self.geometry.radius
+        )
+
+    def drive(self, command: Sequence[float]) -> None:
         """Set both motors, in percent of full speed, -100 to 100; they hold it until the next.
 
         The robot takes whole speeds only; what is asked for is rounded.
@@ -138,7 +148,7 @@ class Khepera:
             UserError: if that is no speed.
             LinkLost: if the robot does not acknowledge it.
         """
-        self.set_speeds(*self._units(left, right))
+        self.set_speeds(*self._units(*command))
 
     def set_speeds(self, left: int, right: int) -> None:
         """Set both wheels' speeds in the robot's own units (a Khepera's are pulses in 10 ms).

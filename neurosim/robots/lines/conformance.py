@@ -55,7 +55,9 @@ class _Check:
     def __init__(self, line: SerialLine, clock: Clock, greeting: Greeting):
         self._line, self._clock, self._greeting = line, clock, greeting
         self._number = 0
-        gentle = [f"{0.25 * (one.high if one.speed else 0.0):g}" for one in greeting.commands]
+        gentle = [
+            f"{0.25 * (one.high if one.speed else 0.0):g}" for one in greeting.commands.numbers
+        ]
         self._gentle = " ".join(gentle)
 
     def all(self) -> None:
@@ -157,7 +159,7 @@ class _Check:
     def _beyond(self) -> list[str]:
         """Return commands of which one number is beyond its limits, or none at all."""
         found = []
-        for place, one in enumerate(self._greeting.commands):
+        for place, one in enumerate(self._greeting.commands.numbers):
             span = one.high - one.low
             for value in (f"{one.high + span:g}", f"{one.low - span:g}", "nan", "inf", "-inf", "x"):
                 words = self._gentle.split()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from contextlib import suppress
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.commands import Commands
 from neurosim.base.declared import Baud, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
@@ -101,17 +101,22 @@ class Lines:
         finally:
             self._line.close()
 
-    def drive(self, left: float, right: float) -> None:
-        """Set both wheels, in percent, as long as the robot lets a command last.
+    @property
+    def commands(self) -> Commands:
+        """What the robot takes for a command."""
+        return self._known().commands
+
+    def drive(self, command: Sequence[float]) -> None:
+        """Set a command's numbers, in the robot's own units, for as long as it lets one last.
 
         Raises:
-            UserError: if that is no speed, or the robot has other commands than left and right.
+            UserError: if a number is beyond the robot's limits.
             LinkLost: if the robot does not acknowledge it.
         """
-        self.send(self._wheels(left, right), self._known().longest)
+        self._send_command(command, self._known().longest)
 
-    def drive_for(self, left: float, right: float, seconds: float) -> None:
-        """Set both wheels as :meth:`drive` does, for a command that is to last so long (s).
+    def drive_for(self, command: Sequence[float], seconds: float) -> None:
+        """Set a command's numbers as :meth:`drive` does; it is to last so long (s).
 
         Without another command the robot stops by itself :data:`LATE` later.
 
@@ -124,25 +129,10 @@ class Lines:
                 f"a command of {seconds:g} s is not one of this robot's: they last up to "
                 f"{longest:g} s"
             )
-        self.send(self._wheels(left, right), min(seconds + LATE, longest))
+        self._send_command(command, min(seconds + LATE, longest))
 
-    def send(self, command: Sequence[float], seconds: float) -> None:
-        """Send a command in the robot's own units; it ends by itself after ``seconds``.
-
-        Raises:
-            UserError: if a number is beyond the robot's limits.
-            LinkLost: if the robot does not acknowledge it.
-        """
-        told = self._known().commands
-        if len(command) != len(told):
-            raise UserError(f"a command of this robot has {len(told)} numbers, not {len(command)}")
-        for value, one in zip(command, told, strict=True):
-            if not one.low <= value <= one.high:
-                raise UserError(
-                    f"{one.name}: {value:g} is beyond the robot's limits; use {one.low:g} to "
-                    f"{one.high:g} {one.unit}"
-                )
-        numbers = " ".join(map(decimal, command))
+    def _send_command(self, command: Sequence[float], seconds: float) -> None:
+        numbers = " ".join(map(decimal, self.commands.check(command)))
         self._ask(f"drive {max(round(1000 * seconds), 1)} {numbers}")
 
     def stop(self) -> None:
@@ -172,12 +162,7 @@ class Lines:
                 "name": told.name,
                 "firmware": told.firmware,
                 "virtual": told.virtual,
-                "commands": [
-                    {"name": one.name, "unit": one.unit, "limits": [one.low, one.high]}
-                    for one in told.commands
-                ],
                 "longest": told.longest,
-                "body": {"kind": told.body, **told.measures},
                 "reboots": self.reboots,
             }
             seen = {
@@ -209,24 +194,12 @@ class Lines:
             self.activations = self._activations
         rates = {one.per_metre for one in told.counters}
         names = [one.name for one in told.counters]
-        if told.body == "wheels" and names == ["left", "right"] and len(rates) == 1:
+        body = told.commands
+        if body.body == "wheels" and names == ["left", "right"] and len(rates) == 1:
             self.pulses_per_metre = rates.pop()
-            radius = told.measures.get("radius", RADIUS)
-            self.geometry = Geometry(radius, told.measures["track"])
+            radius = body.measures.get("radius", RADIUS)
+            self.geometry = Geometry(radius, body.measures["track"])
             self.read_counts, self.set_counts = self._read_counts, self._set_counts
-
-    def _wheels(self, left: float, right: float) -> list[float]:
-        told = self._known().commands
-        if [one.name for one in told] != ["left", "right"]:
-            names = ", ".join(one.name for one in told)
-            raise UserError(f"this robot is not driven by left and right, but by {names}")
-        for value, side in ((left, "left"), (right, "right")):
-            if not math.isfinite(value) or abs(value) > 100:
-                raise UserError(f"{side} wheel: {value} is not a speed; use -100 to 100 percent")
-        return [
-            value / 100 * (one.high if value > 0 else -one.low)
-            for value, one in zip((left, right), told, strict=True)
-        ]
 
     def _switch_lamp(self, on: bool) -> None:
         """Switch the robot's lamp."""

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import math
 from binascii import crc_hqx
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+
+from neurosim.base.commands import BODIES, Commands, Number
 
 #: Of the protocol.
 VERSION = "1"
@@ -12,12 +15,6 @@ VERSION = "1"
 LONGEST = 96
 #: Places that a command has for its numbers.
 MOST = 6
-#: Measures that each kind of body gives, in m.
-BODIES: dict[str, tuple[str, ...]] = {
-    "wheels": ("full", "track"),
-    "car": ("wheelbase",),
-    "twist": (),
-}
 #: Stands among the words of a virtual robot's first line.
 VIRTUAL = "virtual"
 
@@ -55,25 +52,6 @@ def decode(line: bytes) -> list[str] | None:
 
 
 @dataclass(frozen=True)
-class Number:
-    """One number of a command, between two limits.
-
-    Attributes:
-        name: such as left, v, steer.
-        unit: %, m/s, rad/s or rad.
-        low: least value.
-        high: greatest value.
-        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is none.
-    """
-
-    name: str
-    unit: str
-    low: float
-    high: float
-    speed: bool = True
-
-
-@dataclass(frozen=True)
 class Sensor:
     """A sensor: readings are whole numbers from 0 to ``full``.
 
@@ -104,10 +82,8 @@ class Greeting:
     Attributes:
         name: of the robot, one word.
         firmware: of its program, one word.
-        commands: the numbers of a command, in order.
+        commands: what it takes.
         longest: how long a command may last, s.
-        body: kind, a key of :data:`BODIES`, or empty where it does not say.
-        measures: of the body, m: those of its kind, and ``radius`` of the circle around it.
         sensors: in the order of readings.
         counters: in their order.
         lamp: whether it has one.
@@ -117,10 +93,8 @@ class Greeting:
 
     name: str
     firmware: str
-    commands: tuple[Number, ...]
+    commands: Commands
     longest: float
-    body: str = ""
-    measures: dict[str, float] = field(default_factory=dict)
     sensors: tuple[Sensor, ...] = ()
     counters: tuple[Counter, ...] = ()
     lamp: bool = False
@@ -136,12 +110,12 @@ class Greeting:
         """Return the greeting's lines, without numbers and checksums."""
         last = [VIRTUAL] if self.virtual else []
         lines = [" ".join(["robot", "neurosim-lines", VERSION, self.name, self.firmware, *last])]
-        for one in self.commands:
+        for one in self.commands.numbers:
             kind = "speed" if one.speed else "angle"
             lines.append(f"command {one.name} {one.unit} {one.low:g} {one.high:g} {kind}")
         lines.append(f"longest {round(1000 * self.longest)}")
-        if self.body:
-            lines.append(" ".join(["body", self.body, *_pairs(self.measures)]))
+        if self.commands.body:
+            lines.append(" ".join(["body", self.commands.body, *_pairs(self.commands.measures)]))
         for sensor in self.sensors:
             lines.append(" ".join(["sensor", sensor.name, str(sensor.full), *_pairs(sensor.place)]))
         lines += [f"counter {one.name} {one.per_metre:.8g}" for one in self.counters]
@@ -213,21 +187,24 @@ class _Found:
         elif kind in ("lamp", "battery"):
             self.flags.add(kind)
 
+    def _commands(self) -> Commands:
+        try:
+            return Commands(tuple(self.commands), self.body, self.measures)
+        except ValueError as error:
+            raise GreetingError(str(error)) from None
+
     def greeting(self) -> Greeting:
         if self.first is None:
             raise GreetingError("it does not begin with its robot line")
-        names = [one.name for one in self.commands]
-        if not 1 <= len(names) <= MOST or len(set(names)) < len(names):
-            raise GreetingError(f"it has 1 to {MOST} commands of different names, not {names}")
+        if not 1 <= len(self.commands) <= MOST:
+            raise GreetingError(f"a command has 1 to {MOST} numbers, not {len(self.commands)}")
         if self.longest <= 0:
             raise GreetingError("it does not say how long a command may last (longest)")
         return Greeting(
             self.first[0],
             self.first[1],
-            tuple(self.commands),
+            self._commands(),
             self.longest,
-            self.body,
-            self.measures,
             tuple(self.sensors),
             tuple(self.counters),
             "lamp" in self.flags,
@@ -236,7 +213,7 @@ class _Found:
         )
 
 
-def _pairs(measures: dict[str, float]) -> list[str]:
+def _pairs(measures: Mapping[str, float]) -> list[str]:
     return [f"{name}={value:g}" for name, value in measures.items()]
 
 

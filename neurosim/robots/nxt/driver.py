@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, TypeVar
 
@@ -18,6 +18,7 @@ from nxt.sensor import Port as SensorPort
 from nxt.sensor import Type as SensorType
 from nxt.telegram import Opcode, Telegram
 
+from neurosim.base.commands import TWO_WHEELS
 from neurosim.base.declared import Coordinate, Port, Seconds, checks
 from neurosim.base.errors import LinkLost, RobotError, UserError
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE, Clock, SystemClock
@@ -200,7 +201,10 @@ class NXT:
             guard.close()
             brick._sock = None
 
-    def drive(self, left: float, right: float) -> None:
+    #: Both wheels, in percent of full speed.
+    commands = TWO_WHEELS
+
+    def drive(self, command: Sequence[float]) -> None:
         """Set both motors, in percent of full speed, and return when the brick has taken it.
 
         The motors turn with the firmware's speed regulation and hold a speed, also that of
@@ -211,9 +215,9 @@ class NXT:
             LinkLost: if the brick does not acknowledge it.
             RobotError: if a motor did not take it; both were told to stop.
         """
-        self._drive(left, right, LONGEST)
+        self._drive(*command, LONGEST)
 
-    def drive_for(self, left: float, right: float, seconds: float) -> None:
+    def drive_for(self, command: Sequence[float], seconds: float) -> None:
         """Set both motors as :meth:`drive` does, for a command that is to last so long (s).
 
         Without another command each motor stops once it has turned as far as it could at these
@@ -223,7 +227,7 @@ class NXT:
         Raises:
             UserError, LinkLost, RobotError: as :meth:`drive` does.
         """
-        self._drive(left, right, seconds)
+        self._drive(*command, seconds)
 
     def _drive(self, left: float, right: float, seconds: float) -> None:
         speeds = [self._sign * _percent(left, "left"), self._sign * _percent(right, "right")]
@@ -252,7 +256,7 @@ class NXT:
             RobotError: if the brick does not acknowledge it; it was then told several times.
         """
         try:
-            self.drive(0, 0)
+            self.drive((0, 0))
         except BaseException:
             self._halt()
             raise

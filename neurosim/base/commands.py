@@ -1,0 +1,255 @@
+"""The numbers of a robot's command: names, units, limits, and how it would move by them.
+
+A robot says what it takes. Whoever is above its driver goes by that: recordings name their columns
+by it, guards and clocks ask how the robot moves by a command if it does what it is commanded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base import se2
+from neurosim.base.errors import UserError
+
+#: Kinds of bodies, and the measures that each needs, m and m/s.
+BODIES: dict[str, tuple[str, ...]] = {
+    "wheels": ("full", "track"),  # left, right: two wheels; speed of a wheel at its limit
+    "car": ("wheelbase",),  # a speed of the axle (m/s), and a steering angle (rad)
+    "twist": (),  # v or vx, vy (m/s), w or omega (rad/s): any of them
+}
+#: Names of a twist's parts: forward, to the left, turn to the left.
+_TWIST = {"v": 0, "vx": 0, "vy": 1, "w": 2, "omega": 2}
+#: Names that columns of a recording have already.
+RESERVED = ("session", "command", "kind", "time", "duration", "numbers", "is_motor", "forward",
+            "turn", "index", "count")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Number:
+    """One number of a command, between two limits.
+
+    Attributes:
+        name: such as left, v, steer.
+        unit: %, m/s, rad/s or rad.
+        low: least value.
+        high: greatest value.
+        speed: whether 0 of it is rest; an angle that is held, such as a car's steering, is none.
+    """
+
+    name: str
+    unit: str
+    low: float
+    high: float
+    speed: bool = True
+
+
+@dataclass(frozen=True)
+class Commands:
+    """What a robot takes for a command.
+
+    Attributes:
+        numbers: of a command, in order.
+        body: a key of :data:`BODIES`, or empty where nobody says how the robot moves.
+        measures: of the body; ``radius`` of the circle around it is one, too.
+    """
+
+    numbers: tuple[Number, ...]
+    body: str = ""
+    measures: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        names = self.names
+        if not names or len(set(names)) < len(names):
+            raise ValueError(f"a command has numbers of different names, not {names}")
+        wrong = [name for name in names if not name.isidentifier() or name in RESERVED]
+        if wrong:
+            raise ValueError(f"{wrong[0]!r} cannot be the name of a command's number")
+        suits = {
+            "wheels": len(names) == 2,
+            "car": [one.unit for one in self.numbers] == ["m/s", "rad"],
+            "twist": set(names) <= set(_TWIST),
+        }
+        if not suits.get(self.body, True):
+            raise ValueError(f"these numbers are not those of the body {self.body}: {names}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the numbers."""
+        return tuple(one.name for one in self.numbers)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the numbers by name."""
+        return {one.name: one.unit for one in self.numbers}
+
+    @property
+    def moves_as_known(self) -> bool:
+        """Whether :meth:`twist` can say how the robot moves."""
+        needed = BODIES.get(self.body)
+        return needed is not None and all(self.measures.get(name, 0) > 0 for name in needed)
+
+    @property
+    def turns_on_the_spot(self) -> bool:
+        """Whether the robot can turn without driving."""
+        return self.body == "wheels" or (self.body == "twist" and self._place(2) is not None)
+
+    @property
+    def arm(self) -> float:
+        """Length at which a turn counts as a way, m: half the track, or the body's radius."""
+        if self.body == "wheels":
+            return self.measures["track"] / 2
+        return self.measures.get("radius", self.measures.get("wheelbase", 0.2) / 2)
+
+    @property
+    def fastest(self) -> float:
+        """The greatest forward speed, m/s."""
+        return float(self.twist([one.high if one.speed else 0.0 for one in self.numbers])[0])
+
+    def measured(self, **measures: float) -> Commands:
+        """Return the same with measures that the robot does not give itself."""
+        return replace(self, measures={**measures, **self.measures})
+
+    def rest(self, last: Sequence[float] | None = None) -> tuple[float, ...]:
+        """Return the command of a robot that stands; angles stay where the last one has them."""
+        held = [0.0] * len(self.numbers) if last is None else last
+        return tuple(
+            0 if one.speed else float(value) for one, value in zip(self.numbers, held, strict=True)
+        )
+
+    def stands(self, command: Sequence[float]) -> bool:
+        """Return whether a robot with this command does not drive."""
+        return not any(value for one, value in zip(self.numbers, command, strict=True) if one.speed)
+
+    def check(self, command: Sequence[float]) -> tuple[float, ...]:
+        """Return a command's numbers.
+
+        Raises:
+            UserError: naming the one that is beyond its limits, or if there are others.
+        """
+        if len(command) != len(self.numbers):
+            raise UserError(
+                f"a command of this robot has {len(self.numbers)} numbers "
+                f"({', '.join(self.names)}), not {len(command)}"
+            )
+        for one, value in zip(self.numbers, command, strict=True):
+            if not one.low <= value <= one.high:
+                raise UserError(
+                    f"{one.name}: {value:g} is beyond its limits; use {one.low:g} to {one.high:g} "
+                    f"{one.unit}"
+                )
+        return tuple(float(value) for value in command)
+
+    def within(self, command: Sequence[float]) -> tuple[float, ...]:
+        """Return a command with its numbers cut off at their limits, and rounded as they are sent.
+
+        Percents are whole ones, other numbers have four decimals.
+        """
+        pairs = zip(self.numbers, command, strict=True)
+        cut = [(one, min(max(float(value), one.low), one.high)) for one, value in pairs]
+        return tuple(round(value) if one.unit == "%" else round(value, 4) for one, value in cut)
+
+    def twist(self, command: ArrayLike) -> NDArray[np.float64]:
+        """Return how a robot moves that does what it is commanded.
+
+        Args:
+            command: [..., C].
+
+        Returns:
+            [..., 3] forward and left (m/s), turn (rad/s).
+        """
+        given = np.asarray(command, np.float64)
+        if self.body == "wheels":
+            speed = [self.measures["full"] / one.high for one in self.numbers]
+            return se2.of_wheels(
+                speed[0] * given[..., 0], speed[1] * given[..., 1], self.measures["track"]
+            )
+        found = np.zeros((*given.shape[:-1], 3))
+        if self.body == "car":
+            found[..., 0] = given[..., 0]
+            found[..., 2] = given[..., 0] * np.tan(given[..., 1]) / self.measures["wheelbase"]
+        elif self.body == "twist":
+            for place, name in enumerate(self.names):
+                found[..., _TWIST[name]] = given[..., place]
+        else:
+            raise UserError(
+                "this robot does not say how it moves by its commands: let it say its body"
+            )
+        return found
+
+    def percent(self, command: ArrayLike) -> NDArray[np.float64]:
+        """Return the forward and the turning speed [..., 2], in percent of the greatest.
+
+        Of two wheels these are the mean and half the difference of their speeds.
+        """
+        given = np.asarray(command, np.float64)
+        if self.body == "wheels":
+            share = given * [100.0 / one.high for one in self.numbers]
+            return np.stack([share.mean(axis=-1), (share[..., 1] - share[..., 0]) / 2], axis=-1)
+        limits = np.array([[one.low, one.high] for one in self.numbers]).T
+        most = np.abs(self.twist(np.stack([limits[1], limits[0], limits.max(axis=0)]))).max(axis=0)
+        twist = self.twist(given)
+        return 100.0 * twist[..., [0, 2]] / np.maximum(most[[0, 2]], 1e-9)
+
+    def toward(self, forward: float, turn: float) -> tuple[float, ...]:
+        """Return the command that moves most like this, cut off at the limits.
+
+        Args:
+            forward: m/s.
+            turn: rad/s; a car that stands does not turn.
+        """
+        if self.body == "wheels":
+            aside = turn * self.measures["track"] / 2
+            speeds = (forward - aside, forward + aside)
+            wanted = [v / self.measures["full"] * one.high
+                      for v, one in zip(speeds, self.numbers, strict=True)]  # fmt: skip
+        elif self.body == "car":
+            steer = math.atan2(turn * self.measures["wheelbase"], abs(forward))
+            wanted = [forward, math.copysign(1.0, forward) * steer if forward else 0.0]
+        else:
+            parts = (forward, 0.0, turn)
+            wanted = [parts[_TWIST[name]] for name in self.names]
+        return self.within(wanted)
+
+    def straight(self, command: Sequence[float]) -> tuple[float, ...]:
+        """Return a command like this one that does not turn: of two wheels, both as the left."""
+        if self.body == "wheels" or self.names == ("left", "right"):
+            return (command[0], command[0])
+        turns = {"car": 1, "twist": self._place(2)}.get(self.body)
+        return tuple(0.0 if place == turns else float(v) for place, v in enumerate(command))
+
+    def describe(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return {
+            "numbers": [asdict(one) for one in self.numbers],
+            "body": self.body,
+            "measures": dict(self.measures),
+        }
+
+    @classmethod
+    def of(cls, content: Mapping[str, Any] | None) -> Commands:
+        """Return what :meth:`describe` described; of nothing, those of a robot on two wheels.
+
+        Raises:
+            ValueError, TypeError, KeyError: if it describes no commands.
+        """
+        if content is None:
+            return TWO_WHEELS.measured(full=0.5, track=0.13)
+        numbers = tuple(Number(**one) for one in content["numbers"])
+        return cls(numbers, content["body"], dict(content["measures"]))
+
+    def _place(self, part: int) -> int | None:
+        """Return which number is a part of the twist, if one is."""
+        found = [place for place, name in enumerate(self.names) if _TWIST.get(name) == part]
+        return found[0] if self.body == "twist" and found else None
+
+
+#: Of a robot on two wheels that are commanded in percent of their full speed.
+TWO_WHEELS = Commands(
+    (Number("left", "%", -100.0, 100.0), Number("right", "%", -100.0, 100.0)), "wheels"
+)
