@@ -66,7 +66,6 @@ KINDS = (
 #: The kinds that change what the motors do.
 MOTOR_KINDS = frozenset({"command", "cut", "manoeuvre", "stop"})
 
-_COMMAND_COLUMNS = ("session", "command", "kind", "time")  # the numbers, and the duration
 _FRAME_COLUMNS = ("session", "frame", "time")
 SIGHTING_COLUMNS = (
     "session", "frame", "front_u", "front_v", "rear_u", "rear_v", "quality", "lamp",
@@ -215,7 +214,7 @@ class Recording:
         }
         with new_folder(path) as folder:
             write_json(folder / "recording.json", FORMAT, VERSION, content)
-            LineLog(folder / "commands.csv", _COMMAND_COLUMNS).close()
+            LineLog(folder / "commands.csv", _command_columns(takes)).close()
             if calibration is not None:
                 shutil.copyfile(calibration, folder / "calibration.json")
         return cls(path)
@@ -261,8 +260,7 @@ class Recording:
 
     def command_log(self) -> LineLog:
         """Open commands.csv for appending; a torn last line is removed."""
-        columns = (*_COMMAND_COLUMNS, *self.takes.names, "duration")
-        return LineLog(self.path / "commands.csv", columns)
+        return LineLog(self.path / "commands.csv", _command_columns(self.takes))
 
     def frame_log(self) -> LineLog:
         """Open frames.csv for appending; a torn last line is removed."""
@@ -445,6 +443,10 @@ def read_markers(path: str | Path) -> dict[str, Any]:
 def write_markers(path: str | Path, markers: Mapping[str, Any]) -> None:
     """Write a markers file, whole or not at all."""
     write_json(path, MARKERS_FORMAT, VERSION, dict(markers))
+
+
+def _command_columns(takes: Commands) -> tuple[str, ...]:
+    return ("session", "command", "kind", "time", *takes.names, "duration")
 
 
 def _wall_clock() -> str:
