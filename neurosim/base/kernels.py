@@ -12,9 +12,11 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
     """Compile a function that is a part of a loop and makes no arrays.
 
     Numba counts references to each array and each part of one. In a step of a robot that takes as
-    long as the step itself; whoever calls a kernel keeps the arrays, so kernels count none.
+    long as the step itself; whoever calls a kernel keeps the arrays, so kernels count none. Only
+    compiled code can call it: what Python would need to call a function takes long to compile.
 
     Args:
         options: of ``numba.njit``.
     """
-    return njit(_nrt=False, error_model="numpy", **options)  # type: ignore[call-overload]
+    alone = {"_nrt": False, "no_cpython_wrapper": True, "no_cfunc_wrapper": True}
+    return njit(error_model="numpy", **alone, **options)  # type: ignore[call-overload]

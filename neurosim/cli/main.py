@@ -27,6 +27,7 @@ from neurosim.cli._types import PATH
 from neurosim.cli.back_to_reality import back_to_reality
 from neurosim.cli.build_tables import build_tables
 from neurosim.cli.calibrate import calibrate
+from neurosim.cli.check_robot import check_robot
 from neurosim.cli.dataset import dataset
 from neurosim.cli.demo import demo
 from neurosim.cli.evolve import evolve
@@ -109,6 +110,7 @@ def _line_of(error: Exception, path: Path) -> int | None:
 for verb in (
     print_page,
     watch,
+    check_robot,
     record,
     calibrate,
     track,

@@ -82,11 +82,6 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         simulator, goal = made(simulator, task, settings)
         self._face = Face(simulator, goal, 1, observe)
-        if self._face.outputs != ("left", "right"):
-            raise UserError(
-                f"the simulator ({simulator.kind}) takes {', '.join(self._face.outputs)}, and a "
-                "robot is driven by left and right"
-            )
         self.observation_space = self._face.observation_space
         self.action_space = self._face.action_space
         self.metadata = {**self.metadata, "render_fps": rate(goal)}
@@ -111,6 +106,13 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             self._stack = opening.pop_all()
 
     def _check_robot(self, name: str) -> None:
+        takes = self.robot.commands.names
+        if sorted(self._face.outputs) != sorted(takes):
+            raise UserError(
+                f"the simulator ({self._face.simulator.kind}) takes "
+                f"{', '.join(self._face.outputs)}, and the robot {name} is driven by "
+                f"{', '.join(takes)}"
+            )
         names = self.robot.sensor_names if isinstance(self.robot, Sensors) else ()
         lacking = [one for one in self._face.simulator.reading_names if one not in names]
         if self._face.reads and lacking:
@@ -179,7 +181,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], float, bool, bool, dict[str, Any]]:
-        """Give the motors speeds (%), and return when the task's step is over.
+        """Give the robot a command, and return when the task's step is over.
 
         Raises:
             UserError: if the action is not of the action space, or no trial is under way.
@@ -190,10 +192,12 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             raise UserError("no trial is under way: call reset() before step()")
         commands = self._face.checked(action)
         face, clock, episode = self._face, self.robot.clock, self._face.episode
-        left, right = (float(value) for value in commands[0, :2])
+        takes = self.robot.commands
+        given = dict(zip(face.outputs, map(float, commands[0]), strict=False))
+        command = tuple(min(max(given[x.name], x.low), x.high) for x in takes.numbers)
         now = clock.now()
         due = now if self._due is None else self._due
-        drive_for(self.robot, (left, right), episode.step)
+        drive_for(self.robot, command, episode.step)
         missed = self._deadlines.sent(max(now - due, 0.0), episode.step)
         self._due = (now if missed else due) + episode.step
         before, readings = face.judged.progress, self._readings

@@ -10,7 +10,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from neurosim.base.kernels import kernel
 from neurosim.base.trajectory import Episode
@@ -110,11 +109,10 @@ def closed_loop(net: NetworkArrays, source: np.ndarray, episode: Episode, reads:
     )
 
 
-@njit(error_model="numpy")
-def room(pilot):
+def units_of(pilot: Pilot) -> int:
     """Return how many values of units :func:`act` works with."""
     kept = 1 if pilot.recurrence == FEED_FORWARD else 3
-    return len(pilot.source) + kept * pilot.hidden.sum()
+    return len(pilot.source) + kept * int(pilot.hidden.sum())
 
 
 @kernel(fastmath=_MATHS, inline="always")
@@ -177,8 +175,8 @@ def act(pilot, genes, values, command):
     Args:
         pilot: :class:`Pilot`.
         genes: [G] of an individual.
-        values: [V] of the units, zeros at first; see :func:`room`. The first are the inputs, the
-            rest is written, and remembered by recurrent networks.
+        values: [V] of the units, zeros at first; see :func:`units_of`. The first are the inputs,
+            the rest is written, and remembered by recurrent networks.
         command: [C or more], written: the first C.
     """
     hidden, scale, recurrence = pilot.hidden, pilot.scale, pilot.recurrence

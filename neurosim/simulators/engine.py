@@ -6,9 +6,9 @@ its *model*, and for models of that class two functions compiled by Numba (:func
     step(model, states, command, z, work)   changes the states of robots that obey one command
     sense(model, state, z, work, out)       writes the readings of one robot
 
-:func:`drive` finds them by the class of the model (``numba.extending.overload``), so that there is
-one loop, compiled once for each class and kept on disk. Functions that are handed over as closures
-would be compiled anew in every session (Numba's issue 6264).
+:func:`drive` is the one loop. It is compiled once for each class, with the functions of that class
+in the place of :func:`_step` and :func:`_sense`, and kept on disk. Functions that are handed over
+as arguments would be compiled anew in every session (Numba's issue 6264).
 
 Robots that have had the same commands since the start are stepped together: what depends on the
 commands alone, such as a motion network's prediction, is computed once for all of them.
@@ -18,34 +18,37 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import os
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import get_num_threads, njit, prange
-from numba.extending import overload
+from numba import get_num_threads, njit
 from numpy.typing import NDArray
 
 from neurosim.base.kernels import kernel
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped
 from neurosim.networks.control import NOT_READINGS, input_sources
-from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, room
+from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
 from neurosim.simulators.sampling import Stepper, began, draw_samples, trial_steps
 
-#: Robots that a core steps before it takes others, where each takes one step only.
-_BLOCK = 32
+#: Steps that it takes to make up for another core's beginning.
+_WORTH_SHARING = 100
 
 
 class Functions(NamedTuple):
-    """The compiled functions of a class of models; see the module."""
+    """The functions of a class of models; see the module."""
 
     step: Callable[..., None]
     sense: Callable[..., None]
     scratch: Callable[..., Any]
-    drive: Callable[..., None]  #: :func:`drive`, compiled for these
+    drive: Any  #: :func:`drive`, compiled for these
 
 
 _FUNCTIONS: dict[type, Functions] = {}
@@ -60,32 +63,35 @@ def compiled(
     """Name the compiled functions of a class of models.
 
     Args:
-        model: a ``NamedTuple``: arrays, numbers and booleans.
+        model: a ``NamedTuple``: arrays, numbers, booleans, and such tuples.
         step: see the module. ``states`` [N, S] float64 in the columns of the simulator's
             ``state_names`` are changed; of ``command`` [C] float64 the columns are the simulator's
             ``command_names``; ``z`` [N, Z] float32 are the numbers of the noise, [0, 0] where
             there is none.
         sense: ``state`` [S]; ``z`` [Z], or [0]; ``out`` [R] float64. None: there are no sensors.
-        scratch: (model) -> ``work``, which is handed to ``step`` and ``sense``: arrays that they
-            may write to, made once for many steps. None: an empty array.
+        scratch: a Python function, (model) -> ``work``, which is handed to ``step`` and ``sense``:
+            arrays that they may write to, made once for many steps. None: an empty array.
     """
-    files = {
-        Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense, scratch) if one
-    }
+    files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
     kept = all(file.exists() for file in files)  # not what is typed in by hand, as in a notebook
     sources = [model.__module__.encode(), model.__qualname__.encode()]
     sources += [file.read_bytes() for file in sorted(files)] if kept else []
     # Numba keeps machine code under the name of a function, with the types that it was compiled
     # for: a loop for each class, so that none needs the modules of others, or an old source.
     name = f"drive_{hashlib.sha256(b' '.join(sources)).hexdigest()[:16]}"
-    own = FunctionType(drive.__code__, drive.__globals__, name)
+    sense, scratch = sense or _no_readings, scratch or _no_scratch
+    known = {**drive.__globals__, "_step": step, "_sense": sense}
+    own = FunctionType(drive.__code__, known, name)
     own.__qualname__ = name
-    loop = njit(cache=kept, parallel=True, error_model="numpy")(own)
-    _FUNCTIONS[model] = Functions(step, sense or _no_readings, scratch or _no_scratch, loop)
+    # Counting references to arrays would take as long as the steps themselves: nothing is made
+    # there. A parallel loop would take as long to compile as all the rest, see :func:`_on_cores`.
+    options: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True, "nogil": True}
+    loop = njit(cache=kept, error_model="numpy", **options)(own)
+    _FUNCTIONS[model] = Functions(step, sense, scratch, loop)
 
 
 def functions_of(model: Any) -> Functions:
-    """Return the compiled functions of a model.
+    """Return the functions of a model.
 
     Raises:
         TypeError: if :func:`compiled` has named none.
@@ -95,58 +101,41 @@ def functions_of(model: Any) -> Functions:
     return _FUNCTIONS[type(model)]
 
 
-def _chosen(model: Any) -> Functions | None:
-    return _FUNCTIONS.get(getattr(model, "instance_class", object))
-
-
-@njit
+@kernel()
 def _no_readings(model, state, z, work, out):
     pass
 
 
-@njit
-def _no_scratch(model):
+def _no_scratch(model: Any) -> NDArray:
     return np.empty(0)
 
 
 def _step(model, states, command, z, work):
+    """Stand for the ``step`` of a class of models."""
     raise NotImplementedError
 
 
 def _sense(model, state, z, work, out):
+    """Stand for the ``sense`` of a class of models."""
     raise NotImplementedError
 
 
-def _scratch(model):
-    raise NotImplementedError
+class Room(NamedTuple):
+    """What a core writes to while it drives."""
+
+    work: Any  #: of ``scratch``
+    values: np.ndarray  #: of the network's units
+    states: np.ndarray  #: [N, S] of the robots that are stepped together
+    command: np.ndarray  #: [C]
+    seen: np.ndarray  #: [R] readings
+    no_noise: np.ndarray  #: [0]
+    no_noises: np.ndarray  #: [0, 0]
 
 
-@overload(_step, jit_options={"forceinline": True})
-def _(model, states, command, z, work):
-    if (own := _chosen(model)) is None:
-        return None
-    function = own.step
-    return lambda model, states, command, z, work: function(model, states, command, z, work)
+def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, readings, ends):
+    """Drive individuals through samples; :func:`compiled` compiles it for each class.
 
-
-@overload(_sense, jit_options={"forceinline": True})
-def _(model, state, z, work, out):
-    if (own := _chosen(model)) is None:
-        return None
-    function = own.sense
-    return lambda model, state, z, work, out: function(model, state, z, work, out)
-
-
-@overload(_scratch, jit_options={"forceinline": True})
-def _(model):
-    if (own := _chosen(model)) is None:
-        return None
-    function = own.scratch
-    return lambda model: function(model)
-
-
-def drive(model, pilot, genes, begun, z, together, block, poses, commands, readings, ends):
-    """Drive every individual through every sample; :func:`compiled` compiles it for each class.
+    Samples are driven in groups of ``room.states``; the groups of an individual follow each other.
 
     Args:
         model: of a class that :func:`compiled` knows.
@@ -156,109 +145,126 @@ def drive(model, pilot, genes, begun, z, together, block, poses, commands, readi
         z: [1 or P, T, R, Z] float32, the noise of every step, likewise; T = 0: there is none. The
             readings before step k are made with the k-th, the n-th command that is given with the
             n-th.
-        together: so many robots are stepped together: with networks 1.
-        block: so many trials share their scratch memory.
+        first, last: the groups that are driven, from the first to before the last.
+        room: :class:`Room`.
         poses: [P, R, T + 1, 3], written: before each step and after the last; none: not kept.
         commands: [P, R, T, C], written: of networks, without the duration; T = 0: not kept.
         readings: [P, R, T, Q] float32, written: before each step from ``pilot.reads`` on; T = 0:
             not kept.
         ends: [P, R, S], written: the states after the last step.
     """
-    individuals, samples, width = ends.shape
+    command, seen, values, together = room.command, room.seen, room.values, len(room.states)
+    samples, width, columns = ends.shape[1], ends.shape[2], len(pilot.scale)
     parts = (samples + together - 1) // together
-    jobs = individuals * parts
-    null = np.empty(0, np.float32), np.empty((0, 0), np.float32)
-    for job in prange((jobs + block - 1) // block):
-        work, values, states = _scratch(model), np.empty(room(pilot)), np.empty((together, width))
-        command, seen = np.zeros(len(pilot.scale) + 1), np.zeros(readings.shape[3])
-        for trial in range(job * block, min((job + 1) * block, jobs)):
-            p, first = trial // parts, trial % parts * together
-            here = states[: min(together, samples - first)]
-            own, numbers = p if len(begun) > 1 else 0, p if len(z) > 1 else 0
-            for r in range(len(here)):
-                for i in range(width):
-                    here[r, i] = begun[own, first + r, i]
-            _try(
-                model,
-                pilot,
-                p,
-                genes,
-                here,
-                z[numbers],
-                null,
-                first,
-                work,
-                values,
-                command,
-                seen,
-                poses[p],
-                commands[p],
-                readings[p],
-            )
-            for r in range(len(here)):
-                for i in range(width):
-                    ends[p, first + r, i] = here[r, i]
-
-
-# Counting references to arrays would take as long as the steps themselves: nothing is made here.
-@kernel(forceinline=True)
-def _try(
-    model,
-    pilot,
-    p,
-    genes,
-    here,
-    z,
-    null,
-    first,
-    work,
-    values,
-    command,
-    seen,
-    poses,
-    commands,
-    readings,
-):
-    """Drive individual ``p`` in the states ``here`` [N, S], samples from ``first`` on; as drive."""
-    columns, last = len(pilot.scale), first + len(here)
-    posed, noted, kept = poses.shape[1] > 0, commands.shape[1] > 0, readings.shape[1] > 0
-    values[:] = 0.0
-    goal, sent = 0, 0
-    for k in range(pilot.length):
-        if posed:
-            for r in range(len(here)):
-                for i in range(3):
-                    poses[first + r, k, i] = here[r, i]
-        if k >= pilot.reads:
-            for r in range(len(here)):
-                drawn = z[k, first + r] if len(z) > 0 else null[0]
-                _sense(model, here[r], drawn, work, seen)
-                if kept:
-                    for i in range(len(seen)):
-                        readings[first + r, k - pilot.reads, i] = seen[i]
-        given = True
-        if pilot.blind:
-            given = pilot.given[p, k]
-            for c in range(pilot.commands.shape[2]):
-                command[c] = pilot.commands[p, k, c]
-        elif k < pilot.steps:
-            x, y, theta = here[0, 0], here[0, 1], here[0, 2]
-            goal = observe(pilot, x, y, theta, goal, k * pilot.step, seen, values)
-            act(pilot, genes[p], values, command)
-            command[columns] = pilot.step
-        else:
-            command[:columns] = 0.0
-            command[columns] = pilot.rest
-        if noted:
-            for c in range(columns):
-                commands[first, k, c] = command[c]
-        if given:
-            _step(model, here, command, z[sent, first:last] if len(z) > 0 else null[1], work)
-            sent += 1
-    if posed:
+    posed, noted, kept = poses.shape[2] > 0, commands.shape[2] > 0, readings.shape[2] > 0
+    noisy = z.shape[1] > 0
+    for group in range(first, last):
+        p, n = group // parts, group % parts * together
+        here = room.states[: min(together, samples - n)]
+        own, numbers = p if len(begun) > 1 else 0, p if len(z) > 1 else 0
         for r in range(len(here)):
-            for i in range(3):
-                poses[first + r, pilot.length, i] = here[r, i]
+            for i in range(width):
+                here[r, i] = begun[own, n + r, i]
+        values[:] = 0.0
+        goal, sent = 0, 0
+        for k in range(pilot.length):
+            if posed:
+                for r in range(len(here)):
+                    for i in range(3):
+                        poses[p, n + r, k, i] = here[r, i]
+            if k >= pilot.reads:
+                for r in range(len(here)):
+                    drawn = z[numbers, k, n + r] if noisy else room.no_noise
+                    _sense(model, here[r], drawn, room.work, seen)
+                    if kept:
+                        for i in range(len(seen)):
+                            readings[p, n + r, k - pilot.reads, i] = seen[i]
+            given = True
+            if pilot.blind:
+                given = pilot.given[p, k]
+                for c in range(pilot.commands.shape[2]):
+                    command[c] = pilot.commands[p, k, c]
+            elif k < pilot.steps:
+                x, y, theta = here[0, 0], here[0, 1], here[0, 2]
+                goal = observe(pilot, x, y, theta, goal, k * pilot.step, seen, values)
+                act(pilot, genes[p], values, command)
+                command[columns] = pilot.step
+            else:
+                command[:columns] = 0.0
+                command[columns] = pilot.rest
+            if noted:
+                for c in range(columns):
+                    commands[p, n, k, c] = command[c]
+            if given:
+                drawn = z[numbers, sent, n : n + len(here)] if noisy else room.no_noises
+                _step(model, here, command, drawn, room.work)
+                sent += 1
+        for r in range(len(here)):
+            if posed:
+                for i in range(3):
+                    poses[p, n + r, pilot.length, i] = here[r, i]
+            for i in range(width):
+                ends[p, n + r, i] = here[r, i]
+
+
+def _on_cores(
+    model: Any,
+    works: list[Any],
+    pilot: Pilot,
+    genes: NDArray[np.float64],
+    begun: NDArray[np.float64],
+    z: NDArray[np.float32],
+    together: int,
+    *written: NDArray,
+) -> None:
+    """Drive all individuals through all samples, on all cores; arguments as in :func:`drive`.
+
+    Args:
+        model, pilot, genes, begun, z: see there.
+        works: what ``scratch`` made of this model earlier and nobody uses now, changed.
+        together: so many robots are stepped together: with networks 1.
+        written: poses, commands, readings, ends.
+    """
+    functions, ends, readings = functions_of(model), written[-1], written[-2]
+    groups = len(ends) * -(-ends.shape[1] // together)
+    steps = groups * together * pilot.length
+    parts = min(get_num_threads(), groups, steps // _WORTH_SHARING) or 1
+    edges = [groups * part // parts for part in range(parts + 1)]
+
+    def part(first: int, last: int) -> None:
+        try:
+            work = works.pop()
+        except IndexError:
+            work = functions.scratch(model)
+        room = Room(
+            work,
+            np.empty(units_of(pilot)),
+            np.empty((together, ends.shape[2])),
+            np.zeros(len(pilot.scale) + 1),
+            np.zeros(readings.shape[3]),
+            np.empty(0, np.float32),
+            np.empty((0, 0), np.float32),
+        )
+        functions.drive(model, pilot, genes, begun, z, first, last, room, *written)
+        works.append(work)
+
+    if not functions.drive.overloads:  # compiled here, where an interruption ends it
+        part(0, 0)
+    others = [_threads().submit(part, *ends) for ends in pairwise(edges[1:])]
+    part(0, edges[1])
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Return this process's threads, which begin when they are needed."""
+    return ThreadPoolExecutor(thread_name_prefix="neurosim-engine")
+
+
+# Threads do not live on in a process that is forked.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 class CompiledRollouts:
@@ -267,7 +273,7 @@ class CompiledRollouts:
     def __init__(self, simulator: Any, controller: Any, episode: Episode):
         """Lay out the controllers, which are open-loop or networks."""
         self._simulator, self._controller, self._episode = simulator, controller, episode
-        self._model = simulator.compiled()
+        self._model, self._works = simulator.compiled(), list[Any]()
         names = simulator.reading_names
         reads = bool(names) and (
             episode.readings or any(name not in NOT_READINGS for name in controller.inputs)
@@ -313,19 +319,9 @@ class CompiledRollouts:
         columns = 0 if pilot.blind else len(pilot.scale)
         poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
         ends = np.empty((len(genes), *begun.shape[1:]))
-        functions_of(self._model).drive(
-            self._model,
-            pilot,
-            np.ascontiguousarray(genes, np.float64),
-            begun,
-            noise,
-            together,
-            1,
-            poses,
-            driven,
-            readings,
-            ends,
-        )
+        genes = np.ascontiguousarray(genes, np.float64)
+        written = poses, driven, readings, ends
+        _on_cores(self._model, self._works, pilot, genes, begun, noise, together, *written)
         read = readings if self._reads else None
         if pilot.blind:
             found = planned(poses, commands, active, rest)
@@ -362,8 +358,8 @@ class CompiledStepper(Stepper):
 
     def __init__(self, simulator: Any):
         super().__init__(simulator)
-        self._model = simulator.compiled()
-        self._drive_all = functions_of(self._model).drive
+        self._model, self._works = simulator.compiled(), list[Any]()
+        functions_of(self._model)  # raises if there are none
 
     def step(
         self, state: NDArray[np.float64], command: NDArray[np.float64], noise: NDArray | None
@@ -419,8 +415,8 @@ class CompiledStepper(Stepper):
         unused, ends = np.empty((rows, 1, 0, 3)), np.empty_like(begun)
         readings = np.empty((rows, 1, pilot.length - pilot.reads, sensors), np.float32)
         genes = np.empty((0, 0))
-        given = self._model, pilot, genes, begun, noise, 1, _BLOCK
-        self._drive_all(*given, unused, unused, readings, ends)
+        written = unused, unused, readings, ends
+        _on_cores(self._model, self._works, pilot, genes, begun, noise, 1, *written)
         return ends[:, 0], readings[:, 0, -1] if readings.shape[2] else readings[:, 0]
 
 

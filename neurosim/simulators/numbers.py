@@ -68,7 +68,8 @@ def numbers(
         state = seeds[row] + GOLDEN * np.uint64(first[row] * words)
         for step in range(steps):
             state = draw(noise, state, drawn)
-            out[row, step] = drawn[:width]
+            for n in range(width):
+                out[row, step, n] = drawn[n]
     return out
 
 

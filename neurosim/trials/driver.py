@@ -11,10 +11,11 @@ from typing import Any
 import numpy as np
 import torch
 
+from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Episode
 from neurosim.controllers import FixedPlan, Plan, SavedController, make_controller
-from neurosim.controllers.base import WHEELS, observe
+from neurosim.controllers.base import observe
 from neurosim.controllers.goals import Goals
 from neurosim.loop.replan import Clock, Replanner, ReplanSettings
 from neurosim.networks.control import NOT_READINGS, OF_GOALS, POSE_INPUTS
@@ -45,6 +46,7 @@ class Driver:
         saved: the controller.
         episode: of the task.
         about: what names the controller in the recording.
+        takes: what the robot takes for a command.
 
     Attributes:
         sensors: names of the sensors that the controller reads.
@@ -53,8 +55,15 @@ class Driver:
         steps, rest, start: as a session takes them.
     """
 
-    def __init__(self, saved: SavedController, episode: Episode, about: Mapping[str, Any]):
+    def __init__(
+        self,
+        saved: SavedController,
+        episode: Episode,
+        about: Mapping[str, Any],
+        takes: Commands = TWO_WHEELS,
+    ):
         family = saved.controller
+        self._takes = takes
         self._family, self._episode, self._about = family, episode, dict(about)
         self._genes = torch.from_numpy(np.array(saved.genes, np.float64)[None])
         self._plan = plan_of(saved)
@@ -74,7 +83,7 @@ class Driver:
         """Return the controller's command for what is seen.
 
         Raises:
-            UserError: if what it gives is no speed; beyond 100 % it is cut off there.
+            UserError: if what it gives is no number; beyond the robot's limits it is cut off there.
         """
         if self._family.blind:
             command = self._plan[min(self._next, len(self._plan) - 1)]
@@ -101,8 +110,10 @@ class Driver:
                 f"the controller ({self._family.kind}) gave {speeds} after {seen.time:.1f} s, "
                 "which is no command: its weights or its function are at fault"
             )
-        left, right = (min(max(speeds[name], -100.0), 100.0) for name in WHEELS)
-        return Command((left, right), self._episode.step)
+        numbers = tuple(
+            min(max(speeds[one.name], one.low), one.high) for one in self._takes.numbers
+        )
+        return Command(numbers, self._episode.step)
 
     def describe(self) -> dict[str, Any]:
         """Return kind and origin of the controller."""
@@ -192,13 +203,15 @@ def missing(
         calibration: the camera's.
         source: what drives the robot with the controller; by default a :class:`Driver`.
     """
-    driver, kind = source or Driver(saved, task.episode, {}), robot.describe().get("kind", "robot")
+    takes = robot.commands
+    driver = source or Driver(saved, task.episode, {}, takes)
+    kind = robot.describe().get("kind", "robot")
     columns = [name for name in saved.controller.outputs if name != "duration"]
     found = []
-    if sorted(columns) != sorted(WHEELS):
+    if sorted(columns) != sorted(takes.names):
         found.append(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
-            f"{' and '.join(WHEELS)}"
+            f"{', '.join(takes.names)}"
         )
     goals = [name for name in saved.controller.inputs if name in OF_GOALS]
     if goals and task.episode.goals is None:

@@ -157,7 +157,7 @@ class OnFloor:
             pose: tells where the robot is [3] (m, m, rad) before the first step and after each.
         """
         step, blind = self.evaluator.episode.step, self.evaluator.controller.blind
-        driver = Driver(self._saved(genes), self.evaluator.episode, {})
+        driver = Driver(self._saved(genes), self.evaluator.episode, {}, self.robot.commands)
         clock, readings, commands = self.robot.clock, [], []
         poses = [] if pose is None else [pose()]
         time = clock.now()

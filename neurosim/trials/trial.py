@@ -106,7 +106,7 @@ def run_trial(
         source = FixedCommands(plan_of(saved))
         count = len(source.commands)
     else:
-        source = Driver(saved, task.episode, _source(Path(controller)))
+        source = Driver(saved, task.episode, _source(Path(controller)), robot.commands)
         count = source.steps
     known = _perimeter_of(saved)
     board = {} if known is None else {"board": asdict(known.board)}

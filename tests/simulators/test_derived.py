@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 import torch
 from motion_networks import NAMES, random_motion_network
+from numba import njit
 
 from neurosim.base.errors import FileError
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
+from neurosim.simulators.motion import kernels
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.files import write_motion
-from neurosim.simulators.motion.kernels import _inputs, swung
 from neurosim.simulators.motion.noise import DRAWS, CommandFeatures
 
 #: Inputs, and by how many half turns the direction changes where a reversal may be short of 0.03.
@@ -28,6 +29,14 @@ CHANGES = [
     ((10, 10, 0, 0), 0.0),
     ((10, 10, 1, 1), 0.0),  # within the dead zone
 ]
+
+
+@njit
+def inputs_of(model, state, command, memory, began, x):
+    """Write what the compiled networks are given; return whether the command before goes on."""
+    same = kernels._inputs(model, state, command, memory, began, x)
+    kernels.swung(model, x)
+    return same
 
 
 def given(sim, inputs):
@@ -55,8 +64,7 @@ def test_the_compiled_form_agrees(swing):
     expected = given(sim, torch.tensor(rows, dtype=torch.float64)).numpy()
     for row, wanted in zip(np.array(rows), expected, strict=True):
         state, found = np.array([0.0, 0.0, 0.0, *row[:2]]), np.empty(len(wanted))
-        assert not _inputs(model, state, row[2:], np.empty(7), np.empty(0), found)
-        swung(model, found)
+        assert not inputs_of(model, state, row[2:], np.empty(7), np.empty(0), found)
         assert found == pytest.approx(wanted, abs=1e-12)
 
 
@@ -75,8 +83,7 @@ def test_the_compiled_form_agrees_beside_a_drive_model(swing):
         x = torch.cat([speeds, sim._speeds(driven)[0], state[0, 9:10] / sim.longest])
         found = np.empty(5 + len(sim.derived))
         began = np.empty((2 + model.slots) * 2 + model.slots)
-        assert not _inputs(model, before, command, np.empty(7), began, found)
-        swung(model, found)
+        assert not inputs_of(model, before, command, np.empty(7), began, found)
         wanted = sim.derived.append(sim.columns, x[None])[0]
         assert found == pytest.approx(wanted.numpy(), abs=1e-12)
 

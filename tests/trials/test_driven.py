@@ -259,7 +259,7 @@ def test_what_is_missing_is_said_before_anything_moves(tmp_path):
         goals, pose = lacks(Network(("goal_x",)), task)
         assert goals == "the controller needs goal_x, and the task find-the-line gives no goals"
         (legs,) = lacks(Network(("line_left",), outputs=("hip", "knee")), task)
-        assert "commands hip, knee, and this robot (nxt) is driven by left and right" in legs
+        assert "commands hip, knee, and this robot (nxt) is driven by left, right" in legs
         (judged,) = lacks(Network(("line_left",)), GoTo())
         assert "go-to can only be judged where the robot's poses are known" in judged
     with VirtualKheperaRig(1) as rig:

@@ -12,7 +12,6 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from neurosim.base.kernels import kernel
 from neurosim.base.se2 import compiled as se2
@@ -109,7 +108,6 @@ class MotionModel(NamedTuple):
     sensor_cell: float  #: m, between its points
 
 
-@njit(error_model="numpy")
 def scratch(a):
     """Return the arrays that :func:`step` and :func:`sense` write to, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3

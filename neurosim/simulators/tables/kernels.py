@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit, vectorize
+from numba import vectorize
 
 from neurosim.base.kernels import kernel
 from neurosim.base.se2 import compiled as se2
@@ -72,7 +72,7 @@ class TableArrays(NamedTuple):
     twist_noise: np.ndarray  #: [3] half widths of uniform noise, per square root of a second
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _nearest(wall, x, y):
     """Return the vector from (x, y) to the nearest point of a wall."""
     along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
@@ -136,7 +136,7 @@ def _hidden(screens, x, y, dx, dy):
     return False
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _column(angles, angle):
     """Return the place of the table's column at an angle (rad) to the robot's left, and a share."""
     # Samples are in the order in which the robot turned to the left: objects pass to the right.
@@ -146,7 +146,7 @@ def _column(angles, angle):
     return c, column - c
 
 
-@kernel(fastmath=_FAST, inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _mix(near, far, c, a, b, p, q, out):
     """Add four rows of a table, weighted; near and far are [A + 1, L]."""
     for s in range(LANES):
@@ -155,7 +155,7 @@ def _mix(near, far, c, a, b, p, q, out):
         out[s] += a * near[c, s] + b * near[c + 1, s] + p * far[c, s] + q * far[c + 1, s]
 
 
-@kernel(fastmath=_FAST, inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _add(t, kind, distance, bearing, out, variance):
     """Add what an object at a distance (m, rim to surface) and bearing (rad) reflects."""
     distances, weight = t.excess.shape[1], 1.0
@@ -176,7 +176,7 @@ def _add(t, kind, distance, bearing, out, variance):
         _mix(t.variance[kind, r], t.variance[kind, r + 1], c, a, b, p, q, variance)
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _visible(wall, screens, x, y, reach):
     """Return whether a wall's front is in reach (m) of (x, y), and the vector to its nearest."""
     dx, dy = _nearest(wall, x, y)
@@ -252,7 +252,7 @@ def _add_walls(t, x, y, theta, reach, sums, out, variance):
             variance[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
 
 
-@kernel(inline="always")
+@kernel(forceinline=True)
 def _sense(t, x, y, theta, sums, out, variance):
     """Write the mean readings [L], not yet clipped, and their variance."""
     reach = t.reach[0] + t.radius
@@ -298,7 +298,7 @@ def sense(t, state, z, work, out):
         out[s] = min(max(mean[s], np.float32(0.0)), np.float32(1.0))
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _push_out(t, x, y):
     """Return where a robot at (x, y) is moved to, out of what it overlaps, and if it fits there."""
     for _ in range(PASSES):
@@ -326,13 +326,13 @@ def _push_out(t, x, y):
     return x, y, False
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _rounded(t, speed):
     """Return the speed in percent that the robot takes for one."""
     return t.resolution * np.rint(speed / t.resolution) if t.resolution > 0.0 else speed
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _level(t, speed, levels):
     """Return place and share of the level below a speed in percent."""
     place = min(max((speed - t.lowest) / t.level_pitch, 0.0), levels - 1.0)
@@ -340,7 +340,7 @@ def _level(t, speed, levels):
     return below, place - below
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _twist(t, table, left, right, out):
     """Write a motor table's value [3] at the wheels' speeds (%, %)."""
     i, u = _level(t, left, table.shape[0])
@@ -390,7 +390,7 @@ def phases(t, duration, parts, first, out):
                 out[n, phase, 1 + wheel], out[n, phase, 3 + wheel] = mean, end
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _advance(t, phase, speeds, left, right, out):
     """Let speeds [2] approach goals (%, %) for a phase [5], and write the displacement's log."""
     left_off, right_off = speeds[0] - left, speeds[1] - right
@@ -400,7 +400,7 @@ def _advance(t, phase, speeds, left, right, out):
     speeds[0], speeds[1] = left + phase[3] * left_off, right + phase[4] * right_off
 
 
-@kernel(inline="always")
+@kernel(fastmath=_FAST, forceinline=True)
 def _moved(t, x, y, theta, first, second, noise):
     """Return where two motions in a row, their logs and the noise's [3], lead from a pose."""
     # As one motion (Baker, Campbell and Hausdorff, second order).
@@ -416,7 +416,6 @@ def _moved(t, x, y, theta, first, second, noise):
     return x, y, theta
 
 
-@njit(error_model="numpy")
 def scratch(t):
     """Return the arrays that :func:`step` and :func:`sense` write to."""
     lanes = len(t.ambient)

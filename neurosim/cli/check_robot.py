@@ -1,0 +1,38 @@
+"""``neurosim check-robot``: try a robot before its first recording."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import click
+
+from neurosim.cli._common import emit, json_option
+from neurosim.cli._options import SettingsCommand
+from neurosim.cli._robots import robot_option
+
+_MARKS = {"good": "good ", "wrong": "WRONG", "unknown": "?    "}
+
+
+@click.command("check-robot", cls=SettingsCommand)
+@robot_option
+@click.option("--ask", is_flag=True, help="Ask what the robot did where nothing counts its wheels.")
+@json_option
+def check_robot(robot: str, robot_options: dict[str, Any], ask: bool, as_json: bool) -> None:
+    """Try a robot: how fast it answers, whether it stops by itself, which way it drives.
+
+    It drives for moments at 30 % of its limits: let it stand free. Each finding is a sentence; of
+    what is wrong it says what to do. The exit status is 1 if something is wrong.
+    """
+    from neurosim.robots.check import check
+    from neurosim.trials.rig import Setup, open_rig
+
+    asked = (lambda question: click.confirm(question, err=True)) if ask else None
+    with open_rig(robot, robot_options, Setup(camera="none")) as rig, rig.robot as tried:
+        found = check(tried, asked)
+        about = tried.describe()
+    wrong = sum(one.verdict == "wrong" for one in found)
+    result = {"robot": about, "wrong": wrong, "findings": [one.describe() for one in found]}
+    lines = [f"{_MARKS[one.verdict]}  {one.what}: {one.says}." for one in found]
+    emit(result, as_json, "\n".join(lines))
+    if wrong:
+        raise click.exceptions.Exit(1)

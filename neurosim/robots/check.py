@@ -1,0 +1,275 @@
+"""Tries a robot before it is recorded: how fast it answers, whether it stops, which way it drives.
+
+Nothing is asked of it but what its driver offers, so that any driver can be tried. The robot drives
+for moments, slowly: let it stand free.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from neurosim.robots.base import Battery, Counters, Robot, SelfStopping, Sensors
+
+#: Questions whose answers are timed.
+QUESTIONS = 40
+#: A controller in closed loop asks for sensors and a command in a step of this length, s.
+STEP = 0.1
+#: A robot that was stopped has come to rest after so long, s.
+COASTS = 1.0
+#: It drives at this share of its limits.
+GENTLE = 0.3
+#: Shares of a limit at which a wheel is tried for its dead band.
+LEVELS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
+
+Verdict = Literal["good", "wrong", "unknown"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was tried.
+
+    Attributes:
+        what: that was tried, in a word or two.
+        verdict: good, wrong, or unknown where nothing can tell.
+        says: one sentence; of what is wrong or unknown also what to do.
+        measured: numbers, by name, with the unit in the name.
+    """
+
+    what: str
+    verdict: Verdict
+    says: str
+    measured: dict[str, Any] = field(default_factory=dict)
+
+    def describe(self) -> dict[str, Any]:
+        """Return it for JSON."""
+        return asdict(self)
+
+
+def check(robot: Robot, ask: Callable[[str], bool] | None = None) -> list[Finding]:
+    """Try a robot.
+
+    Args:
+        robot: connected, standing free.
+        ask: asks a person a question that is answered by yes or no, about robots whose wheels
+            nobody counts; None: nobody is there.
+
+    Raises:
+        LinkLost: if it stops answering.
+    """
+    tried = _Tried(robot, ask)
+    try:
+        found = [tried.latency(), tried.order(), tried.self_stopping()]
+        found += tried.numbers()
+        found += tried.dead_bands()
+        found.append(tried.battery())
+    finally:
+        robot.stop()
+    return found
+
+
+class _Tried:
+    def __init__(self, robot: Robot, ask: Callable[[str], bool] | None):
+        self._robot, self._ask, self._clock = robot, ask, robot.clock
+        self._takes = robot.commands
+        self._counter = robot if isinstance(robot, Counters) else None
+
+    def latency(self) -> Finding:
+        """Time the shortest questions that the robot answers."""
+        question: Callable[[], Any] = self._robot.stop
+        if isinstance(self._robot, Sensors) and self._robot.sensor_names:
+            question = self._robot.read_sensors
+        elif self._counter is not None:
+            question = self._counter.read_counts
+        times = []
+        for _ in range(QUESTIONS):
+            asked = self._clock.now()
+            question()
+            times.append(self._clock.now() - asked)
+        usual, late = float(np.median(times)), float(np.quantile(times, 0.95))
+        measured = {"latency_ms": 1000 * usual, "latency_95_ms": 1000 * late,
+                    "rate_hz": 1 / max(usual, 1e-6)}  # fmt: skip
+        says = (
+            f"it answers after {1000 * usual:.0f} ms, 95 % of the time within {1000 * late:.0f} ms"
+        )
+        if 2 * late > STEP:
+            says += (
+                f": too slow for a controller that sees at steps of {STEP:g} s; raise --baud, use "
+                "a cable in place of a radio, or give the task longer steps"
+            )
+            return Finding("latency", "wrong", says, measured)
+        return Finding("latency", "good", says, measured)
+
+    def order(self) -> Finding:
+        """See that the last of many commands holds: here, that it stands."""
+        for _ in range(5):
+            self._robot.drive(self._gentle())
+            self._robot.drive(self._takes.rest())
+        return self._stands(
+            "order",
+            "the last of ten commands, a stop, holds",
+            "it goes on driving after commands that end in a stop: they are not carried out in "
+            "their order, or not all",
+        )
+
+    def self_stopping(self) -> Finding:
+        """See whether it stops without the computer."""
+        if not isinstance(self._robot, SelfStopping):
+            return Finding(
+                "self-stopping", "wrong",
+                "nothing stops it when the computer fails or the line is cut: stay near, with a "
+                "hand at its switch; a driver with drive_for would help",
+            )  # fmt: skip
+        before = self._counts()
+        self._robot.drive_for(self._gentle(), 0.3)
+        self._wait(0.3 + 2.0)
+        moved = self._counts() != before
+        found = self._stands(
+            "self-stopping", "it stops by itself after its command, with nothing sent",
+            "it goes on driving after its command should be over: its driver says that it stops "
+            "by itself, and it does not",
+        )  # fmt: skip
+        if self._counter is not None and not moved:
+            return Finding(
+                "self-stopping", "wrong",
+                "a command of 0.3 s did not move it: are its motors on, and its wheels free?",
+            )  # fmt: skip
+        return found
+
+    def numbers(self) -> list[Finding]:
+        """See for each number of a command which way it drives, and how fast."""
+        found = []
+        for place, one in enumerate(self._takes.numbers):
+            if not one.speed:
+                continue
+            command = [0.0] * len(self._takes.numbers)
+            command[place] = GENTLE * one.high
+            if self._counter is not None and self._takes.body == "wheels":
+                found.append(self._wheel(place, command))
+            else:
+                found.append(self._seen(one.name, command))
+        return found
+
+    def _wheel(self, place: int, command: list[float]) -> Finding:
+        assert self._counter is not None
+        name = self._takes.names[place]
+        self._robot.drive(command)
+        self._wait(0.5)  # beyond its lag
+        begin, first = self._clock.now(), self._counts()
+        self._wait(1.0)
+        seconds, last = self._clock.now() - begin, self._counts()
+        self._robot.stop()
+        self._wait(COASTS)
+        ways = [(b - a) / self._counter.pulses_per_metre / seconds
+                for a, b in zip(first, last, strict=True)]  # fmt: skip
+        speed, other = ways[place], ways[1 - place]
+        measured = {"speed_m_s": speed, "other_wheel_m_s": other}
+        full = self._takes.measures.get("full", 0.0)
+        what = f"command {name}"
+        if abs(other) > 2 * abs(speed):
+            return Finding(what, "wrong", f"{name} turns the other wheel: exchange the motors' "
+                           "plugs or ports", measured)  # fmt: skip
+        if speed <= 0:
+            does = "turns backwards" if speed < 0 else "does not turn"
+            return Finding(what, "wrong", f"its {name} wheel {does} on a positive command, by its "
+                           "counter: exchange the wires of the motor or of its encoder",
+                           measured)  # fmt: skip
+        if full and not 0.8 < speed / (GENTLE * full) < 1.2:
+            return Finding(
+                what, "wrong",
+                f"its {name} wheel turns at {speed:.3f} m/s where {GENTLE * full:.3f} m/s were "
+                "commanded: correct the full speed or the pulses per metre that it says",
+                measured,
+            )  # fmt: skip
+        return Finding(what, "good", f"its {name} wheel drives forward at {speed:.3f} m/s at "
+                       f"{100 * GENTLE:.0f} %", measured)  # fmt: skip
+
+    def _seen(self, name: str, command: list[float]) -> Finding:
+        if self._ask is None:
+            return Finding(
+                f"command {name}", "unknown",
+                f"nothing counts what a positive {name} does: watch it, and say --ask to be asked",
+            )  # fmt: skip
+        self._robot.drive(command)
+        self._wait(1.0)
+        self._robot.stop()
+        part = int(np.abs(self._takes.twist(command)).argmax()) if self._takes.body else 0
+        way = ("forward", "to its left", "to the left, counter-clockwise")[part]
+        verb = "turn" if part == 2 else "drive"
+        if self._ask(f"Did it {verb} {way}?"):
+            return Finding(f"command {name}", "good", f"a positive {name} makes it {verb} {way}")
+        return Finding(
+            f"command {name}", "wrong",
+            f"a positive {name} should make it {verb} {way}: turn its sign round in its program",
+        )  # fmt: skip
+
+    def dead_bands(self) -> list[Finding]:
+        """Find the least command that turns each wheel, by its counter."""
+        if self._counter is None or self._takes.body != "wheels":
+            return []
+        found = []
+        for place, one in enumerate(self._takes.numbers):
+            least = math.nan
+            for level in LEVELS:
+                command = [0.0, 0.0]
+                command[place] = level * one.high
+                before = self._counts()[place]
+                self._robot.drive(command)
+                self._wait(0.5)
+                moved = abs(self._counts()[place] - before) > 2
+                self._robot.stop()
+                self._wait(0.3)
+                if moved:
+                    least = level
+                    break
+            measured = {"least_percent": 100 * least}
+            what = f"dead band {one.name}"
+            if math.isnan(least):
+                says = f"{100 * LEVELS[-1]:.0f} % do not turn it: are its motors on, and charged?"
+                found.append(Finding(what, "wrong", says, {}))
+            elif least > 0.2:
+                says = (f"it turns from {100 * least:.0f} % on: record with speeds well above, or "
+                        "let its program regulate them")  # fmt: skip
+                found.append(Finding(what, "wrong", says, measured))
+            else:
+                says = f"it turns from {100 * least:.0f} % on, or below"
+                found.append(Finding(what, "good", says, measured))
+        return found
+
+    def battery(self) -> Finding:
+        """Read the battery."""
+        if not isinstance(self._robot, Battery):
+            return Finding("battery", "unknown", "it does not say how full its battery is: charge "
+                           "it before a long recording")  # fmt: skip
+        volts = self._robot.battery()
+        if not volts > 0:
+            return Finding("battery", "unknown", "its battery's voltage is not known: charge it")
+        return Finding("battery", "good", f"its battery has {volts:.2f} V", {"battery_v": volts})
+
+    def _stands(self, what: str, good: str, wrong: str) -> Finding:
+        """Return whether it stands now, as far as anything tells."""
+        self._wait(COASTS)
+        if self._counter is None:
+            if self._ask is None:
+                return Finding(what, "unknown", "nothing counts its wheels: watch whether it "
+                               "stands now, and say --ask to be asked")  # fmt: skip
+            stands = self._ask("Does it stand still now?")
+        else:
+            before = self._counts()
+            self._wait(0.5)
+            stands = self._counts() == before
+        return Finding(what, "good" if stands else "wrong", good if stands else wrong)
+
+    def _counts(self) -> tuple[int, ...]:
+        return () if self._counter is None else tuple(self._counter.read_counts())
+
+    def _gentle(self) -> tuple[float, ...]:
+        numbers = self._takes.numbers
+        return tuple(GENTLE * one.high if one.speed else 0.0 for one in numbers)
+
+    def _wait(self, seconds: float) -> None:
+        self._clock.sleep_until(self._clock.now() + seconds)

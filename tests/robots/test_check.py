@@ -1,0 +1,108 @@
+"""What is found about virtual robots, whole ones and ones that are wrong in one way."""
+
+import json
+import subprocess
+import sys
+
+import pytest
+from patience import PATIENCE
+
+from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig
+from neurosim.lab.lines.bodies import TwoWheels
+from neurosim.lab.lines.firmware import LinesFirmware
+from neurosim.robots.check import check
+
+
+def checked(rig, ask=None):
+    with rig, rig.robot as robot:
+        return {one.what: one for one in check(robot, ask)}
+
+
+def lines(ask=None, **options):
+    return checked(VirtualLinesRig(1, camera=False, **options), ask)
+
+
+def wrong(found):
+    return {what: one.says for what, one in found.items() if one.verdict == "wrong"}
+
+
+def test_a_robot_that_is_as_it_says():
+    found = lines()
+    assert not wrong(found)
+    assert {one.verdict for one in found.values()} == {"good"}
+    # 115,200 baud carry an answer of 50 bytes in 4 ms.
+    assert 3 < found["latency"].measured["latency_ms"] < 15
+    assert found["command left"].measured["speed_m_s"] == pytest.approx(0.15, rel=0.05)
+    # It takes whole percents, and turns from 4 % on.
+    assert found["dead band left"].measured["least_percent"] == pytest.approx(5)
+    assert 7 < found["battery"].measured["battery_v"] < 9
+    json.dumps([one.describe() for one in found.values()])
+
+
+def test_a_khepera_has_nothing_that_stops_it():
+    with VirtualKheperaRig(1, start=(-0.1, 0.1, 0.0)) as rig:
+        found = checked(rig)
+    assert set(wrong(found)) == {"self-stopping"}
+    assert "when the computer fails" in found["self-stopping"].says
+    assert found["battery"].verdict == "unknown"
+
+
+def test_where_nothing_counts_a_person_is_asked():
+    silent = lines(kind="omni")
+    assert {silent[f"command {name}"].verdict for name in ("vx", "vy", "omega")} == {"unknown"}
+    asked = []
+    found = lines(lambda question: asked.append(question) or "left, counter" not in question,
+                  kind="omni")  # fmt: skip
+    assert "Did it drive forward?" in asked
+    assert "Did it drive to its left?" in asked
+    assert set(wrong(found)) == {"command omega"}
+    assert "turn its sign round" in found["command omega"].says
+    with VirtualRig(1, camera=False) as rig:
+        assert checked(rig)["command left"].verdict == "unknown"
+
+
+def body(monkeypatch, change):
+    """Have the two wheels carry out other commands than they are given."""
+    move = TwoWheels.move
+    monkeypatch.setattr(TwoWheels, "move", lambda self, command: move(self, change(*command)))
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "says"),
+    [
+        (lambda left, right: (right, left), "command left", "exchange the motors' plugs"),
+        (lambda left, right: (-left, right), "command left", "left wheel turns backwards"),
+        (lambda left, right: (left, 0.6 * right), "command right", "correct the full speed"),
+        (lambda left, right: (left * (left >= 25), right), "dead band left", "from 30 % on"),
+        (lambda left, right: (0, 0), "self-stopping", "did not move it"),
+    ],
+)
+def test_wheels_that_are_wrong_in_one_way(monkeypatch, change, what, says):
+    body(monkeypatch, change)
+    assert says in wrong(lines())[what]
+
+
+def test_a_robot_that_does_not_stop_by_itself_is_found(monkeypatch):
+    monkeypatch.setattr(LinesFirmware, "end", lambda self: setattr(self, "ends", float("inf")))
+    assert "goes on driving after its command" in wrong(lines())["self-stopping"]
+
+
+def test_a_slow_line_is_found():
+    found = lines(baud=2400)
+    assert "too slow for a controller" in wrong(found)["latency"]
+    assert found["latency"].measured["latency_ms"] > 100
+
+
+@pytest.mark.slow
+def test_from_the_command_line():
+    run = [sys.executable, "-m", "neurosim", "check-robot", "--robot"]
+    done = subprocess.run([*run, "virtual-car", "--json"], capture_output=True, text=True,
+                          timeout=PATIENCE)  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert told["robot"]["name"] == "car"
+    assert told["wrong"] == 0
+    done = subprocess.run([*run, "virtual-khepera"], capture_output=True, text=True,
+                          timeout=PATIENCE)  # fmt: skip
+    assert done.returncode == 1
+    assert "WRONG  self-stopping: nothing stops it" in done.stdout
