@@ -267,6 +267,7 @@ class Dataset(Format):
     readings: Whole | None = None
     reasons: dict[str, str] | None = None
     warnings: list[str] | None = None
+    windows: bool | None = None
     robots: list[Robot] | None = None
     virtual: bool | None = None
     clocks: list[SessionClock] | None = None

@@ -18,7 +18,9 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "as_sent": ("recording",),
     "mixed": ("recording",),
     "doubtful": ("recording",),
-    **dict.fromkeys(("longest", "shortest", "longest_gap", "delay"), ("mrclam", "csv")),
+    **dict.fromkeys(
+        ("longest", "shortest", "longest_gap", "delay", "step", "windows"), ("mrclam", "csv")
+    ),
     **dict.fromkeys(
         (
             "columns",
@@ -119,6 +121,13 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
 @_unit("frame", ["body", "world"], "frame of dx, dy: the robot's at the start, or heading0's.")
 @_seconds("longest", 3.0, "cut a command that is held into pieces of at most so many s.")
 @_seconds("shortest", 0.5, "leave out pieces shorter than so many s.")
+@_seconds("step", 0.1, "with --windows, join commands that are shorter than so many s.")
+@click.option(
+    "--windows/--held",
+    default=None,
+    help="csv, mrclam: learn from windows of the log with all commands in them, or from commands "
+    "that were held alone.  [default: windows where few commands were held]",
+)
 @_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
 @click.option(
     "--delay",
@@ -142,6 +151,8 @@ def dataset(
     keep: bool,
     longest: float,
     shortest: float,
+    step: float,
+    windows: bool | None,
     longest_gap: float,
     delay: float | None,
     as_json: bool,
@@ -164,7 +175,7 @@ def dataset(
         parts = [part for folder in recordings for part in parts_of(folder)]
         made = build(parts, out, correct_delay=not as_sent, mixed=mixed, doubtful=doubtful)
     else:
-        pieces = Settings(shortest, longest, longest_gap, keep, delay)
+        pieces = Settings(shortest, longest, longest_gap, step, windows, keep, delay)
         if source == "mrclam":
             from tracking.datasets.mrclam import import_mrclam
 
@@ -192,6 +203,7 @@ def dataset(
         "dataset": str(out),
         "rows": len(made.table),
         "within": len(made.within),
+        "windows": bool(made.meta.get("windows")),
         "left_out": left_out,
         "motor_delays": delays,
         "warnings": warnings,
@@ -202,12 +214,18 @@ def dataset(
         f"{1000 * each['sd']:.0f} ms), {'corrected' if each['corrected'] else 'not corrected'}.\n"
         for each in delays
     )
+    chained = (
+        "Rows follow one another: training composes them to windows (--held: held commands alone)."
+        "\n"
+        if made.meta.get("windows")
+        else ""
+    )
     reasons = ", ".join(f"{count} {reason}" for reason, count in left_out.items() if count)
     emit(
         result,
         as_json,
         f"{out}: {len(made.table)} rows, {len(made.within)} poses within them; left out: "
-        f"{reasons or 'none'}.\n" + late + next_step("train", out, "-o", "SIMULATOR"),
+        f"{reasons or 'none'}.\n" + chained + late + next_step("train", out, "-o", "SIMULATOR"),
     )
 
 

@@ -40,6 +40,8 @@ class TrainingData:
         y: displacements, [N, 3], in m, m and rad.
         within: poses within the commands, where they are known.
         scale: what inputs are divided by, [I]; None: the largest magnitude of each.
+        joined: whether a row begins where that before it ended, [N] bool, where windows of several
+            rows are to be learned from; None: each row stands for itself.
     """
 
     inputs: list[dict[str, str]]
@@ -47,6 +49,7 @@ class TrainingData:
     y: Tensor
     within: Within | None = None
     scale: Tensor | None = None
+    joined: Tensor | None = None
 
     @property
     def input_scale(self) -> Tensor:
@@ -79,7 +82,11 @@ class TrainingData:
             kept = place[within.row] >= 0
             row, time, moved = (part[kept] for part in within)
             within = Within(place[row], time, moved)
-        return replace(self, x=self.x[chosen], y=self.y[chosen], within=within)
+        joined = self.joined
+        if joined is not None:
+            next_to = torch.diff(chosen, prepend=torch.tensor([-2])) == 1
+            joined = joined[chosen] & next_to
+        return replace(self, x=self.x[chosen], y=self.y[chosen], within=within, joined=joined)
 
     @property
     def follows(self) -> Tensor:

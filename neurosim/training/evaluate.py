@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +10,11 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from neurosim.base import files
+from neurosim.base import files, se2
 from neurosim.base.errors import UserError
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.training.coverage import coverage
+from neurosim.training.trainers.windows import LENGTHS, windows_of
 from neurosim.training.unicycle import unicycle
 from tracking.datasets.dataset import Dataset
 
@@ -23,6 +25,11 @@ PAPER = {
     "dy": {"mse": 18.559, "mean_absolute_error": 2.782},
     "dtheta": {"mse": 26.412, "mean_absolute_error": 3.585},
 }
+
+#: Where rows follow one another, errors are those in windows of this length, s.
+WINDOW = 1.0
+#: After so long, s, a robot has the speeds that a command leads to.
+_CALM = 5.0
 
 #: From metres and radians to what people read, centimetres and degrees; and their names.
 READABLE = {"dx": 100.0, "dy": 100.0, "dtheta": 180.0 / np.pi}
@@ -99,14 +106,73 @@ def _held_out_share(network: MotionNetwork, dataset: str | Path) -> float | None
 
 
 def predict(network: MotionNetwork, rows: Dataset) -> NDArray:
-    """Return the displacements (N, 3) that a simulator predicts for a dataset's rows."""
+    """Return the displacements (N, 3) that a simulator predicts for a dataset's rows.
+
+    Where rows follow one another, it is driven through them, with the speeds that it has reached.
+    """
+    if rows.joined is not None and network.drive is not None:
+        return _driven(network, rows, rows.joined)
     inputs = torch.tensor(rows.input_array(), device=network.genes.device)
     return network.displacement_of(network.chained(inputs)).cpu().numpy()
 
 
+def _driven(network: MotionNetwork, rows: Dataset, joined: NDArray[np.bool_]) -> NDArray:
+    """Return the displacements (N, 3) in rows that follow one another, all drives side by side."""
+    inputs = rows.input_array()
+    names = list(rows.inputs)
+    own = [names.index(name) for name in network.command_names]
+    before = [names.index(f"prev_{n}" if n != "duration" else n) for n in network.command_names]
+    starts = np.flatnonzero(~joined)
+    lasts = np.diff(np.append(starts, len(inputs)))
+    # Each drive begins with the speeds that the command before it leads to.
+    calm = inputs[starts][:, before]
+    calm[:, network.command_names.index("duration")] = step = min(network.longest, _CALM)
+    state = network.start(torch.zeros(len(starts), 3, dtype=torch.float64), member=-1)
+    for _ in range(math.ceil(_CALM / step)):
+        state = network.step(state, torch.from_numpy(calm))
+    moved = np.zeros((len(inputs), 3))
+    for number in range(lasts.max()):
+        going = np.flatnonzero(lasts > number)
+        place = starts[going] + number
+        was = state[going]
+        state[going] = network.step(was, torch.from_numpy(inputs[place][:, own]))
+        moved[place] = se2.between(was[:, :3].numpy(), state[going, :3].numpy())
+    return moved
+
+
+def windows_of_rows(
+    rows: Dataset, joined: NDArray[np.bool_], displacement: NDArray
+) -> dict[float, NDArray]:
+    """Return the displacements in windows of rows that follow one another, by their length, s.
+
+    Args:
+        rows: with their durations.
+        joined: whether a row begins where that before it ended, (N,).
+        displacement: of the rows, (N, 3).
+    """
+    duration = torch.tensor(rows.table["duration"].to_numpy(np.float64, copy=True))
+    windows = windows_of(duration, torch.from_numpy(joined))
+    poses = [np.zeros(3)]
+    for each in displacement:
+        poses.append(se2.compose(poses[-1], each))
+    ends = np.array(poses)
+    moved = se2.between(ends[windows.first.numpy()], ends[windows.end.numpy()])
+    return {length: moved[windows.kind.numpy() == k] for k, length in enumerate(LENGTHS)}
+
+
 def table_of_errors(network: MotionNetwork, rows: Dataset) -> dict[str, dict[str, Any]]:
-    """Return a simulator's errors on a dataset's rows, as :func:`errors`."""
-    return errors(predict(network, rows), rows.output_array())
+    """Return a simulator's errors on a dataset's rows, as :func:`errors`.
+
+    Where rows follow one another, they are those in windows of :data:`WINDOW`.
+    """
+    predicted, actual, joined = predict(network, rows), rows.output_array(), rows.joined
+    if joined is not None:
+        both = [windows_of_rows(rows, joined, moved) for moved in (predicted, actual)]
+        # The longest windows that there are, up to that length.
+        known = [length for length, moved in both[0].items() if len(moved) and length <= WINDOW]
+        if known:
+            predicted, actual = (moved[known[-1]] for moved in both)
+    return errors(predicted, actual)
 
 
 def errors(predicted: NDArray, actual: NDArray) -> dict[str, dict[str, Any]]:

@@ -140,7 +140,7 @@ def _advanced(learner: Trainer, progress: bool) -> list[dict[str, Any]]:
 
 def training_data(dataset: Dataset) -> TrainingData:
     """Return a dataset's rows as tensors."""
-    within = dataset.within
+    within, joined = dataset.within, dataset.joined
     poses = within[["dx", "dy", "dtheta"]].to_numpy(np.float64, copy=True)
     return TrainingData(
         dataset.meta["inputs"],
@@ -151,6 +151,7 @@ def training_data(dataset: Dataset) -> TrainingData:
             torch.tensor(within["time"].to_numpy(np.float64, copy=True)),
             torch.tensor(poses),
         ),
+        joined=None if joined is None else torch.from_numpy(joined),
     )
 
 

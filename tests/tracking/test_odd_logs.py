@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from neurosim.base import se2
-from neurosim.base.errors import FileError
-from tracking.datasets import clocks
+from neurosim.base.errors import FileError, UserError
+from tracking.datasets import clocks, logs
 from tracking.datasets.csv_files import Conventions, import_csv
 from tracking.datasets.logs import Settings
 
@@ -156,8 +156,8 @@ def test_a_robots_own_delay_is_left_to_training(imported):
     poses = drive(120.0, lag=0.1, commands=late)[1]
     _, said = imported(time, poses, commands)
     assert said == ""
-    logs = clocks.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
-    assert clocks.lateness(logs).delay == pytest.approx(0.3, abs=0.06)
+    log = clocks.Log("a", time, commands, time >= 0, time, np.unwrap(poses, axis=0))
+    assert clocks.lateness(log).delay == pytest.approx(0.3, abs=0.06)
 
 
 @pytest.mark.parametrize(
@@ -249,3 +249,67 @@ def test_rows_that_turned_further_than_half_a_turn(tmp_path):
         assert ("of 80 commands turned by more than half a turn" in said) == wrapped
         if wrapped:
             assert abs(int(said.split()[0]) - far) <= 2
+
+
+# Rows that follow one another
+
+
+def test_rows_that_follow_one_another_by_hand():
+    time = np.arange(13) * 0.05
+    commands = np.array([[0], [0], [1], [2], [2], [2], [2], [2], [2], [2], [5], [6], [7]], float)
+    poses = np.column_stack([time, 0 * time, 0 * time])
+    log = logs.Log("a", time, commands, time >= 0, time, poses)
+    rows, left_out = logs.chained_rows_of(log, ("u",), Settings())
+    # Held for 0.1 s; then 0.05 s of 1 and of 2 with their mean; 2 for the rest; 5 and 6.
+    assert [row["u"] for row in rows] == pytest.approx([0.0, 1.5, 2.0, 5.5])
+    assert [row["prev_u"] for row in rows] == pytest.approx([0.0, 0.0, 1.5, 2.0])
+    assert [row["duration"] for row in rows] == [0.1, 0.1, 0.3, 0.1]
+    assert [row["command"] for row in rows] == [1, 2, 3, 4]
+    assert [row["dx"] for row in rows] == pytest.approx([0.1, 0.1, 0.3, 0.1])
+    assert [[pose["time"] for pose in row["within"]] for row in rows] == [[], [], [], []]
+    assert sum(left_out.values()) == 0
+    silent = logs.Log(
+        "a", time * 4, commands, time >= 0, time[[0, 2, 6, 12]] * 4, poses[[0, 2, 6, 12]]
+    )
+    rows, left_out = logs.chained_rows_of(silent, ("u",), Settings(longest_gap=0.9))
+    # Poses are silent from 1.2 s to 2.4 s; there 2 is held from 0.6 s to 2 s.
+    assert [row["command"] for row in rows] == [1, 2]
+    assert left_out["gap"] == 3
+
+
+def test_windows_where_few_commands_were_held(imported):
+    rng = np.random.default_rng(7)
+    commands = np.repeat(rng.uniform(-1, 1, (600, 2)) * (0.3, 1.5), 2, axis=0)
+    time, poses, _ = drive(60.0, commands=commands)
+    made, said = imported(time, poses, commands)
+    assert said == ""
+    assert made.meta["windows"] is True
+    assert len(made) > 500
+    assert made.joined.sum() == len(made) - 1
+    with pytest.raises(UserError, match=r"no command is held for 0\.5 s"):
+        imported(time, poses, commands, settings=Settings(windows=False))
+    held, _ = imported(*drive())
+    assert held.meta["windows"] is False
+    assert held.joined is None
+    chained, _ = imported(*drive(), settings=Settings(windows=True))
+    assert chained.table["duration"].sum() > held.table["duration"].sum()
+
+
+def test_poses_that_come_less_often_than_lines(imported):
+    time, poses, commands = drive()
+    expected, _ = imported(time, poses, commands)
+    made, said = imported(time, poses[np.arange(len(time)) // 4 * 4], commands)
+    assert said == ""
+    # Half of 0.2 s late on average, if they were taken as they stand.
+    assert np.abs(made.output_array() - expected.output_array()[: len(made)]).mean() < 0.01
+
+
+def test_a_model_car_driven_by_hand(shared_data, tmp_path):
+    names = {"time": "vicon time", "x": "vicon x", "y": "vicon y", "heading": "vicon yaw"}
+    columns = {**names, "throttle": "throttle", "steering": "steering"}
+    made = import_csv(
+        shared_data / "real" / "dart" / "drive-1.csv", tmp_path / "d", columns=columns
+    )
+    assert made.meta["windows"] is True
+    assert made.table["duration"].sum() > 0.98 * 67.8
+    assert made.meta["warnings"] == []

@@ -112,8 +112,9 @@ def import_csv(
         raise UserError("--session is for logs; in a file of rows prev_ says what came before")
     if conventions.frame == "world" and (shape == "log" or not tables[0].has_any(MOVED)):
         raise UserError("--frame world is for files of rows with dx, dy; poses are in it anyway")
-    left_out: Counter[str] = Counter()
+    left_out: dict[str, int] = Counter()
     made: list[dict[str, Any]] = []
+    windows = False
     warnings: list[str] = []
     read = conventions
     if shape == "log":
@@ -124,10 +125,7 @@ def import_csv(
             warnings += [f"{table.path}: {sentence}" for sentence in said]
         drives, said = in_step(drives, settings.delay)
         warnings += said
-        for drive in drives:
-            part, out_of_it = logs.rows_of(drive, commands, settings)
-            made += part
-            left_out.update(out_of_it)
+        made, left_out, windows = logs.any_rows_of(drives, commands, settings)
         if not made:
             _explain(tables[0].path, drives[0], left_out, settings)
         if conventions.angle == "rad" and any(_in_degrees(table) for table in tables):
@@ -144,7 +142,7 @@ def import_csv(
         for name, table in zip(names, tables, strict=True):
             part, out_of_it = _rows(table, name, commands, from_rest, conventions)
             made += part
-            left_out.update(out_of_it)
+            left_out["not seen"] += out_of_it["not seen"]
     dataset = make(
         made,
         logs.inputs_of(units),
@@ -157,6 +155,7 @@ def import_csv(
             **(asdict(settings) if shape == "log" else {"from_rest": from_rest}),
         },
         reasons=logs.REASONS if shape == "log" else ROW_REASONS,
+        windows=windows,
     )
     if shape == "rows":
         duration = dataset.table["duration"].to_numpy()

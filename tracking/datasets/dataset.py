@@ -108,6 +108,19 @@ class Dataset:
         return rows.part(slice(None, earlier)), rows.part(slice(earlier, None))
 
     @property
+    def joined(self) -> NDArray[np.bool_] | None:
+        """Whether each row (N,) begins where that before it ended; None: rows are on their own.
+
+        They are on their own unless ``meta["windows"]`` says that rows follow one another.
+        """
+        if not self.meta.get("windows"):
+            return None
+        number, name = self.table["command"].to_numpy(), self.table["recording"].to_numpy()
+        joined = np.zeros(len(number), np.bool_)
+        joined[1:] = (np.diff(number) == 1) & (name[1:] == name[:-1])
+        return joined
+
+    @property
     def repeated(self) -> int:
         """How many rows have the inputs and outputs of an earlier one, to the last digit.
 

@@ -3,12 +3,18 @@
 A command is held from its sample to the first sample that differs. Such a run, cut from its
 beginning into pieces of at most 3 s, gives one row for every piece of at least 0.5 s; the
 previous command of a piece is that of the sample just before its first.
+
+Where commands change sooner, as a person's or a controller's do, few rows or none are left. Then
+the whole log becomes rows that follow one another (:func:`chained_rows_of`): pieces of equal
+commands, and of those that are shorter than 0.1 s so many together as last that long, with their
+mean. Training composes them to windows of the log with all the commands in them.
 """
 
 from __future__ import annotations
 
+from bisect import bisect_left, bisect_right
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +33,13 @@ REASONS = {
     "gap": "no sample or no pose for too long",
 }
 
+#: Where fewer commands than this are held, rows may follow one another; so many, at least.
+FEW, LEAST = 100, 20
+#: There, poses within rows are so far apart, s.
+_WITHIN = 0.25
+#: The motion of this time, s, says what came before the first command.
+_AT_FIRST = 0.2
+
 #: Times are written to the millisecond; a piece of 60 samples at 20 Hz lasts 3 s give or take one.
 _ROUNDING = 1e-3
 
@@ -39,6 +52,9 @@ class Settings(Checked):
         shortest: shortest piece that gives a row, s.
         longest: longest piece, s.
         longest_gap: a piece is left out if samples or poses are silent for longer within it, s.
+        step: where rows follow one another, commands shorter than this, s, make one row.
+        windows: whether rows follow one another, to be learned from by windows; None: where
+            there are few held commands (:func:`any_rows_of`).
         keep: poses whose headings do not fit the motion are kept.
         delay: by how much poses are late beside the commands, s; None: found from the motion, and
             corrected where no robot can be so late or so early.
@@ -47,6 +63,8 @@ class Settings(Checked):
     shortest: Seconds = 0.5
     longest: Seconds = 3.0
     longest_gap: Seconds = 0.5
+    step: Seconds = 0.1
+    windows: bool | None = None
     keep: bool = False
     delay: Delay | None = None
 
@@ -108,13 +126,15 @@ def rows_of(
         left_out: reason -> count of the pieces that gave no row.
     """
     left_out = Counter(dict.fromkeys(REASONS, 0))
+    cut = np.array(list(pieces(log.time, log.commands, settings.longest)), np.int64).reshape(-1, 2)
+    gaps = _gaps(log, log.time[cut[:, 0]], log.time[cut[:, 1]], settings.longest_gap)
     kept = []
-    for start, end in pieces(log.time, log.commands, settings.longest):
+    for (start, end), gap in zip(cut.tolist(), gaps.tolist(), strict=True):
         if log.time[end] - log.time[start] < settings.shortest - _ROUNDING:
             left_out["too short"] += 1
         elif start == 0 and log.before is None:
             left_out["first"] += 1
-        elif _has_gap(log.time[start : end + 1], log.pose_time, settings.longest_gap):
+        elif gap:
             left_out["gap"] += 1
         else:
             kept.append((start, end))
@@ -169,23 +189,162 @@ def pieces(time: NDArray, commands: NDArray, longest: float) -> Iterator[tuple[i
             start = end
 
 
+def _gaps(log: Log, begins: NDArray, ends: NDArray, longest: float) -> NDArray[np.bool_]:
+    """Return whether samples or poses are silent for longer (s) within spans of time (K,)."""
+    samples = _silent(log.time, begins, ends, longest)
+    poses = log.pose_time
+    outside = (begins < poses[0]) | (ends > poses[-1])
+    return samples | _silent(poses, begins, ends, longest) | outside
+
+
+def _silent(times: NDArray, begins: NDArray, ends: NDArray, longest: float) -> NDArray[np.bool_]:
+    """Return whether two times that follow each other are farther apart within spans (K,)."""
+    apart = np.flatnonzero(np.diff(times) > longest)
+    over = np.searchsorted(times[apart + 1], begins, side="right")
+    begun = np.searchsorted(times[apart], ends, side="left")
+    return begun > over
+
+
 def is_known(pose_times: NDArray, begins: NDArray, lasts: float) -> NDArray[np.bool_]:
     """Return whether there are poses (M,) all along spans that begin at (K,) and last so long, s.
 
     They are if none is missing for longer than half of the span.
     """
-    silent = np.flatnonzero(np.diff(pose_times) > lasts / 2)
-    first = np.searchsorted(pose_times[silent + 1], begins, side="right")
-    last = np.searchsorted(pose_times[silent], begins + lasts, side="left")
     inside = (begins >= pose_times[0]) & (begins + lasts <= pose_times[-1])
-    return (last <= first) & inside
+    return inside & ~_silent(pose_times, begins, begins + lasts, lasts / 2)
 
 
-def _has_gap(samples: NDArray, pose_times: NDArray, longest: float) -> bool:
-    if (np.diff(samples) > longest).any():
-        return True
-    first = int(np.searchsorted(pose_times, samples[0], side="right")) - 1
-    last = int(np.searchsorted(pose_times, samples[-1], side="left"))
-    if first < 0 or last >= len(pose_times):
-        return True
-    return bool((np.diff(pose_times[first : last + 1]) > longest).any())
+# Rows that follow one another
+
+
+def any_rows_of(
+    logs: Sequence[Log], names: Sequence[str], settings: Settings
+) -> tuple[list[dict[str, Any]], dict[str, int], bool]:
+    """Turn logs into rows: of held commands, or such that follow one another.
+
+    Without the user's word, rows follow one another where fewer than :data:`FEW` commands were held
+    for long enough, and that makes twice as many rows or more, and :data:`LEAST`.
+
+    Returns:
+        rows and left_out as of :func:`rows_of`, and whether rows follow one another.
+    """
+    if settings.windows:
+        return (*_joined(chained_rows_of(log, names, settings) for log in logs), True)
+    held, left_out = _joined(rows_of(log, names, settings) for log in logs)
+    if settings.windows is None and len(held) < FEW:
+        rows, others = _joined(chained_rows_of(log, names, settings) for log in logs)
+        if len(rows) >= max(2 * len(held), LEAST):
+            return rows, others, True
+    return held, left_out, False
+
+
+def _joined(
+    parts: Iterable[tuple[list[dict[str, Any]], dict[str, int]]],
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    rows: list[dict[str, Any]] = []
+    left_out: Counter[str] = Counter()
+    for own, without in parts:
+        rows += own
+        left_out.update(without)
+    return rows, dict(left_out)
+
+
+def chained_rows_of(
+    log: Log, names: Sequence[str], settings: Settings
+) -> tuple[list[dict[str, Any]], dict[str, int]]:
+    """Turn a log into rows that follow one another, as :func:`rows_of`.
+
+    A row whose ``command`` is one more than that of the row above begins where that one ended. What
+    came before the first is taken from how the robot moves: it stood, or did what it is told.
+    """
+    first = log.before if log.before is not None else _first(log)
+    # From the first pose to the last one.
+    begin = int(np.searchsorted(log.time, log.pose_time[0]))
+    last = int(np.searchsorted(log.time, log.pose_time[-1], side="right"))
+    if begin > 0:
+        first = log.commands[begin - 1]
+    time, commands, seen = log.time[begin:last], log.commands[begin:last], log.seen[begin:last]
+    if len(time) < 2:
+        return [], {}
+    starts = np.array(_steps(time, commands, settings), np.int64)
+    if len(starts) < 2:
+        return [], {}
+    begins, ends = time[starts[:-1]], time[starts[1:]]
+    spent = np.concatenate([np.zeros((1, len(names))), commands[:-1] * np.diff(time)[:, None]])
+    spent = np.cumsum(spent, axis=0)
+    lasts = np.round(ends - begins, 6)
+    mean = (spent[starts[1:]] - spent[starts[:-1]]) / (ends - begins)[:, None]
+    # A mean of equal commands is that command, to the last digit.
+    changes = np.concatenate([[0], np.cumsum((np.diff(commands, axis=0) != 0).any(axis=1))])
+    same = changes[starts[1:] - 1] == changes[starts[:-1]]
+    told = np.where(same[:, None], commands[starts[:-1]], mean)
+    before = np.concatenate([first[None], told[:-1]])
+    poses = log.pose_at(time[starts])
+    moved = se2.between(poses[:-1], poses[1:])
+    gaps = _gaps(log, begins, ends, settings.longest_gap)
+    rows = []
+    for number in np.flatnonzero(~gaps).tolist():
+        within: list[dict[str, float]] = []
+        if lasts[number] > _WITHIN:
+            samples = np.arange(starts[number], starts[number + 1] + 1)
+            samples = samples[seen[samples]]
+            times = time[samples] - begins[number]
+            chosen = _spread(times, float(lasts[number]))
+            at = log.pose_at(time[samples[chosen]])
+            within = poses_within(times[chosen], poses[number], at)
+        rows.append(
+            {
+                "recording": log.name,
+                "command": number + 1,
+                **dict(zip((f"prev_{name}" for name in names), before[number], strict=True)),
+                **dict(zip(names, told[number], strict=True)),
+                "duration": float(lasts[number]),
+                **dict(zip(("dx", "dy", "dtheta"), moved[number], strict=True)),
+                "quality": 1.0,
+                "within": within,
+            }
+        )
+    return rows, {**dict.fromkeys(REASONS, 0), "gap": int(gaps.sum())}
+
+
+def _spread(times: NDArray, duration: float) -> NDArray:
+    """Return those of the times (N,) within a command that are nearest to multiples of _WITHIN."""
+    wanted = np.arange(_WITHIN, duration - _WITHIN / 2, _WITHIN)
+    if not len(times) or not len(wanted):
+        return np.zeros(0, np.int64)
+    found = np.unique(np.abs(times[None, :] - wanted[:, None]).argmin(axis=1))
+    return found[(times[found] > _ROUNDING) & (times[found] < duration - _ROUNDING)]
+
+
+def _steps(time: NDArray, commands: NDArray, settings: Settings) -> list[int]:
+    """Return at which samples rows begin, and the last one ends."""
+    changes = np.flatnonzero((np.diff(commands, axis=0) != 0).any(axis=1)) + 1
+    runs, moments = [*changes.tolist(), len(time) - 1], time.tolist()
+    starts, run = [0], 0
+    while starts[-1] < len(moments) - 1:
+        start = starts[-1]
+        while runs[run] <= start:
+            run += 1
+        if moments[runs[run]] - moments[start] >= settings.step - _ROUNDING:
+            reach = moments[start] + settings.longest + _ROUNDING
+            end = max(min(bisect_right(moments, reach) - 1, runs[run]), start + 1)
+        else:
+            end = bisect_left(moments, moments[start] + settings.step - _ROUNDING)
+            if end >= len(moments):
+                break
+        starts.append(end)
+    return starts
+
+
+def _first(log: Log) -> NDArray:
+    """Return the command before the first one: that one, or to stand if the robot stood."""
+    changes = (np.diff(log.commands, axis=0) != 0).any(axis=1)
+    end = int(np.argmax(changes)) if changes.any() else len(log.time) - 1
+    span = min(_AT_FIRST, (log.time[end] - log.time[0]) / 3)
+    if span <= 0.0:
+        return log.commands[0]
+    times = np.array([log.time[0], log.time[0] + span, log.time[end] - span, log.time[end]])
+    poses = log.pose_at(times)
+    ways = np.abs(se2.between(poses[::2], poses[1::2]))
+    stood = (ways[0] <= 0.4 * ways[1]).all()
+    return np.zeros_like(log.commands[0]) if stood else log.commands[0]

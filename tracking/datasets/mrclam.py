@@ -22,7 +22,7 @@ from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
 from tracking.datasets.clocks import in_step
 from tracking.datasets.dataset import Dataset, make
-from tracking.datasets.logs import REASONS, Log, Settings, inputs_of, rows_of
+from tracking.datasets.logs import REASONS, Log, Settings, any_rows_of, inputs_of
 
 #: Inputs of a robot that is commanded by its velocities, with units.
 VELOCITY_INPUTS = inputs_of({"v": "m/s", "w": "rad/s"})
@@ -66,7 +66,7 @@ def import_mrclam(
     stem = found["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
     (log,), warnings = in_step([log], settings.delay)
-    rows, left_out = rows_of(log, ("v", "w"), settings)
+    rows, left_out, windows = any_rows_of([log], ("v", "w"), settings)
     dataset = make(
         rows,
         VELOCITY_INPUTS,
@@ -75,6 +75,7 @@ def import_mrclam(
         settings=asdict(settings),
         reasons=REASONS,
         warnings=warnings,
+        windows=windows,
     )
     dataset.write(out)
     return dataset

@@ -122,6 +122,7 @@ def _drives(
 ) -> Iterator[Log]:
     """Yield the drives of a part with increasing times: it is cut where the pose jumps."""
     seen = np.isfinite(poses).all(axis=1)
+    seen &= ~_old(time, poses, settings.longest_gap)
     places = np.flatnonzero(seen)
     if len(time) < 2 or not len(places):
         return
@@ -143,6 +144,23 @@ def _drives(
             poses[own],
             commands[start - 1] if start else None,
         )
+
+
+def _old(time: NDArray, poses: NDArray, longest: float) -> NDArray[np.bool_]:
+    """Return which poses (N, 3) are those of the line before, where poses come less often.
+
+    They do where most lines repeat the one before, but for lines between which the robot stood for
+    longer, s.
+    """
+    again = np.zeros(len(time), np.bool_)
+    again[1:] = (poses[1:] == poses[:-1]).all(axis=1)
+    fresh = np.flatnonzero(~again)
+    until = np.append(time[fresh[1:]], time[-1])
+    stands = np.repeat(until - time[fresh] > longest, np.diff(np.append(fresh, len(time))))
+    moving = ~stands
+    if again[moving].sum() <= moving.sum() / 2:
+        return np.zeros_like(again)
+    return again & moving
 
 
 def _jumps(time: NDArray, poses: NDArray, longest: float) -> tuple[NDArray, NDArray]:

@@ -27,7 +27,7 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 
 #: Speeds of robots, m/s and rad/s; how far apart two wheels are, m; seconds from one sample of a
 #: log to the next.
-_SPEEDS, _RATES, _TRACKS, _SAMPLES = (0.002, 20.0), (0.02, 50.0), (0.01, 5.0), (2e-4, 3.0)
+_SPEEDS, _RATES, _TRACKS, _SAMPLES = (0.002, 20.0), (0.02, 50.0), (0.01, 10.0), (2e-4, 3.0)
 #: A robot does what a command asks for, within this factor; if it does not, another unit may.
 _OBEYS, _MENDED = 5.0, 2.5
 _RIGHT = "commands, speeds and times do not fit each other: they would with {}"

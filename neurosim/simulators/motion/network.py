@@ -44,8 +44,9 @@ OUTPUTS = ("dx", "dy", "dtheta")
 #: A command goes on until it has lasted for the longest one's time, give or take this share.
 HELD = 0.05
 
-#: Commands after which what an actuator had not reached is forgotten.
-_LINKS = 4
+#: Commands after which what an actuator had not reached is forgotten; more of them if they are
+#: so short that they do not last for this time, s, up to a limit.
+_LINKS, _DIES, _MOST_LINKS = 4, 2.0, 40
 
 #: What the networks' outputs are: the displacement itself; or, beside a drive model, the twist by
 #: which the robot departs from it, in the time of the longest command.
@@ -752,8 +753,13 @@ def chain(
     before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
     time = x[:, columns.duration] * longest
     speed = before
-    # What is left of a difference dies away within a few commands.
-    for _ in range(_LINKS if len(x) else 0):
+    # What is left of a difference dies away within a few commands, or seconds.
+    links = (
+        max(_LINKS, min(math.ceil(_DIES / max(float(time.median()), 1e-3)), _MOST_LINKS))
+        if len(x)
+        else 0
+    )
+    for _ in range(links):
         reached = drive.reached(drive.begun(speed, before), told, time)[0]
         speed = torch.where(follows[1:, None], reached[:-1], before[1:])
         speed = torch.cat([before[:1], speed])

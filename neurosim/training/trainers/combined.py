@@ -31,6 +31,7 @@ from neurosim.base.threads import one_thread
 from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
+from neurosim.simulators.motion.drive import Underway
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
@@ -41,6 +42,7 @@ from neurosim.training.trainers.drive_fit import Motion, fit_drive
 from neurosim.training.trainers.gaussian_process import Process, learn_process
 from neurosim.training.trainers.pursuit import Pursuit, row_weights
 from neurosim.training.trainers.swing import find_swing
+from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
 
 OUTPUTS = 3
 #: What can be left out, to see what it is good for.
@@ -180,9 +182,18 @@ class CombinedTrainer:
             self._dead_zone = find_dead_zone(names, x, y)
         x = torch.where(x.abs() < self._dead_zone, 0.0, x)
         within = None if settings.whole_commands else data.within
-        motion = Motion(x, y, data.follows.to(device), self._columns, longest, within)
-        self._drive = fit_drive(motion, laws="laws" not in settings.without)
-        rows = self._residuals(motion.inputs(self._drive), y, torch.ones_like(y[:, 0]))
+        laws, under = "laws" not in settings.without, None
+        self._windows: Windows | None = None
+        if data.joined is None:
+            motion = Motion(x, y, data.follows.to(device), self._columns, longest, within)
+            self._drive = fit_drive(motion, laws=laws)
+            inputs = motion.inputs(self._drive)
+        else:
+            self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
+            chains = Chains.of(x, y, data.joined.to(device), self._columns, longest, within)
+            self._drive = fit_drive(chains, laws=laws)
+            inputs, under = chains.inputs(self._drive, x)
+        rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
         self._derived = Derived()
         enough = len(x) >= settings.swing_rows and "swing" not in settings.without
         if enough and can_swing(self._columns):
@@ -202,10 +213,12 @@ class CombinedTrainer:
             self._command = torch.cat([self._command, commands])
         self._rows = rows._replace(given=self._derived.append(self._columns, rows.given))
 
-    def _residuals(self, x: Tensor, y: Tensor, weight: Tensor) -> Residuals:
+    def _residuals(
+        self, x: Tensor, y: Tensor, weight: Tensor, under: Underway | None = None
+    ) -> Residuals:
         columns = self._columns
         share = x[:, columns.duration]
-        under = rows_underway(self._drive, columns, x)
+        under = rows_underway(self._drive, columns, x) if under is None else under
         changing, twist = self._drive.phases(
             under, x[:, list(columns.driven)], share * self._longest
         )
@@ -364,7 +377,8 @@ class CombinedTrainer:
     def _half(self) -> Tensor:
         """Which rows the first half is, [N]: stretches of time, parts with their commands."""
         whole = int(self._command.amax()) + 1
-        return (torch.arange(whole) * STRETCHES // whole % 2 == 0)[self._command]
+        stretches = STRETCHES if self._windows is None else 2
+        return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
     def _unseen(self, said: Tensor) -> Tensor:
         """Return of every row what the half said that had not seen it; the last axis is rows."""
@@ -375,12 +389,31 @@ class CombinedTrainer:
         rows, unseen = self._rows, self._unseen(said)
         without = self._settings.without
         allowed = tuple(name not in without for name in ("product_units", "process"))
-        return torch.stack(
-            [
-                _shares(unseen[o], rows.left[:, o], rows.factor[:, o], trust[:, o], allowed)
-                for o in range(OUTPUTS)
-            ]
-        )
+        count = None
+        judged = [
+            (unseen[o], rows.left[:, o], rows.factor[:, o], trust[:, o]) for o in range(OUTPUTS)
+        ]
+        if self._windows is not None:
+            judged = [self._composed(*one[:3], self._windows) for one in judged]
+            count = float(self._windows.weight.sum())
+        return torch.stack([_shares(*one, allowed, count) for one in judged])
+
+    def _composed(
+        self, said: Tensor, left: Tensor, factor: Tensor, windows: Windows
+    ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return an output in windows of whole rows, as it is in rows: arguments of _shares.
+
+        What a row adds to the turn of a window, and nearly to its way, is what it adds to its own.
+        """
+        whole = len(self._data.x)
+        both = torch.cat([factor * said, left[None]])[:, :whole]
+        until = torch.cat([torch.zeros_like(both[:, :1]), both.cumsum(1)], 1)
+        both = until[:, windows.end] - until[:, windows.first]
+        trust = windows.weight.clone()
+        for kind in range(len(LENGTHS)):
+            own = windows.kind == kind
+            trust[own] /= both[2, own].square().mean().clamp(min=1e-18)
+        return both[:2], both[2], torch.ones_like(trust), trust
 
     def _trust(self, learners: list[_ProductUnits]) -> Tensor:
         """Return how much each row counts for each output, [N, 3]."""
@@ -591,7 +624,12 @@ def _drawn(mean: Tensor, triangle: Tensor, generator: torch.Generator) -> Tensor
 
 
 def _shares(
-    said: Tensor, left: Tensor, factor: Tensor, trust: Tensor, allowed: tuple[bool, ...]
+    said: Tensor,
+    left: Tensor,
+    factor: Tensor,
+    trust: Tensor,
+    allowed: tuple[bool, ...],
+    count: float | None = None,
 ) -> Tensor:
     """Return how much each of two learners counts, [2], with a sum of 1 at most.
 
@@ -600,10 +638,13 @@ def _shares(
         left, factor: targets of the output and its factor in them, [N].
         trust: how much rows count, [N].
         allowed: which of the two may count.
+        count: how many independent rows these are worth; then the two count only if they lessen the
+            loss by more than its standard error (Breiman et al. 1984).
     """
     best, least = torch.zeros(2, dtype=left.dtype), math.inf
     root = trust.sqrt()
     corner = 2.0 * (left * root).abs().median().clamp(min=1e-12)
+    without = torch.zeros(0)
     for first in range(_SHARES + 1 if allowed[0] else 1):
         for second in range(_SHARES + 1 - first if allowed[1] else 1):
             shares = torch.tensor([first, second], dtype=left.dtype) / _SHARES
@@ -612,6 +653,10 @@ def _shares(
             loss = torch.where(error < corner, error.square(), corner * (2 * error - corner))
             # Nothing at all is preferred to what is not better.
             value = loss.mean().item() * (1.0 + _SIMPLER * (first + second > 0))
+            if count is not None and first + second == 0:
+                without = loss
+            elif count is not None:
+                value += (without - loss).std().item() / math.sqrt(count)
             if value < least:
                 best, least = shares, value
     return best

@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
@@ -39,8 +39,6 @@ _STEPS, _GAIN = 40, 0.05
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: How much steps are damped, at first, at least and at most, and by which factors that changes.
 _DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
-#: A delay, which is nearly a lag where only the ends of commands are known, must raise it by this.
-_BELIEF = 10.0
 #: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
 #: gets), of slowing, of braking over slowing, and of the rate; bend; stick and delay (s). What is
 #: usual, how far from it, and limits.
@@ -53,7 +51,7 @@ _HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.5, 0.
 #: Products count, before rows say more, for no more than this share of what is to be explained.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
-_FREEDOM, _HUBER = 2.0, 1.345
+FREEDOM, _HUBER = 2.0, 1.345
 _REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
 _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
@@ -80,6 +78,9 @@ class Motion:
     longest: float
     within: Within | None = None
 
+    #: A delay is nearly a lag where only the ends of commands are known.
+    belief: ClassVar[float] = 10.0
+
     def first(self, rows: int) -> Motion:
         """Return the first rows, and as many of the poses within them."""
         within = self.within
@@ -97,8 +98,12 @@ class Motion:
             x[:, list(places)] = drive.shaped(x[:, list(places)])
         return chain(drive, self.columns, x, self.follows, self.longest)
 
+    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
+        """Return a drive model with the best kinematics, and the errors that it leaves."""
+        return _fitted(drive, self)
 
-class _Errors(NamedTuple):
+
+class Errors(NamedTuple):
     """Errors of one kind.
 
     Attributes:
@@ -114,12 +119,34 @@ class _Errors(NamedTuple):
     @property
     def cost(self) -> float:
         """Minus the log-likelihood."""
-        each = (self.error / self.size).square() / _FREEDOM
-        cost = (_FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(self.error) * self.size.log()
+        each = (self.error / self.size).square() / FREEDOM
+        cost = (FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(self.error) * self.size.log()
         return self.weight * cost.item()
 
 
-def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
+class Rows(Protocol):
+    """What a drive model is fitted to.
+
+    Attributes:
+        columns: of the inputs.
+        belief: by how much a delay must raise the log-likelihood.
+    """
+
+    belief: ClassVar[float]
+
+    @property
+    def columns(self) -> CommandFeatures: ...
+
+    def first(self, rows: int) -> Rows:
+        """Return the first rows."""
+        ...
+
+    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
+        """Return a drive model with the best kinematics, and the errors that it leaves."""
+        ...
+
+
+def fit_drive(motion: Rows, laws: bool = True) -> DriveModel:
     """Return the drive model of rows.
 
     Args:
@@ -128,15 +155,15 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
     """
     count = len(motion.columns.driven)
     if not laws:
-        return _fitted(_model(_AT_ONCE.repeat(1, count)), motion)[0]
+        return motion.fitted(_model(_AT_ONCE.repeat(1, count)))[0]
     searched = motion.first(_ROWS)
     lowest, usual, highest = (
         torch.tensor(values, dtype=torch.float64).unsqueeze(1).repeat(1, count)
         for values in (_LOWEST, _USUAL, _HIGHEST)
     )
 
-    def errors(laws: Tensor) -> list[_Errors]:
-        return _fitted(_model(laws), searched)[1]
+    def errors(laws: Tensor) -> list[Errors]:
+        return searched.fitted(_model(laws))[1]
 
     coarse: list[tuple[float, float, float, Tensor]] = []
     for lag, rate, delay in product(_LAGS, _RATES, _DELAYS):
@@ -163,13 +190,13 @@ def fit_drive(motion: Motion, laws: bool = True) -> DriveModel:
     found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
     if found[_DELAY, 0] > 0.0:
         at_once, cost = best_of([*starts(0.0), found], 0.0)
-        if cost < least + _BELIEF:
+        if cost < least + motion.belief:
             found = at_once
-    return _fitted(_model(found), motion)[0]
+    return motion.fitted(_model(found))[0]
 
 
 def _refined(
-    errors: Callable[[Tensor], list[_Errors]], laws: Tensor, lowest: Tensor, highest: Tensor
+    errors: Callable[[Tensor], list[Errors]], laws: Tensor, lowest: Tensor, highest: Tensor
 ) -> tuple[Tensor, float]:
     """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
 
@@ -191,7 +218,7 @@ def _refined(
         weight = torch.cat([torch.full_like(one.error, one.weight) for one in now])
         error = torch.cat([one.error for one in now])
         # Weights of iteratively reweighted least squares for Student's t.
-        weight = weight * (_FREEDOM + 1.0) / (_FREEDOM + (error / size).square())
+        weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         slopes, unit = [], width[varied]
         for place in places:
             at, moved = tuple(place), laws.clone()
@@ -228,7 +255,7 @@ def _refined(
     return laws, cost
 
 
-def _cost(laws: Tensor, errors: list[_Errors]) -> float:
+def _cost(laws: Tensor, errors: list[Errors]) -> float:
     """Return minus the logarithm of laws' probability after errors."""
     off, _ = _off(laws)
     return sum(one.cost for one in errors) + 0.5 * off.square().sum().item()
@@ -252,7 +279,7 @@ def _model(laws: Tensor) -> DriveModel:
     return DriveModel(*parts, torch.zeros(shape))
 
 
-def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[_Errors]]:
+def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[Errors]]:
     """Return a drive model with the best kinematics, and the errors that it leaves."""
     x, turn = motion.inputs(drive), motion.y[:, 2]
     columns = motion.columns
@@ -281,7 +308,7 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[_Errors
 
 def _errors_within(
     drive: DriveModel, motion: Motion, under: Underway, told: Tensor
-) -> list[_Errors]:
+) -> list[Errors]:
     """Return the errors of poses within commands.
 
     They are from the same commands as the rows, which they are not to outweigh: they count as many
@@ -297,10 +324,10 @@ def _errors_within(
     # What is short is measured by what is short.
     size = (1.4826 * error.abs().median(0).values).clamp(min=1e-6)
     weight = min(len(motion.x) / len(row), 1.0)
-    return [_Errors(error[:, k], size[k], weight) for k in range(error.shape[1])]
+    return [Errors(error[:, k], size[k], weight) for k in range(error.shape[1])]
 
 
-def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, _Errors]:
+def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, Errors]:
     """Return the weights of a regression with Huber's loss, and the errors that they leave.
 
     Args:
@@ -327,4 +354,4 @@ def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, 
         size = (1.4826 * error.median()).clamp(min=1e-9)
         shares = (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()
-    return weights, _Errors(features @ weights - target, size)
+    return weights, Errors(features @ weights - target, size)

@@ -1,0 +1,399 @@
+"""The drive model of logs in which commands change faster than the robot answers.
+
+Rows follow one another there, and each is too short to say much. So the model is held to windows:
+runs of rows of :data:`LENGTHS`, which overlap, and whose displacement is composed of those of their
+rows. Commands under way and speeds reached go on from row to row, as in the simulator.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import ClassVar, NamedTuple
+
+import numpy as np
+import torch
+from numba import njit
+from numpy.typing import NDArray
+from torch import Tensor
+
+from neurosim.base.se2 import tensors as se2
+from neurosim.simulators.motion.drive import DriveModel, Underway, features_of
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law
+from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.training.base import Within
+from neurosim.training.trainers.drive_fit import FREEDOM, Errors
+
+#: How long windows last, s, and how many begin within the length of one.
+LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
+#: Pieces of constant twist last no longer, s.
+PIECE = 0.1
+#: Products of speeds, before rows say more, count for this share of what is to be explained. Larger
+#: than where commands are held: in a log of a car, speed and steering change together.
+_PRODUCTS = 0.2
+#: Rows that the laws are searched with: so many for each that stands for itself.
+_SHORTER = 5
+#: A robot that moves by less than this share of the most stands.
+_STANDS = 1e-3
+
+
+class Windows(NamedTuple):
+    """Runs of rows, [W] each.
+
+    Attributes:
+        first: the first row.
+        end: the row after the last one.
+        kind: which of the lengths it has.
+        weight: what it counts. Windows overlap, and errors of neighbours are alike; all together
+            count as many as there would be windows of the longest length.
+    """
+
+    first: Tensor
+    end: Tensor
+    kind: Tensor
+    weight: Tensor
+
+
+def windows_of(time: Tensor, joined: Tensor) -> Windows:
+    """Return the windows of rows.
+
+    Args:
+        time: durations, [N] s.
+        joined: whether a row begins where that before it ended, [N] bool.
+    """
+    end = np.concatenate([[0.0], np.cumsum(time.numpy())])
+    breaks = np.append(np.flatnonzero(~joined.numpy()), len(time))
+    found = []
+    for kind, length in enumerate(LENGTHS):
+        for start, stop in pairwise(breaks):
+            last = -np.inf
+            for first in range(start, stop):
+                begin = end[first]
+                if begin - last < length / OVERLAP - 1e-6:
+                    continue
+                until = int(np.searchsorted(end[: stop + 1], begin + length))
+                until = min(max(until, first + 1), stop)
+                if until > first + 1 and end[until] + end[until - 1] > 2.0 * (begin + length):
+                    until -= 1
+                lasts = end[until] - begin
+                # A long row is a window of the length that is nearest to its own.
+                nearest = int(np.abs(np.log(np.array(LENGTHS) / lasts)).argmin())
+                if nearest != kind:
+                    continue
+                own = min(begin - last, lasts) / LENGTHS[-1] / len(LENGTHS)
+                found.append((first, until, kind, min(own, 1.0)))
+                last = begin
+    first_, end_, kind_, weight = np.array(found).reshape(-1, 4).T
+    whole = [torch.tensor(each.astype(np.int64)) for each in (first_, end_, kind_)]
+    return Windows(*whole, torch.tensor(weight))
+
+
+def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Cut rows where poses within them are known, but for pieces shorter than :data:`PIECE`.
+
+    Returns:
+        Of each piece the row, begin and end, [K] s since the row's beginning, and the displacement,
+        [K, 3].
+    """
+    known: dict[int, list[tuple[float, Tensor]]] = {}
+    if within is not None:
+        for row, moment, moved in zip(
+            within.row.tolist(), within.time.tolist(), within.moved, strict=True
+        ):
+            known.setdefault(row, []).append((moment, moved))
+    rows, begins, ends, moves = [], [], [], []
+    for row, lasts in enumerate(time.tolist()):
+        begin, pose = 0.0, torch.zeros(3, dtype=y.dtype)
+        for moment, moved in known.get(row, ()):
+            if moment - begin >= PIECE - 1e-6 and lasts - moment >= PIECE - 1e-6:
+                rows.append(row)
+                begins.append(begin)
+                ends.append(moment)
+                moves.append(se2.between(pose[None], moved[None])[0])
+                begin, pose = moment, moved
+        rows.append(row)
+        begins.append(begin)
+        ends.append(lasts)
+        moves.append(se2.between(pose[None], y[row][None])[0])
+    of = (
+        torch.tensor(rows),
+        torch.tensor(begins, dtype=y.dtype),
+        torch.tensor(ends, dtype=y.dtype),
+    )
+    return (*of, torch.stack(moves))
+
+
+class Laws(NamedTuple):
+    """The laws of actuators, [C] each, as the compiled functions take them."""
+
+    lag: NDArray
+    slowing: NDArray
+    braking: NDArray
+    rate: NDArray
+    stick: NDArray
+
+
+@njit(error_model="numpy", cache=True)
+def _driven(laws, delay, goals, before, time, joined, features, lasts, row, states):
+    """Drive rows one after the other.
+
+    Args:
+        laws: of the actuators.
+        delay: s.
+        goals: of the rows, [N, C].
+        before: speeds, and goals, before each row that is not joined to the one before it, [N, C].
+        time: of the rows, s.
+        joined: whether a row begins where that before it ended.
+        features: [M, F], written: of each piece ways and products of mean speeds times time.
+        lasts: [M], written: how long it lasts, s.
+        row: [M], written: the row that it is a piece of.
+        states: [N, 2 C], written: speeds and pushes where a row begins.
+
+    Returns:
+        How many pieces there are.
+    """
+    count = goals.shape[1]
+    speed, push, way = np.zeros(count), np.zeros(count), np.zeros(count)
+    law = np.zeros(_LAW)
+    made, acting, start, acts = 0, 0, 0.0, 0.0
+    for i in range(len(time)):
+        if not joined[i]:
+            acting, start, acts = i - 1, 0.0, delay  # before[i] acts until then
+            for c in range(count):
+                speed[c], push[c] = before[i, c], 0.0
+            chain = i
+        for c in range(count):
+            states[i, c], states[i, count + c] = speed[c], push[c]
+        now, end = start, start + time[i]
+        while now < end - 1e-9:
+            while acting < i and acts <= now + 1e-9:
+                acting += 1
+                acts += time[acting]
+            until = end if acting >= i else min(end, acts)
+            span = until - now
+            span /= np.ceil(span / PIECE - 1e-9)
+            for c in range(count):
+                goal = goals[acting, c] if acting >= chain else before[chain, c]
+                _law(laws, c, speed[c], goal, push[c], law)
+                left, missed = _follow(law, span)
+                way[c] = goal * span - missed
+                speed[c], push[c] = _come(law, span, left)
+            place = count
+            for c in range(count):
+                features[made, c] = way[c]
+                for d in range(c, count):
+                    features[made, place] = way[c] * way[d] / span
+                    place += 1
+            lasts[made], row[made] = span, i
+            made += 1
+            now += span
+        start = end
+    return made
+
+
+@dataclass(frozen=True)
+class Chains:
+    """Rows that follow one another, cut where poses within them are known, and windows of these.
+
+    Attributes:
+        told: what commands ask for, scaled, dead zones applied, before the bend, [N, C].
+        before: the same of the command before, [N, C].
+        time: durations, [N] s.
+        joined: whether a row begins where that before it ended, [N] bool.
+        y: displacements, [N, 3].
+        windows: runs of these rows.
+        whole: where the rows begin that these were cut from.
+        columns: of their inputs.
+    """
+
+    told: Tensor
+    before: Tensor
+    time: Tensor
+    joined: Tensor
+    y: Tensor
+    windows: Windows
+    whole: Tensor
+    columns: CommandFeatures
+
+    #: Windows begin anywhere in a command, also while its delay lasts.
+    belief: ClassVar[float] = 1.0
+
+    @classmethod
+    def of(
+        cls,
+        x: Tensor,
+        y: Tensor,
+        joined: Tensor,
+        columns: CommandFeatures,
+        longest: float,
+        within: Within | None = None,
+    ) -> Chains:
+        """Return rows with their windows, but for those in which the robot is to stand and does.
+
+        Args:
+            x: scaled inputs before the bend, dead zones applied, [N, I].
+            y: displacements, [N, 3].
+            joined: whether a row begins where that before it ended, [N] bool.
+            columns: of the inputs.
+            longest: what durations are scaled by, s.
+            within: poses within the rows.
+        """
+        row, begin, end, y = _cut(x[:, columns.duration] * longest, y, within)
+        whole = torch.nonzero(begin == 0.0).squeeze(1)
+        told, before = x[row][:, list(columns.driven)], x[row][:, list(columns.before)]
+        joined = joined[row] | (begin > 0.0)
+        time = end - begin
+        windows = windows_of(time, joined)
+        asked = (told != 0).any(1) | (before != 0).any(1)
+        moves = asked | (y.abs() > _STANDS * y.abs().amax(0)).any(1)
+        count = torch.cat([torch.zeros(1), moves.cumsum(0)])
+        some = count[windows.end] > count[windows.first]
+        windows = Windows(*(part[some] for part in windows))
+        return cls(told, before, time, joined, y, windows, whole, columns)
+
+    def first(self, rows: int) -> Chains:
+        """Return the first rows, more than asked for as they are short, with their windows."""
+        rows *= _SHORTER
+        some = self.windows.end <= rows
+        parts = (self.told, self.before, self.time, self.joined, self.y)
+        windows = Windows(*(part[some] for part in self.windows))
+        whole = self.whole[self.whole < rows]
+        return Chains(*(part[:rows] for part in parts), windows, whole, self.columns)
+
+    def driven(self, drive: DriveModel) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return features [M, F], durations and rows [M] of pieces, and how rows begin.
+
+        They begin with speeds and pushes, [N, 2 C].
+        """
+        goals, before = (drive.shaped(part).numpy() for part in (self.told, self.before))
+        time, count = self.time.numpy(), goals.shape[1]
+        # Each row, and each command that begins to act in one, may leave a shorter piece.
+        most = int((time / PIECE).sum()) + 3 * len(time) + 8
+        features = np.zeros((most, features_of(count)))
+        lasts, row, states = (
+            np.zeros(most),
+            np.zeros(most, np.int64),
+            np.zeros((len(time), 2 * count)),
+        )
+        laws = Laws(*(getattr(drive, name).numpy() for name in Laws._fields))
+        joined = self.joined.numpy()
+        some = (goals, before, time, joined, features, lasts, row, states)
+        made = _driven(laws, float(drive.delay), *some)
+        parts = (features[:made], lasts[:made], row[:made], states)
+        return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
+
+    def inputs(self, drive: DriveModel, x: Tensor) -> tuple[Tensor, Underway]:
+        """Return networks' inputs of whole rows, as of :func:`chain`, and what is under way there.
+
+        Args:
+            drive: the drive model.
+            x: scaled inputs of the whole rows, as they were given.
+        """
+        speed, push = self.driven(drive)[3][self.whole].chunk(2, 1)
+        goals, before = drive.shaped(self.told), drive.shaped(self.before)
+        begin = self.time.cumsum(0) - self.time
+        number = torch.arange(len(begin))
+        chain = torch.where(self.joined, 0, number).cummax(0).values
+        earlier = self.whole[:, None] - drive.slots + torch.arange(drive.slots)
+        first = chain[self.whole][:, None]
+        inside, earlier = earlier >= first, torch.maximum(earlier, first)
+        waiting = torch.where(inside.unsqueeze(2), goals[earlier], before[earlier])
+        acts = begin[earlier] + drive.delay - begin[self.whole][:, None]
+        under = Underway(speed, push, waiting, torch.where(inside, acts, 0.0))
+        x = x.clone()
+        x[:, list(self.columns.driven)] = goals[self.whole]
+        x[:, list(self.columns.before)] = speed
+        return torch.cat([x, before[self.whole]], 1), under
+
+    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
+        """Return a drive model with the best kinematics, and the errors that it leaves."""
+        features, lasts, row, _ = self.driven(drive)
+        first, end, kind, _ = self.windows
+        rows, width = len(self.time), features.shape[1]
+
+        def until(values: Tensor) -> Tensor:
+            """Return sums until each row begins, [N + 1, ...]."""
+            return torch.cat([torch.zeros_like(values[:1]), values.cumsum(0)])
+
+        def by_row(values: Tensor) -> Tensor:
+            return torch.zeros(rows, *values.shape[1:], dtype=values.dtype).index_add_(
+                0, row, values
+            )
+
+        way, heading = until(by_row(features)), until(self.y[:, 2])
+        turn = heading[end] - heading[first]
+        linear = self.told.shape[1]
+        rate, turns_left = _regression(way[end] - way[first], turn, self.windows, linear)
+        # What the turn of a row was, by the model, less or more what it missed.
+        turns = features @ rate
+        missed = self.y[:, 2] - by_row(turns)
+        turns = turns + (missed / self.time)[row] * lasts
+        ended = turns.cumsum(0)
+        middle = ended - turns / 2.0
+        chord = se2.chord(turns)
+        x, y = (
+            (chord * middle.cos())[:, None] * features,
+            (chord * middle.sin())[:, None] * features,
+        )
+        x, y = until(by_row(x)), until(by_row(y))
+        place = until(se2.rotate(heading[:-1], self.y[:, :2]))
+        back = -(heading[first] + heading[end]) / 2.0
+        moved = se2.rotate(back, place[end] - place[first])
+        x, y = x[end] - x[first], y[end] - y[first]
+        cos, sin = back.cos()[:, None], back.sin()[:, None]
+        x, y = cos * x - sin * y, sin * x + cos * y
+        both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
+        twice = Windows(*(torch.cat([part, part]) for part in self.windows))
+        twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
+        speeds, shifts_left = _regression(both, moved.T.flatten(), twice, linear)
+        kinematics = torch.stack([*speeds.view(2, width), rate], dim=1)
+        laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
+        return DriveModel(*laws, kinematics), turns_left + shifts_left
+
+
+def _regression(
+    features: Tensor,
+    target: Tensor,
+    windows: Windows,
+    linear: int,
+) -> tuple[Tensor, list[Errors]]:
+    """Return weights by Student's t, and the errors that they leave of each kind.
+
+    Args:
+        features: [W, k F]: k times linear features and products.
+        target: [W].
+        windows: their kinds and weights.
+        linear: how many of F are linear.
+    """
+    width = linear + linear * (linear + 1) // 2
+    product = (torch.arange(features.shape[1]) % width >= linear).to(target)
+    kinds = [
+        torch.nonzero(windows.kind == k).squeeze(1) for k in range(int(windows.kind.max()) + 1)
+    ]
+    kinds = [kind for kind in kinds if len(kind)]
+    size = torch.ones_like(target)
+    for kind in kinds:
+        size[kind] = target[kind].square().mean().sqrt().clamp(min=1e-9)
+    whole = size.clone()
+    shares, weights = torch.ones_like(target), torch.zeros_like(features[0])
+    power = (features / whole[:, None]).square().mean(0).sqrt().clamp(min=1e-12)
+    usual = product * (power / _PRODUCTS).square()
+    pull = torch.zeros_like(usual)
+    for _ in range(8):
+        counts = windows.weight * shares / size.square()
+        weighed = features * counts[:, None]
+        square = weighed.T @ features
+        least = 1e-9 * square.diagonal().mean().clamp(min=1e-12)
+        square.diagonal().add_(pull + least)
+        weights = torch.linalg.solve(square, weighed.T @ target)
+        error = (features @ weights - target).abs()
+        for kind in kinds:
+            size[kind] = (1.4826 * error[kind].median()).clamp(min=1e-9)
+        shares = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
+        pull = usual  # not before the size of errors is known
+    error = features @ weights - target
+    left = [
+        Errors(error[kind], size[kind[:1]].squeeze(0), float(windows.weight[kind].mean()))
+        for kind in kinds
+    ]
+    return weights, left

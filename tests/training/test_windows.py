@@ -1,0 +1,143 @@
+"""Rows that follow one another: driven, cut into windows, learned from."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurosim.base import se2
+from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.training.evaluate import predict, table_of_errors
+from neurosim.training.train import learn, training_data
+from neurosim.training.trainers.windows import LENGTHS, Chains, windows_of
+from tracking.datasets.dataset import make
+from tracking.datasets.logs import Log, Settings, any_rows_of, inputs_of
+
+NAMES = ("prev_v", "prev_w", "v", "w", "duration")
+
+
+def drive_model(delay=0.15, lag=(0.1, 0.3)):
+    twist = torch.zeros(5, 3, dtype=torch.float64)
+    twist[0, 0], twist[1, 2] = 0.5, 2.0
+    ones = torch.ones(2, dtype=torch.float64)
+    slower = torch.tensor([1.0, 1.5], dtype=torch.float64)
+    laws = (
+        torch.tensor(lag, dtype=torch.float64),
+        slower,
+        slower,
+        8 * ones,
+        0.1 * ones,
+        0.02 * ones,
+    )
+    return DriveModel(*laws, torch.tensor([delay], dtype=torch.float64), twist)
+
+
+def chains(rng, rows=60, breaks=(0, 25)):
+    time = torch.tensor(rng.uniform(0.1, 0.6, rows))
+    told = torch.tensor(rng.uniform(-1, 1, (rows, 2)))
+    before = torch.cat([torch.zeros(1, 2, dtype=torch.float64), told[:-1]])
+    joined = torch.ones(rows, dtype=torch.bool)
+    joined[list(breaks)] = False
+    x = torch.cat([before, told, time[:, None] / 3.0], 1)
+    y = torch.zeros(rows, 3, dtype=torch.float64)
+    y[:, 0] = 1.0
+    return Chains.of(x, y, joined, CommandFeatures.of(NAMES), 3.0), x
+
+
+def test_rows_are_driven_as_the_drive_model_is_stepped():
+    rows, x = chains(np.random.default_rng(0))
+    model = drive_model()
+    inputs, under = rows.inputs(model, x)
+    features, lasts, row, states = rows.driven(model)
+    goals = model.shaped(rows.told)
+    state = None
+    for i in range(len(rows.time)):
+        time, goal = rows.time[i : i + 1], goals[i : i + 1]
+        if not rows.joined[i]:
+            before = model.shaped(rows.before[i : i + 1])
+            state = model.begun(before, before)
+            # As many commands may wait as in a simulator.
+            missing = model.slots - state.goals.shape[1]
+            state = Underway(
+                *state[:2],
+                torch.cat([state.goals[:, :1].repeat(1, missing, 1), state.goals], 1),
+                torch.zeros(1, model.slots, dtype=torch.float64),
+            )
+        assert states[i] == pytest.approx(torch.cat([state.speed, state.push], 1)[0], abs=1e-9)
+        pieces = model.pieces(state, goal, time)
+        # How far it came does not depend on how it is cut.
+        assert features[row == i].sum(0)[:2] == pytest.approx(sum(pieces)[0, :2], abs=1e-9)
+        assert lasts[row == i].sum() == pytest.approx(float(time))
+        # Nor does what comes of what is said to be under way.
+        again = Underway(*(part[i : i + 1] for part in under))
+        assert model.reached(again, goal, time)[0] == pytest.approx(
+            model.reached(state, goal, time)[0], abs=1e-9
+        )
+        state = model.after(state, goal, time, model.reached(state, goal, time))
+    assert inputs[:, 2:4] == pytest.approx(goals)
+
+
+def test_windows_by_hand():
+    time = torch.full((12,), 0.25, dtype=torch.float64)
+    joined = torch.tensor([False, *[True] * 7, False, *[True] * 3])
+    windows = windows_of(time, joined)
+    found = list(zip(*(part.tolist() for part in windows[:3]), strict=True))
+    # Of 0.25 s each row; of 1 s from each row on, or nearly so long; none across the break.
+    assert [f for f in found if f[2] == 0] == [(k, k + 1, 0) for k in range(12)]
+    assert [f for f in found if f[2] == 2] == [(k, k + 4, 2) for k in (0, 1, 2, 3, 4)] + [
+        (5, 8, 2),
+        (8, 12, 2),
+        (9, 12, 2),
+    ]
+    assert [f for f in found if f[2] == 3] == [(0, 8, 3), (2, 8, 3)]
+    assert all(not first < 8 < end for first, end, _ in found)
+    # Those of a length that do not overlap count as much as they last, of the longest.
+    assert windows.weight[:12].tolist() == pytest.approx([0.25 / 2.0 / len(LENGTHS)] * 12)
+
+
+def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
+    """Return a log of a robot of the drive model; commands change every 0.1 to 0.4 s."""
+    count = round(seconds / dt)
+    drawn = np.clip(np.cumsum(rng.normal(0, 0.4, (count, 2)), 0) % 4 - 2, -1, 1)
+    commands = np.repeat(drawn, rng.integers(*held, count), axis=0)[:count]
+    time = np.full(count, dt)
+    tell = torch.tensor(commands)
+    before = torch.cat([tell[:1], tell[:-1]])
+    joined = torch.tensor([False, *[True] * (count - 1)])
+    x = torch.cat([before, tell, torch.tensor(time)[:, None]], 1)
+    y = torch.ones(count, 3, dtype=torch.float64)
+    rows = Chains.of(x, y, joined, CommandFeatures.of(NAMES), 1.0)
+    features, _, row, _ = rows.driven(model)
+    pose, poses = np.zeros(3), [np.zeros(3)]
+    for twist in (features @ model.kinematics).numpy():
+        pose = se2.compose(pose, se2.exp(twist))
+        poses.append(pose)
+    ends = np.append(np.searchsorted(row.numpy(), np.arange(count)), len(row))
+    poses = np.array(poses)[ends[:-1]] + rng.normal(0, 0.001, (count, 3))
+    moment = np.arange(count) * dt
+    return Log("hand", moment, commands, np.ones(count, bool), moment, poses)
+
+
+def dataset_of(log):
+    rows, left_out, windows = any_rows_of([log], ("v", "w"), Settings())
+    inputs = inputs_of({"v": "", "w": ""})
+    return make(rows, inputs, sources=[], left_out=left_out, settings={}, windows=windows)
+
+
+@pytest.mark.slow
+def test_a_robot_is_learned_from_commands_that_never_stay():
+    rng = np.random.default_rng(2)
+    model = drive_model(0.1, (0.15, 0.25))
+    data = dataset_of(joystick(rng, 120.0, model))
+    assert data.joined.mean() > 0.99
+    simulator = learn(training_data(data), 0, hidden=2, members=1, noise=False)
+    assert float(simulator.drive.delay) == pytest.approx(0.1, abs=0.03)
+    assert simulator.drive.lag.tolist() == pytest.approx([0.15, 0.25], abs=0.05)
+    other = dataset_of(joystick(np.random.default_rng(3), 60.0, model))
+    errors = table_of_errors(simulator, other)
+    # In windows of 1 s, of ways of 20 cm and turns of 60 degrees.
+    assert errors["dx"]["mean_absolute_error"] < 1.0
+    assert errors["dtheta"]["mean_absolute_error"] < 3.0
+    # The poses that it was told nothing of add up.
+    moved = predict(simulator, other)
+    assert moved[:, 2].sum() == pytest.approx(other.output_array()[:, 2].sum(), abs=0.5)
