@@ -49,6 +49,7 @@ def test_old_places_are_forgotten():
     assert home.way_in() == (0.0, -1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [0, 5])
 def test_the_robot_stays_on_the_board_and_no_long_run_is_lost(tmp_path, seed):
     """150 commands in the lab, without its camera; the truth says where the robot was."""

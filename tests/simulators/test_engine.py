@@ -8,6 +8,7 @@ import pytest
 
 import neurosim as ns
 from neurosim import testing
+from neurosim.simulators import engine
 
 OWN = """
 from typing import NamedTuple
@@ -83,6 +84,30 @@ def own(tmp_path, monkeypatch):
 @pytest.mark.slow
 def test_a_simulator_of_ones_own_is_what_its_steps_say(own):
     testing.check_simulator(own("2.0"))
+
+
+@pytest.mark.slow
+def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
+    simulator, shares = own("2.0"), []
+    functions = engine.functions_of(simulator.compiled())
+
+    def drive(*given):
+        shares.append(given[5:7])
+        functions.drive(*given)
+
+    drive.overloads = {"compiled": True}
+    own_functions = {type(simulator.compiled()): functions._replace(drive=drive)}
+    monkeypatch.setattr(engine, "_FUNCTIONS", own_functions)
+
+    def driven(cores):
+        shares.clear()
+        monkeypatch.setattr(engine, "get_num_threads", lambda: cores)
+        return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, outcomes=301).poses
+
+    alone = driven(1)
+    assert sorted(shares) == [(0, 1)]
+    assert np.array_equal(driven(3), alone)
+    assert sorted(shares) == [(0, 1), (1, 2), (2, 3)]
 
 
 @pytest.mark.slow

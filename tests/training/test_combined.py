@@ -188,6 +188,7 @@ def test_robots_that_it_cannot_drive_are_refused():
         CombinedTrainer(data, CombinedSettings(), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("true", "found"), [(0.0, (0.0, 0.0)), (0.15, (0.05, 0.25))])
 def test_a_delay_is_believed_where_the_rows_tell_it_from_a_lag(true, found):
     """From the ends of a hundred commands alone."""

@@ -41,7 +41,11 @@ def outcome(folder):
 
 
 @pytest.mark.parametrize(
-    ("settings", "better"), [({"trainer": "ga", "generations": 100}, 2.0), ({"hidden": 6}, 8.0)]
+    ("settings", "better"),
+    [
+        ({"trainer": "ga", "generations": 100}, 2.0),
+        pytest.param({"hidden": 6}, 8.0, marks=pytest.mark.slow),
+    ],
 )
 def test_training_learns_far_more_than_the_mean(tmp_path, dataset, settings, better):
     simulator = train(dataset, tmp_path / "s", progress=False, **settings)

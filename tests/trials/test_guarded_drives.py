@@ -131,6 +131,7 @@ def test_where_the_guard_ignores_the_line_the_trial_says_so(drive):
     assert report["guard"] == {"predicted": True, "driven": False}
 
 
+@pytest.mark.slow
 def test_a_plan_goes_on_unseen_and_a_controller_that_needs_its_pose_is_stopped(drive, tmp_path):
     open_loop = plan((30, 30, 3.0), start=(-0.6, 0.0, 0.0))
     _, pose = simulated(open_loop)
@@ -151,6 +152,7 @@ def test_a_plan_goes_on_unseen_and_a_controller_that_needs_its_pose_is_stopped(d
     assert "was not seen, last seen at x =" in report["actual"]["reason"]
 
 
+@pytest.mark.slow
 def test_beside_its_start_a_drive_ends_beside_its_end(drive):
     controller = plan((30, 30, 2.0), (30, -30, 0.4), (30, 30, 2.0), start=(-0.4, -0.2, 0.0))
     put = (-0.4, -0.15, 0.0)
