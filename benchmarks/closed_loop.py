@@ -33,7 +33,7 @@ from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, TableSimulator
 from neurosim.simulators.base import Simulator
 from neurosim.simulators.motion.derived import Derived
-from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.drive import CURVES, DriveModel
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.noise import NoiseModel
 from neurosim.simulators.tables.samples import Samples
@@ -94,8 +94,8 @@ def motion_network() -> MotionNetwork:
         slowing=torch.ones(2),
         braking=torch.full((2,), 0.5),
         rate=torch.full((2,), 8.0),
-        bend=torch.zeros(2),
         stick=torch.full((2,), 0.01),
+        curve=torch.zeros(2, CURVES),
         delay=torch.tensor([0.03]),
         kinematics=torch.cat([shares, torch.zeros(3, 3)]),
     )

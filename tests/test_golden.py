@@ -30,10 +30,13 @@ SEEN = ("x", "sin_heading", "goal_x", "goal_y", "goal_bearing", "time")
 
 def simulators():
     """Return one of each make, by name."""
+    straight = drive_model(curved=False)
     return {
-        "driven": random_motion_network(),
-        "driven at once": random_motion_network(drives=drive_model(**AT_ONCE)),
-        "average of members": random_motion_network(central=False, units=0, swing=None),
+        "driven": random_motion_network(drives=straight),
+        "driven at once": random_motion_network(drives=drive_model(curved=False, **AT_ONCE)),
+        "average of members": random_motion_network(
+            central=False, units=0, swing=None, drives=straight
+        ),
         "displacement": random_motion_network(drives=False, units=0, swing=None, size=0.2),
         "tables": TableSimulator(made_up(2, 0.01)),
     }

@@ -92,7 +92,8 @@ def _composition(simulator: Artefact) -> list[Block]:
         shown = (f"{share[kind]:.0%}" for kind in ("product_units", "process"))
         learned.append([AXES[name], f"{units:.0f}", *shown])
     words = (
-        f"{simulator.name}: laws of the actuators (lag and stick in s, rate in 1/s); a command is "
+        f"{simulator.name}: laws of the actuators (lag and stick in s, rate in 1/s, speeds as "
+        f"shares of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
     units = f"shares of product units and of a Gaussian process of {made['kernel_units']} units"

@@ -41,13 +41,20 @@ def double(values):
 
 
 def alike(
-    lag=0.2, slowing=1.0, braking=1.0, rate=100.0, bend=0.0, stick=0.0, delay=0.0, kinematics=None
+    lag=0.2,
+    slowing=1.0,
+    braking=1.0,
+    rate=100.0,
+    stick=0.0,
+    curve=(0.0,) * 6,
+    delay=0.0,
+    kinematics=None,
 ):
     """Return a drive model of two actuators that are alike, of a differential drive."""
     if kinematics is None:
         kinematics = [[0.15, 0.0, -1.0], [0.15, 0.0, 1.0], *[[0.0] * 3] * 3]
-    laws = [double([value, value]) for value in (lag, slowing, braking, rate, bend, stick)]
-    return DriveModel(*laws, double([delay]), double(kinematics))
+    laws = [double([value, value]) for value in (lag, slowing, braking, rate, stick)]
+    return DriveModel(*laws, double([curve, curve]), double([delay]), double(kinematics))
 
 
 def pairs(low, high):
@@ -68,7 +75,6 @@ def drive_models(draw):
         slowing=draw(pairs(0.4, 2.0)),
         braking=draw(pairs(0.3, 2.0)),
         rate=draw(pairs(0.5, 20.0)),
-        bend=draw(pairs(-0.2, 0.3)),
         stick=draw(pairs(0.0, 0.05)),
         delay=double([draw(st.floats(0.0, 0.15))]),
     )
@@ -239,9 +245,14 @@ def test_a_limited_rate_worked_by_hand():
     assert late.settling[0].tolist() == pytest.approx([0.3 + 2.5 * 0.2, 0.0])
 
 
-def test_a_bend_worked_by_hand():
-    drive = alike(bend=0.1)
+def test_a_static_curve_worked_by_hand():
+    drive = alike(curve=(-0.1, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert drive.shaped(double([1.0, -0.5])).tolist() == pytest.approx([0.9, -0.475])
+    # Forwards 0.5 (1 + 0.1 + 0.05 + 0.025 + 0.2 + 0.15 + 0.1), backwards with the last three less;
+    # beyond full command it goes on in proportion.
+    drive = alike(curve=(0.2, 0.2, 0.2, 0.2, 0.3, 0.4))
+    assert drive.shaped(double([0.5, -0.5])).tolist() == pytest.approx([0.8125, -0.3625])
+    assert drive.shaped(double([2.0, -2.0])).tolist() == pytest.approx([5.0, -1.4])
 
 
 #: Durations of commands, s.

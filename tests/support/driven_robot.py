@@ -5,7 +5,7 @@ import math
 import torch
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.training.base import TrainingData, Within
 
 INPUTS = [
@@ -20,6 +20,7 @@ def drive_data(
     lag=(0.1, 0.12),
     delay=0.0,
     bend=(0.0, 0.0),
+    curve=None,
     rate=40.0,
     braking=1.0,
     stick=0.0,
@@ -30,7 +31,8 @@ def drive_data(
     """Rows of a differential drive of 0.2 m/s and 0.1 m track, with poses within commands.
 
     ``stops``: the share of wheels that are told to stand. ``wobble``: rad/s by which it turns
-    where its left wheel runs against its right.
+    where its left wheel runs against its right. ``bend``: the share of its
+    speed that a wheel lacks at full command. ``curve``: speeds by commands, in place of it.
     """
     g = torch.Generator().manual_seed(seed)
     u = 2.0 * torch.rand(count, 2, generator=g, dtype=torch.float64) - 1.0
@@ -40,12 +42,14 @@ def drive_data(
     time = 0.5 + 2.5 * torch.rand(count, generator=g, dtype=torch.float64)
     time[1] = 3.0
     wheel = torch.tensor([[0.1, 0.0, -2.0], [0.1, 0.0, 2.0]], dtype=torch.float64)
+    bent = torch.zeros(2, CURVES).double()
+    bent[:, 0] = -torch.tensor(bend)
     kinematics = torch.cat([wheel, torch.zeros(3, 3, dtype=torch.float64)])
     drive = DriveModel(
         torch.tensor(lag), torch.ones(2), torch.full((2,), braking), torch.full((2,), rate),
-        torch.tensor(bend).double(), torch.full((2,), stick), torch.tensor([delay]), kinematics,
+        torch.full((2,), stick), bent, torch.tensor([delay]), kinematics,
     )  # fmt: skip
-    told = drive.shaped(u)
+    told = drive.shaped(u) if curve is None else curve(u)
     under, each = drive.begun(torch.zeros(1, 2, dtype=torch.float64)), []
     for row in range(count):
         each.append(under)

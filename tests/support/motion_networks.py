@@ -32,17 +32,23 @@ def noise_model(seed=0, size=-4.0):
     return NoiseModel(**drawn)
 
 
-def drive_model(seed=0, actuators=2, **parts):
-    """Return a drive model of a robot of about 0.3 m/s and 2 rad/s."""
+def drive_model(seed=0, actuators=2, curved=True, **parts):
+    """Return a drive model of a robot of about 0.3 m/s and 2 rad/s.
+
+    If not ``curved``, speeds are short of the proportional ones by one number alone.
+    """
     shapes = DriveModel.shapes(actuators)
-    drawn = {n: torch.tanh(normal(seed + k, *shapes[n])) for k, n in enumerate(DriveModel.NAMES)}
+    names = "lag", "slowing", "braking", "rate", "curve", "stick", "delay", "kinematics"
+    drawn = {name: torch.tanh(normal(seed + k, *shapes[name])) for k, name in enumerate(names)}
+    straight = torch.zeros(shapes["curve"], dtype=torch.float64)
+    straight[:, 0] = -0.15 * torch.tanh(normal(seed + 4, actuators))
     found = {
         "lag": 0.12 + 0.08 * drawn["lag"],
         "slowing": 1.0 + 0.4 * drawn["slowing"],
         "braking": 0.8 + 0.4 * drawn["braking"],
         "rate": 5.0 + 3.0 * drawn["rate"],
-        "bend": 0.15 * drawn["bend"],
         "stick": 0.02 + 0.02 * drawn["stick"],
+        "curve": 0.1 * drawn["curve"] if curved else straight,
         "delay": 0.05 + 0.04 * drawn["delay"],
         "kinematics": torch.tensor([0.15, 0.05, 1.0]) * drawn["kinematics"],
     }

@@ -41,8 +41,38 @@ def test_the_laws_of_a_robot_that_keeps_them_are_found(seed):
     drive = fit_drive(Motion(x, data.y, data.follows, columns, longest, data.within))
     assert drive.lag.tolist() == pytest.approx(lag, rel=0.3)
     assert float(drive.delay) == pytest.approx(delay, abs=0.03)
-    assert drive.bend.tolist() == pytest.approx((0.1, 0.2), abs=0.05)
+    full = drive.shaped(torch.ones(2, dtype=torch.float64)) / drive.shaped(torch.full((2,), 0.1))
+    # 0.9 and 0.8 of the speed at full command, for 0.99 and 0.98 at a tenth.
+    assert (full / 10.0).tolist() == pytest.approx((0.9 / 0.99, 0.8 / 0.98), abs=0.03)
     assert drive.rate.tolist() == pytest.approx([3.0, 3.0], rel=0.15)
+
+
+@pytest.mark.slow
+def test_a_speed_that_falls_again_at_large_commands_is_found():
+    def curve(u):
+        return torch.sin(2.2 * u.abs()) * u.sign()  # the most at 71 % of the command
+
+    data = drive_data(150, lag=(0.15, 0.15), curve=curve, noise=0.0005)
+    rows = data.scaled_inputs, data.y, data.follows
+    drive = fit_drive(
+        Motion(*rows, CommandFeatures.of(NAMES), float(data.input_scale[4]), data.within)
+    )
+    u = torch.linspace(-1.0, 1.0, 21, dtype=torch.float64).unsqueeze(1).repeat(1, 2)
+    found = drive.shaped(u) * drive.kinematics[1, 2] / 2.0
+    assert (found - curve(u)).abs().max() < 0.05
+    assert drive.lag.tolist() == pytest.approx([0.15, 0.15], rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_process_grows_where_held_out_rows_ask_for_it():
+    settings = {"members": 1, "noise": False, "centres": 20}
+    plain = drive_data(300, noise=0.0005)
+    rough = drive_data(300, noise=0.0005, wobble=1.0)
+    assert trained(plain, **settings).meta["composition"]["kernel_units"] == 20
+    grown, small = (trained(rough, **settings, most_centres=most) for most in (1200, 20))
+    assert 20 < grown.meta["composition"]["kernel_units"] <= 100
+    fresh = drive_data(300, seed=7, noise=0.0, wobble=1.0)
+    assert errors(grown, fresh)[2] < 0.9 * errors(small, fresh)[2]
 
 
 @pytest.mark.slow

@@ -9,10 +9,10 @@ from the command that acts, as a first-order lag whose rate of change is limited
 
 The lag is another where the speed is above its goal in magnitude, and where the goal is to stand.
 Static friction holds an actuator that starts or turns round until the goal, summed up over time,
-has overcome it. Within its dead band it stands, and near full speed it may fall behind in
-proportion. The speeds, and their products by pairs, make a body twist, linearly: a differential
-drive, an omnidirectional base and a car at small steering angles are all of this form (Siegwart,
-Nourbakhsh and Scaramuzza 2011, chapter 3).
+has overcome it. Within its dead band it stands; beyond it the goal is a static curve of the
+command, forwards and backwards each of its own, which need not rise. The speeds, and their products
+by pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at
+small steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
 
 So what is under way where a command begins (:class:`Underway`) says all about the commands before
 it, and speeds and distances until any instant follow in closed form. The pose does by pieces of
@@ -34,6 +34,9 @@ from neurosim.base.se2 import tensors as se2
 
 #: Pieces of constant twist while the speeds change, and how many time constants that lasts.
 PHASES, SETTLED = 2, 2.5
+
+#: How many numbers a static curve has beside its slope.
+CURVES = 6
 
 #: Static friction holds an actuator that stands; one of this speed, a share, it no longer holds.
 MOVING = 0.02
@@ -99,8 +102,8 @@ class DriveModel:
         slowing: of the lag where a speed is above its goal in magnitude: a factor, [C].
         braking: of the lag where it is told to stand: a factor, [C].
         rate: the most that a speed changes, [C] 1/s.
-        bend: what is missing at full speed, a share, [C].
         stick: what starts or turns round stands for this over the speed it is told, [C] s.
+        curve: of the speed by the command, coefficients of :func:`curvature`, [C, 6].
         delay: from a command to the first answer, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].
         slots: how many commands may be waiting or acting where another one begins.
@@ -110,15 +113,15 @@ class DriveModel:
     slowing: Tensor
     braking: Tensor
     rate: Tensor
-    bend: Tensor
     stick: Tensor
+    curve: Tensor
     delay: Tensor
     kinematics: Tensor
     slots: int = field(init=False, default=0)
 
     #: Laws of each actuator, and all that a drive model consists of.
-    LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "bend", "stick")
-    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "delay", "kinematics")
+    LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
+    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", "kinematics")
 
     def __post_init__(self) -> None:
         count = len(self.lag)
@@ -142,7 +145,8 @@ class DriveModel:
     def shapes(count: int) -> dict[str, tuple[int, ...]]:
         """Return the shapes of the tensors for so many actuators."""
         each = dict.fromkeys(DriveModel.LAWS, (count,))
-        return {**each, "delay": (1,), "kinematics": (features_of(count), 3)}
+        rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
+        return {**each, **rest}
 
     def to(self, device: torch.device | str) -> DriveModel:
         """Return the model on another device."""
@@ -150,7 +154,7 @@ class DriveModel:
 
     def shaped(self, command: Tensor) -> Tensor:
         """Return the speeds that commands [..., C], scaled to -1..1, come to in the end."""
-        return command * (1.0 - self.bend * command.abs())
+        return command * (1.0 + (curvature(command) * self.curve).sum(-1))
 
     def begun(self, speed: Tensor, goal: Tensor | None = None) -> Underway:
         """Return what is under way at ``speed`` [B, C] where a single command acts.
@@ -337,6 +341,16 @@ class DriveModel:
         for piece in changing[1:]:
             moved = se2.compose(moved, se2.exp(piece @ self.kinematics))
         return moved, steady @ self.kinematics
+
+
+def curvature(command: Tensor) -> Tensor:
+    """Return by what goals differ from commands [..., C], as shares of these, [..., C, 6].
+
+    They are |u|, |u|^2, |u|^3 and, of opposite sign forwards and backwards, 1, |u|, |u|^2.
+    """
+    size, sign = command.abs().clamp(max=1.0), command.sign()
+    square = size * size
+    return torch.stack([size, square, size * square, sign, sign * size, sign * square], -1)
 
 
 def features_of(count: int) -> int:

@@ -88,8 +88,8 @@ class MotionModel(NamedTuple):
     slowing: np.ndarray
     braking: np.ndarray
     rate: np.ndarray
-    bend: np.ndarray
     stick: np.ndarray
+    curve: np.ndarray  #: [C, 6]
     delay: np.ndarray  #: [1]
     kinematics: np.ndarray  #: [F, 3], corrected
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
@@ -215,7 +215,10 @@ def _scaled(a, value, i):
 def _speed(a, value, c):
     """Return the speed that a command for actuator c comes to in the end."""
     x = _scaled(a, value, a.driven[c])
-    return x * (1.0 - a.bend[c] * abs(x))
+    size, curve = min(abs(x), 1.0), a.curve[c]
+    even = curve[3] + size * (curve[4] + size * curve[5])
+    odd = size * (curve[0] + size * (curve[1] + size * curve[2]))
+    return x * (1.0 + odd) + abs(x) * even
 
 
 @kernel(forceinline=True)

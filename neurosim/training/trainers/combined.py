@@ -39,7 +39,7 @@ from neurosim.training.base import PursuitSettings, TrainingData, Units, Within
 from neurosim.training.noise import fit_noise
 from neurosim.training.trainers.dead_zone import find_dead_zone
 from neurosim.training.trainers.drive_fit import Motion, fit_drive
-from neurosim.training.trainers.gaussian_process import Process, learn_process
+from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
 from neurosim.training.trainers.pursuit import Pursuit, row_weights
 from neurosim.training.trainers.swing import find_swing
 from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
@@ -51,6 +51,8 @@ MECHANISMS = ("laws", "dead_zone", "swing", "product_units", "process", "row_wei
 STRETCHES = 24
 #: How much of the Gaussian process' uncertainty members show even where it counts for nothing.
 UNPROVEN = 0.5
+#: Rows for each unit of the Gaussian process, where there are more than at first.
+ROWS_PER_CENTRE = 3
 #: How much a part of a command counts for the noise.
 NOISE_PART = 0.03
 #: The most by which members are moved away from their mean.
@@ -75,7 +77,9 @@ class CombinedSettings(PursuitSettings):
         swing_rows: with fewer rows, no change of direction is looked for.
         search_rows: commands that product units are searched for with, and
         search_parts: parts of commands; read-outs are of all rows.
-        centres: units of the Gaussian process.
+        centres: units of the Gaussian process at first. They are doubled for as long as that
+            lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each;
+        most_centres: never beyond this number.
         part_weight: of a part of a command, beside a whole command.
         most_parts: poses within commands that are learned from.
         noise_rows: rows that the noise is learned from.
@@ -95,6 +99,7 @@ class CombinedSettings(PursuitSettings):
     search_rows: Count = 6000
     search_parts: Count = 2000
     centres: Count = 75
+    most_centres: Count = 1200
     part_weight: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.3
     most_parts: Count = 40000
     noise_rows: Count = 20000
@@ -324,18 +329,31 @@ class CombinedTrainer:
         generator = torch.Generator().manual_seed(self._seed)
         known = rows.factor.abs() >= _LEAST
         value = torch.where(known, rows.left / torch.where(known, rows.factor, 1.0), 0.0)
+        commands, elsewhere = int(self._command.amax()) + 1, self._elsewhere(generator)
         process = learn_process(
             rows.given,
             value,
             torch.where(known, rows.factor.square() * trust, 0.0),
             settings.centres,
-            int(self._command.amax()) + 1,
-            self._elsewhere(generator),
+            commands,
+            elsewhere,
             generator,
         )
         kernel = _Kernel(process, rows)
         said = self._by_halves(kernel, trust)
-        shares = self._stacked(said, trust)
+        shares, loss = self._stacked(said, trust)
+        most = min(settings.most_centres, commands // ROWS_PER_CENTRE)
+        count = 2 * settings.centres
+        while shares[:, 1].any() and len(process.centres) >= count // 2 and count <= most:
+            centres = choose_centres(rows.given, elsewhere, process.lengths, count)
+            wider = replace(process, centres=centres)
+            again = _Kernel(wider, rows)
+            unseen = self._by_halves(again, trust)
+            parts, less = self._stacked(unseen, trust)
+            if less > loss - _WORTH:
+                break
+            process, kernel, said, shares, loss = wider, again, unseen, parts, less
+            count *= 2
         return self._assembled(learners, kernel, process, trust, shares, said)
 
     def _elsewhere(self, generator: torch.Generator) -> Tensor:
@@ -384,8 +402,11 @@ class CombinedTrainer:
         """Return of every row what the half said that had not seen it; the last axis is rows."""
         return torch.where(self._half, said[1], said[0])
 
-    def _stacked(self, said: Tensor, trust: Tensor) -> Tensor:
-        """Return how much product units and Gaussian process count for each output, [3, 2]."""
+    def _stacked(self, said: Tensor, trust: Tensor) -> tuple[Tensor, float]:
+        """Return how much product units and Gaussian process count for each output, [3, 2].
+
+        And the mean logarithm of the outputs' losses on held-out rows.
+        """
         rows, unseen = self._rows, self._unseen(said)
         without = self._settings.without
         allowed = tuple(name not in without for name in ("product_units", "process"))
@@ -396,7 +417,9 @@ class CombinedTrainer:
         if self._windows is not None:
             judged = [self._composed(*one[:3], self._windows) for one in judged]
             count = float(self._windows.weight.sum())
-        return torch.stack([_shares(*one, allowed, count) for one in judged])
+        found = [_shares(*one, allowed, count) for one in judged]
+        losses = torch.tensor([max(loss, 1e-30) for _, loss in found])
+        return torch.stack([shares for shares, _ in found]), float(losses.log().mean())
 
     def _composed(
         self, said: Tensor, left: Tensor, factor: Tensor, windows: Windows
@@ -435,10 +458,15 @@ class CombinedTrainer:
         """Return what the simulator is made of, for people."""
         drive, names = self._drive, [entry["name"] for entry in self._data.inputs]
         driven = [names[place] for place in self._columns.driven]
+        # Of two commands each way: a static curve need not be steady.
+        commands = {"full_back": -1.0, "half_back": -0.5, "half": 0.5, "full": 1.0}
+        every = torch.ones(len(driven), dtype=torch.float64)
+        reached = {f"speed_at_{name}": drive.shaped(u * every) for name, u in commands.items()}
         return {
             "actuators": {
                 name: {
                     **{law: float(getattr(drive, law)[c]) for law in drive.LAWS},
+                    **{name: float(speeds[c]) for name, speeds in reached.items()},
                     "dead_zone": float(self._dead_zone[self._columns.driven[c]]),
                 }
                 for c, name in enumerate(driven)
@@ -630,8 +658,8 @@ def _shares(
     trust: Tensor,
     allowed: tuple[bool, ...],
     count: float | None = None,
-) -> Tensor:
-    """Return how much each of two learners counts, [2], with a sum of 1 at most.
+) -> tuple[Tensor, float]:
+    """Return how much each of two learners counts, [2], with a sum of 1 at most, and the loss.
 
     Args:
         said: by read-outs that had not seen the row, [2, N].
@@ -659,7 +687,7 @@ def _shares(
                 value += (without - loss).std().item() / math.sqrt(count)
             if value < least:
                 best, least = shares, value
-    return best
+    return best, least
 
 
 #: Random commands of which some become centres.
@@ -668,5 +696,7 @@ _RANDOM = 1000
 _SHORTEST = 0.1
 #: A speed is settled when it is so near.
 _SETTLED = 0.05
+#: Twice as many units of the Gaussian process must lessen the logarithm of the loss by this.
+_WORTH = 0.03
 #: The networks must lessen the loss by this share to count.
 _SIMPLER = 0.01

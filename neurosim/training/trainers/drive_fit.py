@@ -20,7 +20,7 @@ import torch
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.network import chain, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -40,14 +40,22 @@ _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: How much steps are damped, at first, at least and at most, and by which factors that changes.
 _DAMPING, _FREEST, _STIFFEST, _LESS, _MORE = 1e-2, 1e-6, 1e4, 0.2, 4.0
 #: What is searched for: the logarithm of lag and delay together (which alone say how far the robot
-#: gets), of slowing, of braking over slowing, and of the rate; bend; stick and delay (s). What is
-#: usual, how far from it, and limits.
-_TOTAL, _SLOWING, _BRAKING, _RATE, _BEND, _STICK, _DELAY = range(7)
-_USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, 0.0, 0.0)
-_WIDTH = (1.0, 0.5, 0.5, 1.5, 0.15, 0.02, 0.08)
+#: gets), of slowing, of braking over slowing, and of the rate; stick (s), the static curve, and the
+#: delay (s). What is usual, how far from it, and limits.
+_TOTAL, _SLOWING, _BRAKING, _RATE, _STICK, _CURVE, _DELAY = *range(6), 5 + CURVES
+_USUAL = (math.log(0.1), 0.0, 0.0, math.log(20.0), 0.0, *[0.0] * CURVES, 0.0)
+_WIDTH = (1.0, 0.5, 0.5, 1.5, 0.02, *[0.15] * 3, *[0.1] * 3, 0.08)
 _SHORTEST = 0.003
-_LOWEST = (math.log(_SHORTEST), math.log(0.2), math.log(0.2), math.log(0.3), -0.5, 0.0, 0.0)
-_HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.5, 0.2, 0.5)
+_LOWEST = (
+    math.log(_SHORTEST),
+    math.log(0.2),
+    math.log(0.2),
+    math.log(0.3),
+    0.0,
+    *[-5.0] * CURVES,
+    0.0,
+)
+_HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[5.0] * CURVES, 0.5)
 #: Products count, before rows say more, for no more than this share of what is to be explained.
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
@@ -201,10 +209,10 @@ def _refined(
     """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
 
     Args:
-        errors: of laws [7, C].
+        errors: of laws [L, C].
         laws: to begin at.
-        lowest: that each may be, [7, C].
-        highest: that each may be, [7, C].
+        lowest: that each may be, [L, C].
+        highest: that each may be, [L, C].
     """
     laws = torch.minimum(laws, highest)
     width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
@@ -262,7 +270,7 @@ def _cost(laws: Tensor, errors: list[Errors]) -> float:
 
 
 def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far laws [7, C] are off the usual, in widths of the prior, and where it counts."""
+    """Return how far laws [L, C] are off the usual, in widths of the prior, and where it counts."""
     usual, width = (torch.tensor(v, dtype=torch.float64).unsqueeze(1) for v in (_USUAL, _WIDTH))
     counts = torch.ones_like(laws)
     counts[_DELAY, 1:] = 0.0
@@ -275,7 +283,7 @@ def _model(laws: Tensor) -> DriveModel:
     delay = laws[_DELAY, :1]
     lag = (total - delay).clamp(min=_SHORTEST)
     shape = DriveModel.shapes(len(lag))["kinematics"]
-    parts = lag, slowing, slowing * braking, rate, laws[_BEND], laws[_STICK], delay
+    parts = lag, slowing, slowing * braking, rate, laws[_STICK], laws[_CURVE:_DELAY].T, delay
     return DriveModel(*parts, torch.zeros(shape))
 
 

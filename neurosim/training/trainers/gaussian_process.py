@@ -131,9 +131,20 @@ def learn_process(
     result = torch.maximum(found.detach(), lowest).clamp(max=7.0)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
-    near = _pivots(x, lengths, centres - centres // 3)
-    every = _pivots(torch.cat([near, elsewhere]), lengths, len(near) + centres // 3, len(near))
-    return Process(every, lengths, power, noise)
+    return Process(choose_centres(x, elsewhere, lengths, centres), lengths, power, noise)
+
+
+def choose_centres(x: Tensor, elsewhere: Tensor, lengths: Tensor, count: int) -> Tensor:
+    """Return centres [K, J], two thirds among rows x [N, J], the others ``elsewhere`` [M, J].
+
+    Args:
+        x: rows.
+        elsewhere: inputs that may be asked for.
+        lengths: of the covariance, [J].
+        count: how many at most.
+    """
+    near = _pivots(x, lengths, count - count // 3)
+    return _pivots(torch.cat([near, elsewhere]), lengths, len(near) + count // 3, len(near))
 
 
 def _pivots(x: Tensor, lengths: Tensor, count: int, given: int = 0) -> Tensor:
