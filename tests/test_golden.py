@@ -80,7 +80,8 @@ def fitness(name):
     """Return what a task says of random drives."""
     task, rng = make_task(name), np.random.default_rng(9)
     plan = Plan(slots=8)
-    rollouts = random_motion_network(size=0.1).rollouts(plan, task.episode)
+    straight = drive_model(curved=False)
+    rollouts = random_motion_network(size=0.1, drives=straight).rollouts(plan, task.episode)
     start = np.array([task.start])
     judged = task.judge(rollouts.run(rng.random((40, plan.genes)), Draws(start)))
     return np.stack([judged.fitness[:, 0], judged.success[:, 0], judged.reason[:, 0]])
