@@ -21,7 +21,7 @@ from neurosim.controllers.plan import commands_of
 from neurosim.networks import ProductSummationNetwork
 from neurosim.simulators import MotionNetwork, read_simulator
 from neurosim.simulators.adjustable import Adjustable
-from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.drive import CURVES, DriveModel
 from neurosim.simulators.registry import write_simulator
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.nine_rectangles import NineRectangles
@@ -38,7 +38,7 @@ def nxt(forward=1.0, turn=1.0, yaw=0.0):
     wheel, track = 0.25, 0.13  # m/s at 50 %, m
     kinematics = [[0.5 * wheel, 0.0, sign * wheel / track] for sign in (-1.0, 1.0)]
     other = torch.tensor([[forward, 0.0, yaw], [0.0, 1.0, 0.0], [0.0, 0.0, turn]]).double()
-    laws = (0.1, 1.0, 0.5, 50.0, 0.0, 0.0)
+    laws = (0.1, 1.0, 0.5, 50.0, 0.0)
     network = ProductSummationNetwork(len(NAMES), 1, 1)
     return MotionNetwork(
         [{"name": name, "unit": "s" if name == "duration" else "%"} for name in NAMES],
@@ -49,6 +49,7 @@ def nxt(forward=1.0, turn=1.0, yaw=0.0):
         "residual-twist",
         drive=DriveModel(
             *(torch.tensor([law, law]) for law in laws),
+            torch.zeros(2, CURVES),
             torch.tensor([0.04]),
             torch.cat([torch.tensor(kinematics).double() @ other, torch.zeros(3, 3)]),
         ),

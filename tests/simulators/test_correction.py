@@ -18,7 +18,7 @@ from neurosim.base.trajectory import Draws, Episode
 from neurosim.simulators import read_simulator
 from neurosim.simulators.adjustable import Adjustable, AdjustableSimulator
 from neurosim.simulators.motion.correction import Correction
-from neurosim.simulators.motion.drive import DriveModel
+from neurosim.simulators.motion.drive import CURVES, DriveModel
 from neurosim.simulators.motion.files import write_motion
 
 SIMULATOR = random_motion_network()
@@ -34,8 +34,8 @@ def double(values):
 
 def instant():
     """Return a drive model of two wheels that are at their speeds at once."""
-    laws = [double([value, value]) for value in (1e-9, 1.0, 1.0, 1e12, 0.0, 0.0)]
-    return DriveModel(*laws, double([0.0]), double(TWO_WHEELS))
+    laws = [double([value, value]) for value in (1e-9, 1.0, 1.0, 1e12, 0.0)]
+    return DriveModel(*laws, torch.zeros(2, CURVES), double([0.0]), double(TWO_WHEELS))
 
 
 def driven_twist(drive, left, right, time):

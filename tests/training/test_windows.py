@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from neurosim.base import se2
-from neurosim.simulators.motion.drive import DriveModel, Underway
+from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.evaluate import predict, table_of_errors
 from neurosim.training.train import learn, training_data
@@ -26,10 +26,11 @@ def drive_model(delay=0.15, lag=(0.1, 0.3)):
         slower,
         slower,
         8 * ones,
-        0.1 * ones,
         0.02 * ones,
     )
-    return DriveModel(*laws, torch.tensor([delay], dtype=torch.float64), twist)
+    curve = torch.zeros(2, CURVES, dtype=torch.float64)
+    curve[:, 0], curve[:, 3] = -0.1, 0.05
+    return DriveModel(*laws, curve, torch.tensor([delay], dtype=torch.float64), twist)
 
 
 def chains(rng, rows=60, breaks=(0, 25)):

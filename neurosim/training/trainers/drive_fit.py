@@ -71,7 +71,7 @@ class Motion:
     """Rows as the drive model takes them.
 
     Attributes:
-        x: scaled inputs before the bend, dead zones applied, [N, I].
+        x: scaled inputs before the static curve, dead zones applied, [N, I].
         y: displacements, [N, 3].
         follows: whether a row's command followed that of the row before, [N].
         columns: of the inputs.

@@ -196,7 +196,7 @@ class Chains:
     """Rows that follow one another, cut where poses within them are known, and windows of these.
 
     Attributes:
-        told: what commands ask for, scaled, dead zones applied, before the bend, [N, C].
+        told: what commands ask for, scaled, dead zones applied, before the static curve, [N, C].
         before: the same of the command before, [N, C].
         time: durations, [N] s.
         joined: whether a row begins where that before it ended, [N] bool.
@@ -231,7 +231,7 @@ class Chains:
         """Return rows with their windows, but for those in which the robot is to stand and does.
 
         Args:
-            x: scaled inputs before the bend, dead zones applied, [N, I].
+            x: scaled inputs before the static curve, dead zones applied, [N, I].
             y: displacements, [N, 3].
             joined: whether a row begins where that before it ended, [N] bool.
             columns: of the inputs.
