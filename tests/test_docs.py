@@ -1,4 +1,4 @@
-"""What the pages show runs: every block of Python, and every command as far as its options."""
+"""Pages of the docs: their code and commands run, links lead somewhere, sentences are short."""
 
 import re
 import shlex
@@ -24,6 +24,20 @@ from neurosim.trials.realities import REALITIES
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
+#: Words in a sentence, in the mean over all pages; lower it when pages are rewritten.
+MEAN_WORDS = 17.5
+#: Pages that are plain already: mean and most words in a sentence of each.
+PLAIN = ("README.md", "closed-loop.md", "learning.md", "own-data.md", "pipeline.md", "planning.md",
+         "robot.md", "which-robot.md")  # fmt: skip
+PLAIN_MEAN_WORDS = 17.0
+MOST_WORDS = 35
+#: Words that do not come back on plain pages; docs/glossary.md has the terms to use.
+NOT_AGAIN = (
+    r"\b[Tt]old\b", r"\b[Ss]aid\b", r"\b[Bb]eside\b", r"\b[Aa]new\b", r"\b[Bb]lind(ly)?\b",
+    r"\b[Dd]rawn outcomes?\b", r"\b(is|are) (put down|planned again|refused|none)\b",
+    r"\b[Dd]ead zone\b", r"(?<=[.:;] )What (?![^.?!]*\?)",
+)  # fmt: skip
+
 
 def blocks(page, *languages):
     """Give what stands between fences of these languages."""
@@ -43,6 +57,28 @@ def commands(page):
             if line.startswith("neurosim "):
                 # What follows many blanks is a remark.
                 yield shlex.split(re.sub(r" {5,}\S.*", "", line), comments=True)[1:]
+
+
+def prose(page):
+    """Give the paragraphs and list items of a page, without code, tables, headings and links."""
+    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.M)
+    text = re.sub(r"^( *\||#|!\[| {4,}).*$", "", text, flags=re.M)
+    text = re.sub(r"^\s*([-*]|\d+\.)\s", "\n\n", text, flags=re.M)
+    text = re.sub(r"\]\([^)]*\)", "]", text)
+    for paragraph in re.split(r"\n\s*\n", re.sub(r"`[^`]*`", "CODE", text)):
+        if paragraph.strip() and " · " not in paragraph:  # a list of links
+            yield " ".join(paragraph.split())
+
+
+def lengths(page):
+    """Return the number of words of each sentence of a page."""
+    ends = r"(?<=[.!?:;])\s+(?=[A-Z(\[*])"
+    counts = [
+        len(re.findall(r"[\w'%+.-]*\w[\w'%-]*", sentence))
+        for paragraph in prose(page)
+        for sentence in re.split(ends, paragraph)
+    ]
+    return [count for count in counts if count]
 
 
 COMMANDS = [(page.name, words) for page in PAGES for words in commands(page)]
@@ -120,6 +156,48 @@ def test_the_page_of_libraries_shows_the_examples():
     assert examples
     for path in examples:
         assert path.read_text(encoding="utf-8") in shown, path.name
+
+
+def test_sentences_are_short():
+    counts = [count for page in PAGES for count in lengths(page)]
+    assert np.mean(counts) < MEAN_WORDS
+    for name in PLAIN:
+        (page,) = (page for page in PAGES if page.name == name)
+        of_page = lengths(page)
+        assert np.mean(of_page) < PLAIN_MEAN_WORDS, name
+        assert max(of_page) <= MOST_WORDS, name
+
+
+@pytest.mark.parametrize("name", PLAIN)
+def test_words_that_do_not_come_back(name):
+    (page,) = (page for page in PAGES if page.name == name)
+    text = page.read_text(encoding="utf-8")
+    text = re.sub(r"`[^`]*`", "CODE", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.M))
+    # Titles of sections stay as long as other pages link to them.
+    text = re.sub(r"^#.*$|\]\([^)]*\)", "", text, flags=re.M)
+    found = [hit.group() for hit in re.finditer("|".join(NOT_AGAIN), " ".join(text.split()))]
+    assert not found
+
+
+def test_pages_are_linked_from_the_readme():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    missing = [page.name for page in PAGES[2:] if f"(docs/{page.name})" not in readme]
+    assert not missing
+
+
+def test_links_lead_somewhere():
+    def anchors(page):
+        titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.M)
+        return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
+
+    for page in PAGES:
+        for to, anchor in re.findall(
+            r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)", page.read_text(encoding="utf-8")
+        ):
+            target = (page.parent / to) if to else page
+            assert target.exists(), (page.name, to)
+            if anchor:
+                assert anchor in anchors(target), (page.name, to, anchor)
 
 
 def test_there_is_something_to_test():
