@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import astuple
 from typing import Any, Protocol
 
 import numpy as np
@@ -171,7 +170,7 @@ class OnFloor:
             clock.sleep_until(time + self.hold)
             drive_for(self.robot, command.numbers, command.duration)
             readings.append(list(seen.values()))
-            commands.append(astuple(command))
+            commands.append([*command.numbers, command.duration])
             # A step that took too long shifts those after it rather than shortening them.
             time = max(time + command.duration, clock.now())
             clock.sleep_until(time)
@@ -180,8 +179,8 @@ class OnFloor:
         given, path = np.array(commands), None if pose is None else np.array(poses, float)
         return Trajectory(
             path,
-            given if blind else given[:, :2],
-            given[:, 2] if blind else step,
+            given if blind else given[:, :-1],
+            given[:, -1] if blind else step,
             np.array(readings),
         )
 
