@@ -25,10 +25,10 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 
 #: Words in a sentence, in the mean over all pages; lower it when pages are rewritten.
-MEAN_WORDS = 17.5
+MEAN_WORDS = 17.0
 #: Pages that are plain already: mean and most words in a sentence of each.
-PLAIN = ("README.md", "closed-loop.md", "learning.md", "own-data.md", "pipeline.md", "planning.md",
-         "robot.md", "which-robot.md")  # fmt: skip
+PLAIN = ("README.md", "closed-loop.md", "learning.md", "lines.md", "own-data.md", "pipeline.md",
+         "planning.md", "robot.md", "uncertainty.md", "which-robot.md")  # fmt: skip
 PLAIN_MEAN_WORDS = 17.0
 MOST_WORDS = 35
 #: Words that do not come back on plain pages; docs/glossary.md has the terms to use.
