@@ -31,10 +31,12 @@ if TYPE_CHECKING:
     from neurosim.tasks.base import Judgement, Task
     from neurosim.tasks.registry import make_task
     from neurosim.training.train import train
+    from tracking.datasets.csv_files import import_csv
 
 _PUBLIC = {
     "load": "neurosim.loop.shortcuts",
     "read_dataset": "neurosim.loop.shortcuts",
+    "import_csv": "tracking.datasets.csv_files",
     "rollout": "neurosim.loop.shortcuts",
     "train": "neurosim.training.train",
     "make_task": "neurosim.tasks.registry",
@@ -81,6 +83,7 @@ __all__ = [
     "compiled",
     "evaluate",
     "evolve",
+    "import_csv",
     "load",
     "make_controller",
     "make_task",
@@ -117,4 +120,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])

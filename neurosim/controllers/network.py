@@ -48,8 +48,7 @@ class Network(Controller):
         super().__post_init__()
         _freeze(self, "inputs", "hidden", "outputs", "scale")
         _check_scale(self)
-        if not self.inputs or not self.outputs:
-            raise UserError("a network has inputs and outputs")
+        _check_names(self)
 
     @property
     def shapes(self) -> list[tuple[int, int]]:
@@ -125,8 +124,7 @@ class Recurrent(Controller):
         super().__post_init__()
         _freeze(self, "inputs", "outputs", "scale")
         _check_scale(self)
-        if not self.inputs or not self.outputs:
-            raise UserError("a recurrent network has inputs and outputs")
+        _check_names(self)
 
     @property
     def genes(self) -> int:  # type: ignore[override]
@@ -174,6 +172,21 @@ def _freeze(family: Network | Recurrent, *names: str) -> None:
         value = getattr(family, name)
         if not isinstance(value, int | float):
             object.__setattr__(family, name, tuple(value))
+
+
+def _check_names(family: Network | Recurrent) -> None:
+    if not family.inputs:
+        raise UserError(
+            f"a controller of the kind {family.kind} needs inputs, the names of what it observes: "
+            f'make it with make_controller("{family.kind}", simulator, task), which takes the '
+            'sensors and goals that there are, or give inputs=("x", "y", "cos_heading", '
+            '"sin_heading")'
+        )
+    if not family.outputs:
+        raise UserError(
+            f"a controller of the kind {family.kind} needs outputs, the columns of its commands, "
+            "such as left, right"
+        )
 
 
 def _check_scale(family: Network | Recurrent) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 from neurosim.base.errors import UserError
@@ -41,8 +42,15 @@ def make_controller(
         settings: of the kind.
 
     Raises:
-        UserError: if there is none of this kind, or it has no such setting.
+        UserError: if there is none of this kind, it has no such setting, or it needs to know what
+            there is to observe.
     """
+    for what, given, made in (("simulator", simulator, "load"), ("task", task, "make_task")):
+        if isinstance(given, str | Path):
+            raise UserError(
+                f"a controller is made for a {what} itself, not for {str(given)!r}: give "
+                f"neurosim.{made}({str(given)!r})"
+            )
     maker = CONTROLLERS.get(kind)
     fields = [one.name for one in dataclasses.fields(maker)] if _is_settings(maker) else []
     if simulator is not None and "inputs" in fields and "inputs" not in settings:

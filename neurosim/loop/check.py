@@ -16,7 +16,7 @@ from neurosim.controllers import SavedController, read_controller
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import check_uncertain
 from neurosim.simulators.base import Simulator, check_commands
-from neurosim.simulators.registry import read_simulator
+from neurosim.simulators.registry import simulator_of
 from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
@@ -79,7 +79,7 @@ class Check:
 def check(
     controller: str | Path | SavedController,
     simulator: str | Path | Simulator,
-    task: Task | None = None,
+    task: str | Task | None = None,
     *,
     draws: int = 4096,
     seed: int = 0,
@@ -91,7 +91,7 @@ def check(
     Args:
         controller: a saved controller, or its folder.
         simulator: a simulator with noise or an ensemble, or its folder.
-        task: by default the one that the controller was made for.
+        task: a task or its name; by default the one that the controller was made for.
         draws: how many outcomes.
         seed: random seed.
         placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
@@ -105,9 +105,8 @@ def check(
     """
     if isinstance(controller, str | Path):
         controller = read_controller(controller)
-    if isinstance(simulator, str | Path):
-        simulator = read_simulator(simulator)
-    task = task or make_task(controller.task)
+    simulator = simulator_of(simulator)
+    task = make_task(controller.task if task is None else task)
     check_uncertain(simulator)
     evaluator = Evaluator(simulator, task, controller.controller, placing=placing)
     if controller.controller.blind and not extrapolate:

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,13 +24,16 @@ from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers.base import Controller, check_inputs
+from neurosim.controllers.registry import make_controller
 from neurosim.evolution.command_sets import pairing_keys
 from neurosim.loop.objectives import Merit, objective_named, put_behind, repeats_of
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.loop.workers import Name, workers_named
 from neurosim.simulators.base import Rollouts, Simulator
+from neurosim.simulators.registry import simulator_of
 from neurosim.simulators.sampling import PLACING, trial_steps
 from neurosim.tasks.base import Judgement, Task
+from neurosim.tasks.registry import make_task
 
 #: Trajectories that are driven at once hold at most so many poses: so few that what closed loops
 #: of a usual size do stays near the processor.
@@ -345,10 +349,35 @@ class Fitness:
         return rows, single
 
 
+def joined(
+    simulator: str | Path | Simulator, task: str | Task, controller: str | Controller | None
+) -> tuple[Simulator, Task, Controller]:
+    """Return simulator, task and controller, each of them given itself or by name.
+
+    Args:
+        simulator: a simulator or its folder.
+        task: the task or its name.
+        controller: the family or its kind; None: the task's usual one.
+
+    Raises:
+        UserError: if one of them is not there or something else.
+    """
+    simulator, task = simulator_of(simulator), make_task(task)
+    if controller is None:
+        controller = task.usual_controller
+    if isinstance(controller, str):
+        controller = make_controller(controller, simulator, task)
+    if not isinstance(controller, Controller):
+        raise UserError(
+            f"expected a controller or its kind, such as plan, not {type(controller).__name__}"
+        )
+    return simulator, task, controller
+
+
 def evaluate(
-    simulator: Simulator,
-    task: Task,
-    controller: Controller,
+    simulator: str | Path | Simulator,
+    task: str | Task,
+    controller: str | Controller | None = None,
     *,
     outcomes: int = 0,
     objective: str = "fitness",
@@ -359,9 +388,9 @@ def evaluate(
     """Return the function that gives the fitness of genes: what any optimiser needs.
 
     Args:
-        simulator: where controllers are tried.
-        task: what counts as good.
-        controller: the family whose genes are judged.
+        simulator: where controllers are tried: a simulator or its folder.
+        task: what counts as good: the task or its name.
+        controller: the family whose genes are judged, or its kind; by default the task's usual one.
         outcomes: trials that each individual is tried in, drawn once and met by all alike; 0:
             what the simulator expects, without noise.
         objective: ``fitness``, ``probability`` of success, or ``progress``, a fitness without
@@ -375,7 +404,8 @@ def evaluate(
         UserError: if one of the three needs what another does not offer, or outcomes are asked
             of a simulator in which nothing is uncertain.
     """
-    evaluator = Evaluator(simulator, task, controller, placing=placing, workers=workers)
+    three = joined(simulator, task, controller)
+    evaluator = Evaluator(*three, placing=placing, workers=workers)
     if outcomes < 0:
         raise UserError(f"outcomes must not be negative, not {outcomes}")
     repeats = repeats_of(objective)

@@ -23,9 +23,9 @@ from neurosim.base.files import check_new_folder
 from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
-from neurosim.controllers import SavedController, make_controller, read_controller
+from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
-from neurosim.loop.evaluate import Evaluator
+from neurosim.loop.evaluate import Evaluator, joined
 from neurosim.loop.journal import TRIALS, Comparing, Journal, Reality, about_reality
 from neurosim.loop.objectives import mean_fitness, repeats_of
 from neurosim.loop.search import Search, new_optimiser, part_of
@@ -34,10 +34,8 @@ from neurosim.loop.transfer import Transfer
 from neurosim.loop.unmet import in_unmet_arenas
 from neurosim.loop.workers import Name
 from neurosim.simulators.base import Simulator, check_commands
-from neurosim.simulators.registry import read_simulator
 from neurosim.simulators.sources import digest, named
 from neurosim.tasks.base import Task
-from neurosim.tasks.registry import make_task
 
 
 class Evolution:
@@ -408,16 +406,12 @@ def evolve(
         RobotError: if the robot was lost; the best controller so far is at ``out``.
     """
     if isinstance(simulator, str | Path):
-        source, simulator = simulator, read_simulator(simulator)
+        source = simulator
+    simulator, task, controller = joined(simulator, task, controller)
     perimeter = None if simulator.perimeter is None else simulator.perimeter.describe()
     made_in = {} if source is None else named(source)
     if perimeter is not None:
         made_in["perimeter"] = perimeter
-    task = make_task(task)
-    if controller is None:
-        controller = task.usual_controller
-    if isinstance(controller, str):
-        controller = make_controller(controller, simulator, task)
     if settings is None:
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)

@@ -18,7 +18,7 @@ from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.simulators.base import Simulator, check_commands
-from neurosim.simulators.registry import read_simulator
+from neurosim.simulators.registry import read_simulator, simulator_of
 from neurosim.simulators.sampling import PLACING
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import make_task
@@ -31,16 +31,21 @@ _READERS: dict[str, Callable[..., Any]] = {
 }
 
 
-def load(folder: str | Path) -> Any:
+def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
     """Read a simulator, a controller or a dataset, whichever a folder holds.
+
+    Args:
+        folder: of any of them.
+        device: where a simulator computes, as PyTorch names it; the others do not need it.
 
     Raises:
         FileError: if it holds none of them, or a file in it is missing or wrong.
+        UserError: if there is no such device.
     """
     folder = Path(folder)
     for name, read in _READERS.items():
         if (folder / name).exists():
-            return read(folder)
+            return read(folder, device) if read is read_simulator else read(folder)
     what = f"it has none of {', '.join(_READERS)}" if folder.is_dir() else "no such folder"
     raise FileError(folder, f"is no simulator, controller or dataset: {what}")
 
@@ -68,22 +73,22 @@ class _Given(Controller):
 
 
 def rollout(
-    simulator: Simulator,
-    what: ArrayLike | Tensor | SavedController,
+    simulator: str | Path | Simulator,
+    what: ArrayLike | Tensor | str | Path | SavedController,
     *,
     start: ArrayLike | None = None,
-    task: Task | None = None,
+    task: str | Task | None = None,
     outcomes: int = 0,
     seed: int = 0,
 ) -> Trajectory:
     """Drive commands or a controller in a simulator.
 
     Args:
-        simulator: where.
+        simulator: where: a simulator or its folder.
         what: commands [T, C] or a batch [B, T, C] in the simulator's columns, NumPy or torch; or
-            a saved controller.
+            a saved controller or its folder.
         start: x (m), y (m), heading (rad); by default 0, 0, 0, or the controller's own.
-        task: of a controller, how long it runs; by default its own.
+        task: of a controller, how long it runs: a task or its name; by default its own.
         outcomes: drawn outcomes that each is driven through; 0: what the simulator expects.
         seed: of the draws.
 
@@ -95,10 +100,13 @@ def rollout(
         UserError: if a command is not finite, lasts no time or lies outside what the simulator
             was made from; or a controller does not fit the simulator.
     """
+    simulator = simulator_of(simulator)
+    if isinstance(what, str | Path):
+        what = read_controller(what)
     single, rollouts = True, None
     rows = np.empty((1, 0))
     if isinstance(what, SavedController):
-        task = task or make_task(what.task)
+        task = make_task(what.task if task is None else task)
         evaluator = Evaluator(simulator, task, what.controller)
         rollouts, rows = evaluator.rollouts, what.genes[None]
         start = what.start if start is None else start

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import wraps
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 import torch
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
@@ -24,6 +25,16 @@ FORMAT, VERSION = "neurosim-simulator", 5
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
+
+
+#: Methods of simulators, and their arguments that have a row for each robot.
+_OF_ROWS = {
+    "start": ("pose",),
+    "start_as": ("pose",),
+    "step": ("state", "command"),
+    "sense": ("state",),
+    "over": ("state",),
+}
 
 
 @runtime_checkable
@@ -92,6 +103,10 @@ class Simulator:
     controller cannot tell which simulator it runs in. Only ``state_names``, ``command_names``,
     :meth:`start` and :meth:`step` must be given.
 
+    Poses, states and commands have a row for each robot. They may be tensors, NumPy arrays or
+    lists, of any type of number: a subclass is given tensors of its ``dtype``. Where the first one
+    is a tensor a tensor is returned, else an array; both are of the ``dtype``.
+
     Attributes:
         kind: its name in files.
         state_names: the columns of a state; the first three are x (m), y (m), theta (rad).
@@ -111,6 +126,8 @@ class Simulator:
             knows of one, and no drive ends there.
         bearings: where each sensor looks, [S] rad to the left of straight ahead, NaN where one
             sees nothing; None: it is not known.
+        dtype: in which it computes.
+        device: where it computes on what is no tensor, as PyTorch names it; tensors stay on theirs.
     """
 
     kind: str = "simulator"
@@ -125,6 +142,13 @@ class Simulator:
     perimeter: Perimeter | None = None
     slack: float = 0.05
     knows_gaps: bool = False
+    dtype: torch.dtype = torch.float64
+    device: str | torch.device = "cpu"
+
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        for name in _OF_ROWS.keys() & vars(cls).keys():
+            setattr(cls, name, _taking_arrays(name, vars(cls)[name]))
 
     @property
     def bearings(self) -> NDArray[np.float64] | None:
@@ -286,6 +310,47 @@ class Simulator:
         if not fits or not drives or not self._runs_compiled:
             return None
         return CompiledRollouts(self, controller, episode)
+
+
+def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., Any]:
+    """Return a method of simulators that takes arrays and lists as well; see the class."""
+    arguments = _OF_ROWS[name]
+
+    @wraps(method)
+    def taking(self: Simulator, *given: Any, **options: Any) -> Any:
+        rows = list(given[: len(arguments)])
+        rows += [options.pop(one) for one in arguments[len(rows) :] if one in options]
+        pairs = zip(arguments, rows, strict=False)  # what is missing, Python says itself
+        tensors = [_tensor(self, name, argument, one) for argument, one in pairs]
+        found = method(self, *tensors, *given[len(arguments) :], **options)
+        return found if isinstance(rows[0], Tensor) else found.detach().cpu().numpy()
+
+    return taking
+
+
+def _tensor(simulator: Simulator, method: str, argument: str, rows: ArrayLike | Tensor) -> Tensor:
+    """Return rows [B, N] as a tensor that a simulator computes with.
+
+    Raises:
+        UserError: if they are no numbers, or of another shape.
+    """
+    if not isinstance(rows, Tensor):
+        try:
+            rows = torch.from_numpy(np.array(rows, np.float64)).to(simulator.device)
+        except (TypeError, ValueError):
+            raise UserError(f"{argument} must be numbers, a row for each robot") from None
+    names = {"pose": ("x", "y", "heading"), "command": simulator.command_names}.get(
+        argument, tuple(simulator.state_names)
+    )
+    # Readings may depend on the pose alone: some simulators take poses there.
+    wide = rows.ndim == 2 and (rows.shape[1] == len(names) or method == "sense")
+    if not wide:
+        more = " (start(pose) makes states)" if argument == "state" else ""
+        raise UserError(
+            f"{argument} must be [B, {len(names)}], for each robot a row of {', '.join(names)}"
+            f"{more}, not of shape {list(rows.shape)}"
+        )
+    return rows if rows.dtype == simulator.dtype else rows.to(simulator.dtype)
 
 
 def _limits(simulator: Simulator, name: str) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from pathlib import Path
 import torch
 
 from neurosim.base import files, formats
-from neurosim.base.errors import FileError
+from neurosim.base.errors import FileError, UserError
 from neurosim.base.registry import Registry
 from neurosim.simulators.base import FORMAT, VERSION, Simulator, Writable
 from neurosim.simulators.motion.files import write_motion
@@ -31,7 +31,9 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
     Raises:
         FileError: if the folder is not a simulator that this version reads, or a file in it is
             missing, cut short or wrong.
+        UserError: if there is no such device.
     """
+    check_device(device)
     path = Path(folder) / "simulator.json"
     if not Path(folder).is_dir():
         raise FileError(folder, "no such simulator; expected a folder with simulator.json")
@@ -40,6 +42,36 @@ def read_simulator(folder: str | Path, device: str | torch.device = "cpu") -> Si
         known = ", ".join(SIMULATORS.names())
         raise FileError(path, f"expected one of {known}, found {kind!r}", field="kind")
     return SIMULATORS.get(kind)(folder, device)
+
+
+def simulator_of(simulator: str | Path | Simulator) -> Simulator:
+    """Return a simulator that is given itself or by its folder.
+
+    Raises:
+        UserError: if it is neither, or its folder cannot be read.
+    """
+    if isinstance(simulator, str | Path):
+        return read_simulator(simulator)
+    if not isinstance(simulator, Simulator):
+        raise UserError(
+            f"expected a simulator or its folder, not {type(simulator).__name__}; read one with "
+            "neurosim.load, or subclass neurosim.Simulator"
+        )
+    return simulator
+
+
+def check_device(device: str | torch.device) -> None:
+    """Refuse a device that PyTorch does not have.
+
+    Raises:
+        UserError: naming it.
+    """
+    try:
+        torch.zeros(1, device=device)
+    except (RuntimeError, AssertionError):
+        raise UserError(
+            f"PyTorch has no device {str(device)!r} on this computer; try cpu"
+        ) from None
 
 
 def write_simulator(simulator: Simulator, folder: str | Path) -> bool:

@@ -20,6 +20,7 @@ from neurosim.base.progress import Progress
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import write_motion
+from neurosim.simulators.registry import check_device
 from neurosim.training.base import Trainer, TrainingData, Within
 from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
@@ -67,7 +68,7 @@ def train(
     """
     files.check_new_folder(out)
     chosen = trainer_settings(trainer, settings)
-    _check_device(device)
+    check_device(device)
     rows = Dataset.read(dataset)
     repeated = rows.repeated
     different = len(rows) - repeated
@@ -205,10 +206,3 @@ def domain_of(simulator: MotionNetwork, data: TrainingData, settings: Any) -> Do
 def _figures(mse: list[float]) -> str:
     dx, dy, dtheta = (math.sqrt(value) for value in mse)
     return f"rms {100 * dx:.2f} cm, {100 * dy:.2f} cm, {math.degrees(dtheta):.2f} deg"
-
-
-def _check_device(device: str) -> None:
-    try:
-        torch.zeros(1, device=device)
-    except (RuntimeError, AssertionError):
-        raise UserError(f"PyTorch has no device {device!r} on this computer; try cpu") from None

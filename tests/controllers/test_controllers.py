@@ -253,7 +253,7 @@ def test_settings_make_the_same_family_again(family):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: Network(()), "has inputs and outputs"),
+        (lambda: Network(()), "needs inputs"),
         (lambda: Network(("a",), (0,)), r"hidden\[0\]: .* from 1 to 4,096, found 0"),
         (lambda: Recurrent(("a",), 0), "units: .* from 1 to 4,096, found 0"),
         (lambda: Recurrent(("a",), 2, "spiking"), "'elman', 'ctrnn', found 'spiking'"),

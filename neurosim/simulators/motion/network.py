@@ -232,6 +232,16 @@ class MotionNetwork(Simulator):
         return len(self.genes) - self.central
 
     @property
+    def dtype(self) -> torch.dtype:  # type: ignore[override]
+        """In which it computes: that of its genes."""
+        return self.genes.dtype
+
+    @property
+    def device(self) -> torch.device:  # type: ignore[override]
+        """Where it computes: where its genes are."""
+        return self.genes.device
+
+    @property
     def has_noise(self) -> bool:  # type: ignore[override]
         """Whether there is a noise model, or sensors, whose readings always have noise."""
         return self.noise is not None or self.sensors is not None
