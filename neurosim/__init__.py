@@ -104,6 +104,14 @@ def register(what: str, name: str, item: Any = None) -> Any:
 
     Raises:
         UserError: if the name is taken by one of ours, or there is no such kind of thing.
+
+    Example:
+        >>> def away(seen):
+        ...     return 60 - 80 * seen["sensor_3"], 60 - 80 * seen["sensor_2"]
+        >>> vehicle = ns.Function(away, inputs=("sensor_2", "sensor_3"), name="vehicle")
+        >>> _ = ns.register("controller", "vehicle", vehicle)
+        >>> ns.make_controller("vehicle").inputs
+        ('sensor_2', 'sensor_3')
     """
     if what not in _REGISTRIES:
         from neurosim.base.errors import UserError

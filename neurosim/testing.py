@@ -483,7 +483,11 @@ def _check_judgement(task: Task, trajectory: Trajectory, shape: tuple[int, ...])
     for name in ("fitness", "success", "reason", "segment", "progress", "over"):
         found = np.shape(getattr(judged, name))
         _require(found == shape, f"{name} of a trajectory {shape} must be {shape}, not {found}")
-    _require(np.isfinite(judged.fitness).all(), "fitness must be finite, whatever the poses are")
+    _require(
+        np.isfinite(judged.fitness).all(),
+        "fitness must be finite, whatever the poses are: where the robot was not seen they are NaN "
+        "(advance() keeps what was known before)",
+    )
     reason = np.asarray(judged.reason)
     _require(
         bool(((reason == -1) == judged.success).all()) and (reason < len(task.reasons)).all(),

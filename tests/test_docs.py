@@ -1,23 +1,31 @@
 """Pages of the docs: their code and commands run, links lead somewhere, sentences are short."""
 
+import doctest
+import inspect
 import re
 import shlex
 import sys
 import types
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 from khepera_data import made_up
+from numba import njit
 
+import neurosim as ns
 from neurosim.cli.main import cli
 from neurosim.controllers import CONTROLLERS, make_controller
 from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.loop.evolve import evolve
 from neurosim.loop.settings import default_settings
+from neurosim.robots.registry import ROBOTS
 from neurosim.simulators import TableSimulator
+from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS
+from neurosim.testing import check_task
 from neurosim.training.train import train
 from neurosim.trials.realities import REALITIES
 
@@ -105,6 +113,25 @@ def test_python_runs(page, block, made, tmp_path, monkeypatch):
     module = types.ModuleType("block_of_docs")
     monkeypatch.setitem(sys.modules, module.__name__, module)
     exec(compile(block, page, "exec"), module.__dict__)
+    for made_here in vars(module).values():
+        own = isinstance(made_here, type) and made_here.__module__ == module.__name__
+        if own and issubclass(made_here, Task):
+            check_task(made_here())
+
+
+@pytest.mark.parametrize("name", ns.__all__)
+@pytest.mark.slow
+def test_examples_run(name, made, tmp_path, monkeypatch):
+    for folder in made.iterdir():
+        (tmp_path / folder.name).symlink_to(folder)
+    monkeypatch.chdir(tmp_path)
+    known = {"ns": ns, "np": np, "dataclass": dataclass, "NamedTuple": NamedTuple, "njit": njit}
+    known |= {"Path": Path, "__name__": "examples"}
+    text = inspect.getdoc(getattr(ns, name))
+    examples = doctest.DocTestParser().get_doctest(text, known, name, None, 0)
+    found = doctest.DocTestRunner(optionflags=doctest.ELLIPSIS).run(examples)
+    assert found.attempted > 0
+    assert found.failed == 0
 
 
 @pytest.fixture(scope="module")
@@ -127,7 +154,7 @@ def made(tmp_path_factory):
 
 @pytest.fixture(autouse=True)
 def _nothing_stays_registered():
-    registries = (TASKS, CONTROLLERS, OPTIMISERS, REALITIES)
+    registries = (TASKS, CONTROLLERS, OPTIMISERS, REALITIES, ROBOTS)
     before = [dict(registry._registered) for registry in registries]
     yield
     for registry, names in zip(registries, before, strict=True):

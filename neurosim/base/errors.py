@@ -10,6 +10,13 @@ class UserError(Exception):
 
     The command line prints the message alone and exits with 1; library callers catch it as
     any exception.
+
+    Example:
+        >>> try:
+        ...     ns.load("nowhere")
+        ... except ns.UserError as error:
+        ...     print(error)
+        nowhere: is no simulator, controller or dataset: no such folder
     """
 
 

@@ -45,6 +45,11 @@ class Trajectory:
 
     Raises:
         ValueError: if the shapes do not fit each other.
+
+    Example:
+        >>> path = ns.Trajectory(np.zeros((3, 3)), np.zeros((2, 3)), durations=0.5)
+        >>> path.times
+        array([0. , 0.5, 1. ])
     """
 
     poses: NDArray[np.float64] | None
@@ -152,6 +157,10 @@ class Episode:
         reach: a goal is reached, and the next one comes, within this distance of it, m.
         readings: whether the fitness needs the sensors' readings.
         contacts: whether it is to be known when the robot touches something.
+
+    Example:
+        >>> ns.Episode(step=0.1, steps=50).steps
+        50
     """
 
     step: float = 0.1

@@ -45,6 +45,16 @@ class Controller(Checked):
         blind: whether all its commands are known beforehand, see :meth:`commands`.
         unit: of the commands.
         gene_range: where searches that need bounds look for each gene.
+
+    Example:
+        >>> @dataclass(frozen=True)
+        ... class Circle(ns.Controller):  # both wheels' speeds are genes
+        ...     kind, genes, gene_range = "circle", 2, (-100.0, 100.0)
+        ...
+        ...     def act(self, genes, observation, memory):
+        ...         return genes, memory
+        >>> ns.evaluate("tables", "obstacle-avoidance", Circle())([[50, 40], [0, 0]]).shape
+        (2,)
     """
 
     kind: ClassVar[str] = "controller"

@@ -39,6 +39,12 @@ class SavedController:
             over so many drawn outcomes (``draws``) the ``probability`` of success.
         simulator: {"path", "sha256"} of what it was evolved in.
         evolution: settings and history of its evolution.
+
+    Example:
+        >>> plan = ns.make_controller("plan", slots=3)
+        >>> saved = ns.SavedController.of(plan, np.full(plan.genes, 0.5), {"name": "go-to"})
+        >>> len(saved.commands)
+        3
     """
 
     controller: Controller

@@ -22,12 +22,13 @@ Rule = Callable[..., Sequence[ArrayLike]]
 class Function(Controller):
     """A controller that is a Python function, with or without genes.
 
-    The function works on a whole batch: it is given arrays, one number a robot::
+    The function works on a whole batch: it is given arrays, one number a robot.
 
-        def away(seen):
-            return 60 - 80 * seen["sensor_3"], 60 - 80 * seen["sensor_2"]
-
-        controller = Function(away, inputs=("sensor_2", "sensor_3"))
+    >>> def away(seen):
+    ...     return 60 - 80 * seen["sensor_3"], 60 - 80 * seen["sensor_2"]
+    >>> vehicle = ns.Function(away, inputs=("sensor_2", "sensor_3"))
+    >>> ns.evaluate("tables", "obstacle-avoidance", vehicle)(np.empty((1, 0))).shape
+    (1,)
 
     Attributes:
         function: see :data:`Rule`.

@@ -44,6 +44,13 @@ def make_controller(
     Raises:
         UserError: if there is none of this kind, it has no such setting, or it needs to know what
             there is to observe.
+
+    Example:
+        >>> ns.make_controller("plan", slots=10).slots
+        10
+        >>> tables, task = ns.load("tables"), ns.make_task("obstacle-avoidance")
+        >>> ns.make_controller("network", tables, task).inputs[:2]
+        ('sensor_0', 'sensor_1')
     """
     for what, given, made in (("simulator", simulator, "load"), ("task", task, "make_task")):
         if isinstance(given, str | Path):

@@ -102,6 +102,13 @@ def check(
     Raises:
         UserError: if controller or simulator cannot be read or do not fit each other, nothing is
             uncertain in the simulator, or a plan's command lies outside of its domain.
+
+    Example:
+        >>> ns.evolve("tables", "obstacle-avoidance", out="new", generations=2, progress=False)
+        [...]
+        >>> found = ns.check("new", "tables", draws=100)
+        >>> 0 <= found.probability <= 1
+        True
     """
     if isinstance(controller, str | Path):
         controller = read_controller(controller)

@@ -403,6 +403,11 @@ def evaluate(
     Raises:
         UserError: if one of the three needs what another does not offer, or outcomes are asked
             of a simulator in which nothing is uncertain.
+
+    Example:
+        >>> fitness = ns.evaluate("tables", "obstacle-avoidance", "network")
+        >>> fitness(np.zeros((5, fitness.genes))).shape
+        (5,)
     """
     three = joined(simulator, task, controller)
     evaluator = Evaluator(*three, placing=placing, workers=workers)

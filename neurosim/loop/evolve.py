@@ -404,6 +404,13 @@ def evolve(
         UserError: if they do not fit each other, something stands at ``out``, or what is to be
             resumed is not there or was begun with other settings.
         RobotError: if the robot was lost; the best controller so far is at ``out``.
+
+    Example:
+        >>> best = ns.evolve(
+        ...     "tables", "obstacle-avoidance", "network", generations=2, runs=1, progress=False
+        ... )[0]
+        >>> best.genes.shape
+        (18,)
     """
     if isinstance(simulator, str | Path):
         source = simulator

@@ -41,6 +41,11 @@ def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
     Raises:
         FileError: if it holds none of them, or a file in it is missing or wrong.
         UserError: if there is no such device.
+
+    Example:
+        >>> simulator = ns.load("simulator")
+        >>> simulator.command_names
+        ('left', 'right', 'duration')
     """
     folder = Path(folder)
     for name, read in _READERS.items():
@@ -55,6 +60,11 @@ def read_dataset(folder: str | Path) -> Dataset:
 
     Raises:
         FileError: if a file is missing or wrong.
+
+    Example:
+        >>> dataset = ns.read_dataset("data/reference")
+        >>> list(dataset.inputs)
+        ['prev_left', 'prev_right', 'left', 'right', 'duration']
     """
     return Dataset.read(folder)
 
@@ -99,6 +109,11 @@ def rollout(
     Raises:
         UserError: if a command is not finite, lasts no time or lies outside what the simulator
             was made from; or a controller does not fit the simulator.
+
+    Example:
+        >>> path = ns.rollout("simulator", [[40, 20, 1.0], [0, 30, 0.5]])  # left %, right %, s
+        >>> path.poses.shape
+        (3, 3)
     """
     simulator = simulator_of(simulator)
     if isinstance(what, str | Path):

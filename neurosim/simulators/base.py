@@ -128,6 +128,21 @@ class Simulator:
             sees nothing; None: it is not known.
         dtype: in which it computes.
         device: where it computes on what is no tensor, as PyTorch names it; tensors stay on theirs.
+
+    Example:
+        >>> class Cart(ns.Simulator):
+        ...     state_names, command_names = ("x", "y", "theta"), ("speed", "duration")
+        ...
+        ...     def start(self, pose, generator=None):
+        ...         return pose
+        ...
+        ...     def step(self, state, command, generator=None):
+        ...         after = state.clone()
+        ...         after[:, 0] += command[:, 0] * command[:, 1]
+        ...         return after
+        >>> cart = Cart()
+        >>> cart.step(cart.start([[0, 0, 0]]), [[0.5, 2]])
+        array([[1., 0., 0.]])
     """
 
     kind: str = "simulator"

@@ -71,6 +71,14 @@ def compiled(
         sense: ``state`` [S]; ``z`` [Z], or [0]; ``out`` [R] float64. None: there are no sensors.
         scratch: a Python function, (model) -> ``work``, which is handed to ``step`` and ``sense``:
             arrays that they may write to, made once for many steps. None: an empty array.
+
+    Example:
+        >>> class Cart(NamedTuple):
+        ...     speed: float  # m/s at 1 %
+        >>> @njit
+        ... def step(cart, states, command, z, work):
+        ...     states[:, 0] += cart.speed * command[0] * command[1]
+        >>> ns.compiled(Cart, step)  # for simulators whose compiled() returns a Cart
     """
     files = {Path(inspect.getfile(getattr(one, "py_func", one))) for one in (step, sense) if one}
     kept = all(file.exists() for file in files)  # not what is typed in by hand, as in a notebook

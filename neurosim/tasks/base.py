@@ -68,6 +68,11 @@ class Judgement:
         over: [...] bool, whether the robot can gain nothing any more.
         segment: [...] the command during which the result was settled; the last by default.
         detail: name -> [...]: the components of the fitness, different in each task.
+
+    Example:
+        >>> judged = ns.Judgement.of([0.2, 0.7], np.array([0.2, 0.7]) > 0.5)
+        >>> judged.success
+        array([False,  True])
     """
 
     fitness: NDArray[np.float64]
@@ -129,6 +134,18 @@ class Task(Checked):
             said, because no blind one does the task.
         scored_by: which parts of a trajectory the score needs: ``poses``, ``commands``,
             ``readings``.
+
+    Example:
+        >>> @dataclass(frozen=True)
+        ... class Far(ns.Task):
+        ...     name = "far"
+        ...     metres: float = 0.5
+        ...
+        ...     def worth(self, record):
+        ...         distance = np.hypot(record[:, 4], record[:, 5])  # where the robot is
+        ...         return ns.Judgement.of(distance, distance > self.metres)
+        >>> float(Far().judge(ns.rollout("simulator", [[40, 40, 1.0]])).fitness) > 0
+        True
     """
 
     name: ClassVar[str]

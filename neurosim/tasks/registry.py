@@ -32,6 +32,10 @@ def make_task(task: str | Mapping[str, Any] | Task, **settings: Any) -> Task:
 
     Raises:
         UserError: if there is none, or it has no such setting.
+
+    Example:
+        >>> ns.make_task("obstacle-avoidance", steps=100).steps
+        100
     """
     if isinstance(task, Task):
         return task

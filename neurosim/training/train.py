@@ -65,6 +65,13 @@ def train(
     Raises:
         UserError: if the dataset is too small, a setting cannot be, or ``out`` is taken.
         FileError: if a file is missing or wrong.
+
+    Example:
+        >>> simulator = ns.train(
+        ...     "data/reference", "trained", trainer="ga", generations=2, progress=False
+        ... )  # for a first look: leave trainer and generations out
+        >>> simulator.command_names
+        ('left', 'right', 'duration')
     """
     files.check_new_folder(out)
     chosen = trainer_settings(trainer, settings)

@@ -93,6 +93,13 @@ def import_csv(
     Raises:
         FileError: naming file, line and column of what is missing or wrong.
         UserError: if columns or units make no sense, no row is left, or ``out`` is taken.
+
+    Example:
+        >>> lines = ["duration,v,w,dx,dy,dtheta"]
+        >>> lines += [f"1.0,0.{n},0,0.{n},0,0" for n in range(1, 10)]
+        >>> _ = Path("rows.csv").write_text(chr(10).join(lines))
+        >>> len(ns.import_csv("rows.csv", "dataset-of-rows"))
+        9
     """
     conventions, settings = conventions or Conventions(), settings or logs.Settings()
     columns, units = dict(columns or {}), dict(units or {})
