@@ -390,6 +390,14 @@ def test_straight_ahead_the_phases_are_exact():
 ARRAYS = random_motion_network(noise=False).compiled()
 
 
+@njit
+def compiled_approach(arrays, c, before, goal, push, time, law):
+    """Return what is left and missed of a difference, when it has settled, and the push."""
+    kernels._law(arrays, c, before, goal, push, law)
+    left, missed = kernels._follow(law, time)
+    return left, missed, law[11], kernels._come(law, time, left)[1]
+
+
 @settings(max_examples=40, deadline=None)
 @given(drive_models(), speeds(), speeds(), st.floats(1e-4, 3.0), pairs(0.0, 0.03))
 @pytest.mark.slow
@@ -399,9 +407,8 @@ def test_the_compiled_law_agrees(drive, before, told, time, push):
     each = torch.stack(drive.approach(before[None], told[None], double([time]), push[None]))[:, 0]
     law = np.empty(kernels._LAW)
     for c in range(2):
-        kernels._law(arrays, c, float(before[c]), float(told[c]), float(push[c]), law)
-        left, missed = kernels._follow(law, time)
-        found = left, missed, law[11], kernels._come(law, time, left)[1]
+        given = (float(before[c]), float(told[c]), float(push[c]), time)
+        found = compiled_approach(arrays, c, *given, law)
         assert found == pytest.approx(each[:, c].tolist(), abs=1e-13)
 
 

@@ -52,6 +52,8 @@ def make_dataset(folder, rows=150, seed=1, virtual=True):
             "left": left,
             "right": right,
             "duration": time,
+            "forward": (left + right) / 2.0,
+            "turn": right - left,
             "fate": "cut" if time > 2.9 else "completed",
             "attempt": 1,
         }
