@@ -8,6 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from motion_networks import NAMES, noise_model, normal, random_motion_network
+from numba import njit
 
 from neurosim.base.errors import FileError
 from neurosim.base.se2 import tensors as se2
@@ -189,6 +190,14 @@ def test_tails_have_a_limit():
     assert heaviness(far, torch.tensor([0.0, 1.0, 0.0]).double()).item() == HEAVIEST
 
 
+@njit
+def compiled_noise(arrays, x, mean, z, size):
+    """Return a displacement [3] disturbed by the noise z [Z] of inputs x [I]."""
+    kernels.own_spread(arrays, x, size)
+    kernels.spread(arrays, (size[0], size[1], size[2], size[9]), mean, size)
+    return kernels.shake(mean[0], mean[1], mean[2], size, z[0], z[1], z[2], z[3])
+
+
 @pytest.mark.parametrize("drives", [False, True])
 @pytest.mark.parametrize("central", [False, True])
 @pytest.mark.slow
@@ -204,10 +213,7 @@ def test_compiled_noise_is_that_of_tensors(central, drives):
         assert torch.allclose(mean, per_row, rtol=1e-12, atol=1e-12)
         for n in range(12):
             size = np.empty(kernels.SIZES)
-            kernels.own_spread(arrays, x[n].numpy(), size)
-            scale = size[0], size[1], size[2], size[9]
-            kernels.spread(arrays, scale, mean[n].numpy(), size)
-            moved = kernels.shake(*mean[n].tolist(), size, *z[n].tolist())
+            moved = compiled_noise(arrays, *(part[n].numpy() for part in (x, mean, z)), size)
             assert moved == pytest.approx(expected[n], rel=1e-9, abs=1e-12)
 
 
