@@ -7,6 +7,7 @@ import select
 import socket
 import threading
 from contextlib import suppress
+from typing import Self
 
 from neurosim.base.errors import RobotError
 
@@ -173,3 +174,27 @@ def send(client: socket.socket, data: bytes) -> bool:
     except OSError:
         return False
     return True
+
+
+class Served:
+    """A virtual robot behind its line; ``with`` takes the line down at the end."""
+
+    _server: Server
+
+    @property
+    def alive(self) -> bool:
+        """Whether the line still stands."""
+        return self._server.error is None
+
+    def close(self) -> None:
+        """Take the line down."""
+        self._server.stop()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """Close; an error inside the lab (a full disk) is raised rather than a lost link."""
+        self.close()
+        if self._server.error is not None:
+            raise self._server.error

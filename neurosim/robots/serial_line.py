@@ -8,6 +8,7 @@ from __future__ import annotations
 import errno
 import re
 import time
+from collections.abc import Callable
 from contextlib import suppress
 
 import serial
@@ -92,6 +93,38 @@ class SerialLine:
         except (OSError, ValueError, AttributeError, ImportError) as error:
             raise RobotError(f"cannot open the serial port {self.port}: {_reason(error)}") from None
         self._gone, self._buffer = None, b""
+
+    def connect(self, greet: Callable[[], object]) -> None:
+        """Open the port and greet what is behind it; closed again if that fails.
+
+        Args:
+            greet: makes sure that the right robot answers, and stops it.
+
+        Raises:
+            RobotError: if the port cannot be opened; whatever ``greet`` raises.
+        """
+        self.open()
+        try:
+            greet()
+        except BaseException:
+            self.close()
+            raise
+
+    def hang_up(self, stop: Callable[[], object]) -> None:
+        """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C.
+
+        Args:
+            stop: stops the robot.
+        """
+        try:
+            if self.is_open:
+                with suppress(Exception):
+                    stop()
+        except BaseException:
+            self.say_farewell()
+            raise
+        finally:
+            self.close()
 
     def close(self) -> None:
         """Close the port; never raises."""

@@ -1,8 +1,26 @@
 """A synthetic robot: first-order motor lag, unequal motors, and slip drawn per command."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 FULL_SPEED, TRACK, LAG = 0.5, 0.13, 0.08
+
+
+class MotorLine(NamedTuple):
+    """What clocks and tracks look at in a line of commands: time (s) and two wheels (%)."""
+
+    time: float
+    left: float
+    right: float
+
+    @property
+    def forward(self):
+        return (self.left + self.right) / 2
+
+    @property
+    def turn(self):
+        return (self.right - self.left) / 2
 
 
 def random_commands(rng, count):

@@ -1,13 +1,13 @@
 """Whether the pair after a loss must be the one from before."""
 
 import json
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import pytest
 import tracking_scene as scene
 from click.testing import CliRunner
+from synthetic_robot import MotorLine
 
 from neurosim.base.files import flag, number, read_csv
 from neurosim.cli.track import track as verb
@@ -111,20 +111,6 @@ def test_a_twin_is_said_and_marked_by_the_verb(tmp_path):
     count = sum(table["doubtful"])
     assert f"{count} poses may be of another pair" in done.stderr
     assert json.loads((tmp_path / "poses" / "tracking.json").read_text())["doubtful"] == count
-
-
-class MotorLine(NamedTuple):
-    time: float
-    left: float
-    right: float
-
-    @property
-    def forward(self):
-        return (self.left + self.right) / 2
-
-    @property
-    def turn(self):
-        return (self.right - self.left) / 2
 
 
 def commanded():

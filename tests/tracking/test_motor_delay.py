@@ -1,11 +1,10 @@
 """The clock and the motors' delay from motion: synthetic wheels with a dead time and a lag."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from synthetic_robot import MotorLine
 
 from neurosim.base.errors import UserError
 from tracking.clock.motion import disagreement, fit_clock_to_motion
@@ -17,27 +16,14 @@ from tracking.datasets.recordings import Poses, Recording
 LAG = 0.11
 
 
-@dataclass
-class Line:
-    time: float
-    left: float
-    right: float
-
-    @property
-    def forward(self):
-        return (self.left + self.right) / 2
-
-    @property
-    def turn(self):
-        return (self.right - self.left) / 2
-
-
 def commands(count, seed, first=3.0):
     """Lines as a recording has them: new speeds every 0.5 to 2 s, then a stop."""
     rng = np.random.default_rng(seed)
     durations = rng.uniform(0.5, 2.0, count)
     starts = first + np.concatenate([[0.0], np.cumsum(durations)])
-    return [Line(t, *rng.uniform(-50, 50, 2)) for t in starts[:-1]] + [Line(starts[-1], 0.0, 0.0)]
+    return [MotorLine(t, *rng.uniform(-50, 50, 2)) for t in starts[:-1]] + [
+        MotorLine(starts[-1], 0.0, 0.0)
+    ]
 
 
 def drive(lines, dead, seed, *, drift=0.0, dropped=0.0, noise=(0.0005, 0.0005, 0.003)):
@@ -123,7 +109,8 @@ def test_motion_that_does_not_follow_the_commands():
 
 def test_commands_that_repeat_themselves_are_ambiguous():
     lines = [
-        Line(3.0 + 2.0 * i, *((40.0, 20.0) if i % 2 == 0 else (-20.0, -40.0))) for i in range(30)
+        MotorLine(3.0 + 2.0 * i, *((40.0, 20.0) if i % 2 == 0 else (-20.0, -40.0)))
+        for i in range(30)
     ]
     times, poses = drive(lines, 0.0, 3)
     with pytest.raises(UserError, match=r"from .* s and from .* s of the video"):

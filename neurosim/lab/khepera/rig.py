@@ -12,6 +12,7 @@ from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.firmware import KheperaFirmware
 from neurosim.lab.khepera.params import RADIUS, KheperaParams, LabArena
 from neurosim.lab.nxt.params import CameraParams
+from neurosim.lab.server import Served
 from neurosim.robots.khepera.driver import Khepera
 
 #: Where the robot stands at first in the paper's arena (m, m, rad).
@@ -36,7 +37,7 @@ def sampling_places() -> tuple[LabArena, dict[str, tuple[float, float, float]]]:
     return arena, places
 
 
-class VirtualKheperaRig:
+class VirtualKheperaRig(Served):
     """A Khepera of the virtual lab, behind its line.
 
     Args:
@@ -97,11 +98,6 @@ class VirtualKheperaRig:
         timeout = 2.0 if real_time else 10.0
         self.robot = Khepera(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
 
-    @property
-    def alive(self) -> bool:
-        """Whether the line still stands."""
-        return self._server.error is None
-
     def describe(self) -> dict[str, Any]:
         """Return what makes the same lab again."""
         return dict(self._seeds)
@@ -115,16 +111,3 @@ class VirtualKheperaRig:
         self._cable.silent = True
         with self.lab.lock:
             self.lab.body.set_speeds(0, 0)
-
-    def close(self) -> None:
-        """Take the line down."""
-        self._server.stop()
-
-    def __enter__(self) -> VirtualKheperaRig:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close; what went wrong inside the lab is told rather than a lost link."""
-        self.close()
-        if self._server.error is not None:
-            raise self._server.error

@@ -17,6 +17,7 @@ from neurosim.lab.lines.planar import KINDS, PlanarBody
 from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.rig import PLACING
 from neurosim.lab.nxt.world import Lab
+from neurosim.lab.server import Served
 from neurosim.robots.lines.driver import BAUD, Lines
 
 #: The robots that there are.
@@ -25,7 +26,7 @@ LINES_ROBOTS = ("wheels", *KINDS)
 BITS = 10
 
 
-class VirtualLinesRig:
+class VirtualLinesRig(Served):
     """A robot of the virtual lab that says what it is, behind its line.
 
     Args:
@@ -90,11 +91,6 @@ class VirtualLinesRig:
         self.camera: RoofCamera | None = self.lab.camera
 
     @property
-    def alive(self) -> bool:
-        """Whether the line still stands."""
-        return self._server.error is None
-
-    @property
     def standing(self) -> bool:
         """Whether no command runs."""
         return math.isinf(self.firmware.ends)
@@ -114,16 +110,3 @@ class VirtualLinesRig:
     def switch_off(self) -> None:
         """Switch the radio off: nothing answers any more; a command ends by itself."""
         self._cable.silent = True
-
-    def close(self) -> None:
-        """Take the line down."""
-        self._server.stop()
-
-    def __enter__(self) -> VirtualLinesRig:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close; what went wrong inside the lab is told rather than a lost link."""
-        self.close()
-        if self._server.error is not None:
-            raise self._server.error

@@ -22,6 +22,7 @@ from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.lab.nxt.world import Lab, Push
+from neurosim.lab.server import Served
 from neurosim.robots.nxt.driver import NXT
 
 #: How well a person puts a robot down at a mark: standard deviations, m and rad.
@@ -31,7 +32,7 @@ PLACING = (0.003, math.radians(0.5))
 FOLLOWING, BUILT = {"light_ahead": 0.07, "light_aside": 0.025}, 0.002
 
 
-class VirtualRig:
+class VirtualRig(Served):
     """A robot of the virtual lab, behind its line, with the roof camera over it.
 
     Args:
@@ -111,11 +112,6 @@ class VirtualRig:
         self.robot.alone = False
         self.camera: RoofCamera | None = self.lab.camera
 
-    @property
-    def alive(self) -> bool:
-        """Whether the line still stands."""
-        return self._server.error is None
-
     def describe(self) -> dict[str, Any]:
         """Return what makes the same lab again."""
         return dict(self._about)
@@ -123,19 +119,6 @@ class VirtualRig:
     def write_truth(self, folder: Path, session: int) -> None:
         """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
         self.lab.write_truth(folder, session)
-
-    def close(self) -> None:
-        """Take the line down."""
-        self._server.stop()
-
-    def __enter__(self) -> VirtualRig:
-        return self
-
-    def __exit__(self, *error: object) -> None:
-        """Close; what went wrong inside the lab (a full disk) is told rather than a lost link."""
-        self.close()
-        if self._server.error is not None:
-            raise self._server.error
 
 
 def _following(robot_seed: int) -> dict[str, float]:

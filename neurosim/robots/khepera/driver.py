@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Annotated, Any
 
 import numpy as np
@@ -107,29 +106,18 @@ class Khepera:
         Raises:
             RobotError: if the port cannot be opened, nothing answers, or something else does.
         """
-        if self._line.is_open:
-            return
-        self._line.open()
-        try:
-            # Half a command of an earlier program must not stand before ours.
-            self._line.write(b"\r")
-            self._version = self._first_answer()
-            self.set_speeds(0, 0)
-        except BaseException:
-            self._line.close()
-            raise
+        if not self._line.is_open:
+            self._line.connect(self._greet)
+
+    def _greet(self) -> None:
+        # Half a command of an earlier program must not stand before ours.
+        self._line.write(b"\r")
+        self._version = self._first_answer()
+        self.set_speeds(0, 0)
 
     def close(self) -> None:
         """Stop the motors if the line still stands, and close it; raises nothing but Ctrl-C."""
-        try:
-            if self._line.is_open:
-                with suppress(Exception):
-                    self.set_speeds(0, 0)
-        except BaseException:
-            self._line.say_farewell()
-            raise
-        finally:
-            self._line.close()
+        self._line.hang_up(lambda: self.set_speeds(0, 0))
 
     @property
     def commands(self) -> Commands:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -79,27 +78,16 @@ class Lines:
         Raises:
             RobotError: if the port cannot be opened, nothing answers, or something else does.
         """
-        if self._line.is_open:
-            return
-        self._line.open()
-        try:
-            self.greeting = self._first_answer()
-        except BaseException:
-            self._line.close()
-            raise
+        if not self._line.is_open:
+            self._line.connect(self._greet)
+
+    def _greet(self) -> None:
+        self.greeting = self._first_answer()
         self._has(self.greeting)
 
     def close(self) -> None:
         """Stop the robot if the line still stands, and close it; raises nothing but Ctrl-C."""
-        try:
-            if self._line.is_open:
-                with suppress(Exception):
-                    self.stop()
-        except BaseException:
-            self._line.say_farewell()
-            raise
-        finally:
-            self._line.close()
+        self._line.hang_up(self.stop)
 
     @property
     def commands(self) -> Commands:

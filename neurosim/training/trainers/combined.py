@@ -339,22 +339,22 @@ class CombinedTrainer:
             elsewhere,
             generator,
         )
-        kernel = _Kernel(process, rows)
-        said = self._by_halves(kernel, trust)
-        shares, loss = self._stacked(said, trust)
+        best, count = self._judged(process, trust), settings.centres
         most = min(settings.most_centres, commands // ROWS_PER_CENTRE)
-        count = 2 * settings.centres
-        while shares[:, 1].any() and len(process.centres) >= count // 2 and count <= most:
-            centres = choose_centres(rows.given, elsewhere, process.lengths, count)
-            wider = replace(process, centres=centres)
-            again = _Kernel(wider, rows)
-            unseen = self._by_halves(again, trust)
-            parts, less = self._stacked(unseen, trust)
-            if less > loss - _WORTH:
-                break
-            process, kernel, said, shares, loss = wider, again, unseen, parts, less
+        while best.shares[:, 1].any() and count <= len(best.process.centres) and 2 * count <= most:
             count *= 2
-        return self._assembled(learners, kernel, process, trust, shares, said)
+            centres = choose_centres(rows.given, elsewhere, process.lengths, count)
+            wider = self._judged(replace(process, centres=centres), trust)
+            if wider.loss > best.loss - _WORTH:
+                break
+            best = wider
+        return self._assembled(learners, best, trust)
+
+    def _judged(self, process: Process, trust: Tensor) -> _Judged:
+        """Return what held-out rows say of a Gaussian process beside the product units."""
+        kernel = _Kernel(process, self._rows)
+        said = self._by_halves(kernel, trust)
+        return _Judged(process, kernel, said, *self._stacked(said, trust))
 
     def _elsewhere(self, generator: torch.Generator) -> Tensor:
         """Return networks' inputs [M, J] of random commands after random speeds."""
@@ -482,14 +482,9 @@ class CombinedTrainer:
         }
 
     def _assembled(
-        self,
-        learners: list[_ProductUnits],
-        kernel: _Kernel,
-        process: Process,
-        trust: Tensor,
-        shares: Tensor,
-        said: Tensor,
+        self, learners: list[_ProductUnits], best: _Judged, trust: Tensor
     ) -> MotionNetwork:
+        process, kernel, said, shares, _ = best
         generator, rows = torch.Generator().manual_seed(self._seed), self._rows
         members = self._settings.members
         count = 1 + (members if members > 1 else 0)
@@ -582,6 +577,24 @@ class CombinedTrainer:
         wanted = self._rows.factor[:, output].square() * self._rows.weight
         ratio = (open_.squeeze(0) * wanted).mean() / (drawn.square().mean(0) * wanted).mean()
         return float(ratio.sqrt().clamp(1.0, WIDEST))
+
+
+class _Judged(NamedTuple):
+    """A Gaussian process and what held-out rows say of it.
+
+    Attributes:
+        process: itself.
+        kernel: its read-out.
+        said: see :meth:`CombinedTrainer._by_halves`.
+        shares: how much product units and process count for each output, [3, 2].
+        loss: the mean logarithm of the outputs' losses.
+    """
+
+    process: Process
+    kernel: _Kernel
+    said: Tensor
+    shares: Tensor
+    loss: float
 
 
 class _ProductUnits:

@@ -175,10 +175,10 @@ def fit_drive(motion: Rows, laws: bool = True) -> DriveModel:
 
     coarse: list[tuple[float, float, float, Tensor]] = []
     for lag, rate, delay in product(_LAGS, _RATES, _DELAYS):
-        laws_ = usual.clone()
-        laws_[_TOTAL], laws_[_RATE], laws_[_DELAY] = math.log(lag + delay), math.log(rate), delay
-        laws_ = torch.maximum(torch.minimum(laws_, highest), lowest)
-        coarse.append((_cost(laws_, errors(laws_)), rate, delay, laws_))
+        start = usual.clone()
+        start[_TOTAL], start[_RATE], start[_DELAY] = math.log(lag + delay), math.log(rate), delay
+        start = torch.maximum(torch.minimum(start, highest), lowest)
+        coarse.append((_cost(start, errors(start)), rate, delay, start))
     coarse.sort(key=lambda one: one[0])
 
     def best_of(starts: list[Tensor], longest_delay: float) -> tuple[Tensor, float]:
@@ -190,9 +190,9 @@ def fit_drive(motion: Rows, laws: bool = True) -> DriveModel:
     def starts(longest_delay: float) -> list[Tensor]:
         # Of each rate the best, as no step leads from a rate that never limits to one that does.
         of_rates: dict[float, Tensor] = {}
-        for _, rate, delay, laws_ in coarse:
+        for _, rate, delay, start in coarse:
             if delay <= longest_delay:
-                of_rates.setdefault(rate, laws_)
+                of_rates.setdefault(rate, start)
         return list(of_rates.values())[:_STARTS]
 
     found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
