@@ -7,11 +7,12 @@ from collections.abc import Sequence
 from typing import Any, Literal
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from neurosim.base.threads import WORTH_SHARING, on_cores
 
 Shape = Literal["rectangle", "ellipse", "points"]
 SHAPES: tuple[Shape, ...] = ("rectangle", "ellipse", "points")
@@ -98,7 +99,13 @@ class ClosedLine:
         """Return how far places [..., 2] are from the line, and where along it, m, [...] each."""
         given = np.asarray(places, np.float64)
         flat = np.ascontiguousarray(given.reshape(-1, 2))
-        distance, along = _nearest(self.points, self._sides, self._until, flat)
+        distance, along = np.empty(len(flat)), np.empty(len(flat))
+
+        def part(first: int, last: int) -> None:
+            ends = distance[first:last], along[first:last]
+            _nearest(self.points, self._sides, self._until, flat[first:last], *ends)
+
+        on_cores(_nearest, part, len(flat), WORTH_SHARING)
         along = np.remainder(along, self.length)  # its end is its beginning
         return distance.reshape(given.shape[:-1]), along.reshape(given.shape[:-1])
 
@@ -145,16 +152,16 @@ def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[floa
     return math.sqrt(least), side, where
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _nearest(
     points: NDArray[np.float64],
     sides: NDArray[np.float64],
     until: NDArray[np.float64],
     places: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return distance [B] and way along [B] of places [B, 2]."""
-    distance, along = np.empty(len(places)), np.empty(len(places))
-    for b in prange(len(places)):
-        distance[b], side, share = _nearest_side(points, places[b, 0], places[b, 1])
-        along[b] = until[side] + share * sides[side]
-    return distance, along
+    distance: NDArray[np.float64],
+    along: NDArray[np.float64],
+) -> None:
+    """Write the distances [B] of places [B, 2], and how far along the line they are, [B]."""
+    for b in range(len(places)):
+        distance[b], side, part = _nearest_side(points, places[b, 0], places[b, 1])
+        along[b] = until[side] + part * sides[side]

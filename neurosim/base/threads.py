@@ -2,14 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import cache
+from itertools import pairwise
+from typing import Any
 
 import numba
 import torch
 
 #: From so many rows on, sharing them out to several cores pays.
 WORTH_SHARING = 500
+
+
+def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: int = 1) -> None:
+    """Share ``count`` pieces of work out to the cores that compiled kernels may use.
+
+    Kernels with a parallel region of their own take twice as long to compile. The threads of such
+    regions also stay busy for milliseconds after each region, on cores that others want.
+
+    Args:
+        kernel: the compiled function that ``part`` calls, with ``nogil``. If it is not compiled
+            yet, that happens in the calling thread, where an interruption ends it.
+        part: called as ``part(first, last)`` for the pieces from ``first`` to before ``last``.
+        count: number of pieces.
+        least: number of pieces that make up for another core's beginning.
+    """
+    parts = min(numba.get_num_threads(), count // least) or 1
+    if parts == 1:
+        part(0, count)
+        return
+    edges = [count * n // parts for n in range(parts + 1)]
+    if not kernel.overloads:
+        part(0, 0)
+    others = [_threads().submit(part, *ends) for ends in pairwise(edges[1:])]
+    part(0, edges[1])
+    for other in others:
+        other.result()
+
+
+@cache
+def _threads() -> ThreadPoolExecutor:
+    """Return this process's threads, which begin when they are needed."""
+    return ThreadPoolExecutor(thread_name_prefix="neurosim")
+
+
+# Threads do not live on in a process that is forked.
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_threads.cache_clear)
 
 
 @contextmanager

@@ -15,11 +15,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.random import GOLDEN, normal, uniform
+from neurosim.base.threads import WORTH_SHARING, on_cores
 from neurosim.evolution.genetic import GeneticSettings
 
 GENES = 4
@@ -107,15 +108,15 @@ class PlanPopulation:
         if s.elites > 0:
             order = np.argsort(-fitness, axis=1, kind="stable")[:, : s.elites]
             children[:, : s.elites] = np.take_along_axis(self.genes, order[..., None], axis=1)
-        _breed(
-            self.genes,
-            keys,
-            fitness,
-            (s.tournament, s.elites, int(s.insertion)),
-            (s.crossover, s.mutation, s.mutation_scale, s.eta),
-            self._rng.integers(2**63),
-            children,
-        )
+        counts = s.tournament, s.elites, int(s.insertion)
+        rates = s.crossover, s.mutation, s.mutation_scale, s.eta
+        seed = self._rng.integers(2**63)
+        runs, population, _ = children.shape
+
+        def part(first: int, last: int) -> None:
+            _breed(first, last, self.genes, keys, fitness, counts, rates, seed, children)
+
+        on_cores(_breed, part, runs * _pairs(population, s.elites), WORTH_SHARING)
         self.genes = children
         self._generation += 1
 
@@ -221,14 +222,20 @@ def is_null(gene):
     return gene > 1.0 - NULL_SHARE
 
 
-@njit(cache=True, parallel=True)
-def _breed(genes, keys, fitness, counts, rates, seed, children):
-    """Fill ``children`` [N, P, G] behind the elites."""
-    runs, population, width = genes.shape
+@njit(cache=True)
+def _pairs(population, elites):
+    """Return the number of pairs of children in a generation of one run."""
+    return (population - elites + 1) // 2
+
+
+@njit(cache=True, nogil=True)
+def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, children):
+    """Fill some pairs, counted through all runs, of ``children`` [N, P, G] behind the elites."""
+    population, width = genes.shape[1:]
     tournament, elites, insertion = counts
     crossover, mutation, scale, eta = rates
-    pairs = (population - elites + 1) // 2
-    for job in prange(runs * pairs):
+    pairs = _pairs(population, elites)
+    for job in range(first_job, last_job):
         run, pair = job // pairs, job % pairs
         state = np.empty(1, np.uint64)
         # Streams a long way apart: the generator's own increment separates draws within one.
@@ -246,7 +253,7 @@ def _breed(genes, keys, fitness, counts, rates, seed, children):
                 children[run, place] = both[child]
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def decode(genes, max_speed, shortest, longest):
     """Return commands [B, K, 3] (percent, percent, s) and which are given [B, K].
 
@@ -260,7 +267,7 @@ def decode(genes, max_speed, shortest, longest):
     batch, count = len(genes), genes.shape[1] // GENES
     commands = np.empty((batch, count, 3))
     given = np.empty((batch, count), np.bool_)
-    for b in prange(batch):
+    for b in range(batch):
         for k in range(count):
             part = genes[b, GENES * k : GENES * (k + 1)]
             given[b, k] = not is_null(part[0])
@@ -271,7 +278,7 @@ def decode(genes, max_speed, shortest, longest):
     return commands, given
 
 
-@njit(cache=True, parallel=True)
+@njit(cache=True)
 def pairing_keys(region, given):
     """Return a key [B, K] per command, equal in two plans for commands to be paired.
 
@@ -284,7 +291,7 @@ def pairing_keys(region, given):
     """
     batch, count = region.shape
     keys = np.empty((batch, count), np.int64)
-    for b in prange(batch):
+    for b in range(batch):
         for k in range(count):
             if not given[b, k]:
                 keys[b, k] = NOT_PAIRED

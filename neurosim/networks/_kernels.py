@@ -59,11 +59,13 @@ def _add_unit(out, weight, exponents, log2, start, rows, limit):
 @numba.njit(
     fastmath={"contract", "reassoc", "nsz", "arcp"},
     error_model="numpy",
-    parallel=True,
+    nogil=True,
     cache=True,
 )
-def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, limit):
-    """Return the sum of squared errors of each network.
+def squared_error(
+    exponents, signed, weights, bias, log2, x, targets, spans, limit, first, last, sums
+):
+    """Sum the squared errors of some networks.
 
     Args:
         exponents: of product units, [O, P, K, I]; all arrays are single precision.
@@ -74,13 +76,11 @@ def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, lim
         targets: [O, N].
         spans: first row and end of each sign pattern, [M, 2].
         limit: bound of a product unit's base-2 logarithm.
-
-    Returns:
-        [O, P], float64.
+        first, last: the networks, counted through all outputs, from the first to before the last.
+        sums: [O, P] float64, written.
     """
-    groups, population, units, inputs = exponents.shape
-    sums = np.empty((groups, population))
-    for network in numba.prange(groups * population):
+    _, population, units, inputs = exponents.shape
+    for network in range(first, last):
         g, p = network // population, network % population
         out = np.empty(_ROWS, np.float32)
         total = 0.0
@@ -103,4 +103,3 @@ def squared_error(exponents, signed, weights, bias, log2, x, targets, spans, lim
                     block += out[j] * out[j]
                 total += block
         sums[g, p] = total
-    return sums

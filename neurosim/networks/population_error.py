@@ -14,10 +14,13 @@ kernel; elsewhere it is done in tensors.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurosim.base.threads import on_cores
 from neurosim.networks.product_units import LOG_LIMIT, ProductSummationNetwork
 from neurosim.networks.sorted_rows import SortedRows
 
@@ -72,20 +75,16 @@ class PopulationError:
     def _compiled(self, genes: Tensor) -> Tensor:
         from neurosim.networks import _kernels
 
-        exponents, signed, weights, bias = (
-            piece.contiguous().numpy() for piece in self._pieces(genes)
-        )
-        sums = _kernels.squared_error(
-            exponents,
-            signed,
-            weights,
-            bias,
-            self._log2,
-            self._rows.x.numpy(),
-            self._targets.numpy(),
-            self._rows.spans,
-            np.float32(LOG_LIMIT / np.log(2.0)),
-        )
+        pieces = [piece.contiguous().numpy() for piece in self._pieces(genes)]
+        rows = self._log2, self._rows.x.numpy(), self._targets.numpy(), self._rows.spans
+        given = [*pieces, *rows, np.float32(LOG_LIMIT / np.log(2.0))]
+        sums = np.empty(genes.shape[:2])
+        kernel: Any = _kernels.squared_error
+
+        def part(first: int, last: int) -> None:
+            kernel(*given, first, last, sums)
+
+        on_cores(kernel, part, sums.size)
         return torch.from_numpy(sums) / self._targets.shape[1]
 
     def _tensors(self, genes: Tensor) -> Tensor:

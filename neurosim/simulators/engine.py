@@ -18,12 +18,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from functools import cache
-from itertools import pairwise
 from pathlib import Path
 from types import FunctionType
 from typing import Any, NamedTuple
@@ -33,6 +29,7 @@ from numba import get_num_threads, njit
 from numpy.typing import NDArray
 
 from neurosim.base.kernels import kernel
+from neurosim.base.threads import on_cores
 from neurosim.base.trajectory import Draws, Episode, Trajectory, planned, stepped
 from neurosim.networks.control import NOT_READINGS, input_sources
 from neurosim.networks.control_kernels import Pilot, act, closed_loop, observe, open_loop, units_of
@@ -92,7 +89,7 @@ def compiled(
     own = FunctionType(drive.__code__, known, name)
     own.__qualname__ = name
     # Counting references to arrays would take as long as the steps themselves: nothing is made
-    # there. A parallel loop would take as long to compile as all the rest, see :func:`_on_cores`.
+    # there. For several cores see :func:`_on_cores`.
     options: dict[str, Any] = {"_nrt": False, "no_cfunc_wrapper": True, "nogil": True}
     loop = njit(cache=kept, error_model="numpy", **options)(own)
     _FUNCTIONS[model] = Functions(step, sense, scratch, loop)
@@ -235,9 +232,7 @@ def _on_cores(
     """
     functions, ends, readings = functions_of(model), written[-1], written[-2]
     groups = len(ends) * -(-ends.shape[1] // together)
-    steps = groups * together * pilot.length
-    parts = min(get_num_threads(), groups, steps // _WORTH_SHARING) or 1
-    edges = [groups * part // parts for part in range(parts + 1)]
+    least = -(-_WORTH_SHARING // max(1, together * pilot.length))
 
     def part(first: int, last: int) -> None:
         try:
@@ -256,23 +251,7 @@ def _on_cores(
         functions.drive(model, pilot, genes, begun, z, first, last, room, *written)
         works.append(work)
 
-    if not functions.drive.overloads:  # compiled here, where an interruption ends it
-        part(0, 0)
-    others = [_threads().submit(part, *ends) for ends in pairwise(edges[1:])]
-    part(0, edges[1])
-    for other in others:
-        other.result()
-
-
-@cache
-def _threads() -> ThreadPoolExecutor:
-    """Return this process's threads, which begin when they are needed."""
-    return ThreadPoolExecutor(thread_name_prefix="neurosim-engine")
-
-
-# Threads do not live on in a process that is forked.
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_threads.cache_clear)
+    on_cores(functions.drive, part, groups, least)
 
 
 class CompiledRollouts:

@@ -9,13 +9,17 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.random import GOLDEN, bits
+from neurosim.base.threads import on_cores
 
 #: What numbers are: there are none; uniform in -1 to 1; standard normal.
 NONE, UNIFORM, NORMAL = 0, 1, 2
+
+#: Numbers that it takes to make up for another core's beginning.
+_WORTH_SHARING = 10_000
 
 
 @njit(cache=True, inline="always", error_model="numpy")
@@ -47,7 +51,6 @@ def draw(noise, state, out):
     return state
 
 
-@njit(cache=True, parallel=True, error_model="numpy")
 def numbers(
     noise: int, seeds: NDArray[np.uint64], first: NDArray[np.int64], steps: int, width: int
 ) -> NDArray[np.float32]:
@@ -60,17 +63,31 @@ def numbers(
         steps: how many follow each other.
         width: how many numbers a step has.
     """
+    out = np.empty((len(seeds), steps, width), np.float32)
+
+    def part(one: int, end: int) -> None:
+        _fill(noise, seeds[one:end], first[one:end], out[one:end])
+
+    least = -(-_WORTH_SHARING // max(1, steps * width))
+    on_cores(_fill, part, len(seeds), least)
+    return out
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill(
+    noise: int, seeds: NDArray[np.uint64], first: NDArray[np.int64], out: NDArray[np.float32]
+) -> None:
+    """Write the numbers [R, steps, width] of :func:`numbers`."""
+    steps, width = out.shape[1:]
     padded = (width + 3) // 4 * 4
     words = padded // 4 if noise == UNIFORM else padded // 2
-    out = np.empty((len(seeds), steps, width), np.float32)
-    for row in prange(len(seeds)):
-        drawn = np.empty(padded, np.float32)
+    drawn = np.empty(padded, np.float32)
+    for row in range(len(seeds)):
         state = seeds[row] + GOLDEN * np.uint64(first[row] * words)
         for step in range(steps):
             state = draw(noise, state, drawn)
             for n in range(width):
                 out[row, step, n] = drawn[n]
-    return out
 
 
 @njit(cache=True)

@@ -39,13 +39,14 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 from msgspec import Meta
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
 
 from neurosim.base.declared import Metres, Seconds, Step
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import LONGEST_ARC
 from neurosim.base.se2 import compiled as se2
+from neurosim.base.threads import WORTH_SHARING, on_cores
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
 
@@ -199,7 +200,12 @@ class NineRectangles(Task):
     ) -> None:
         given = np.ascontiguousarray(np.broadcast_to(active, len(record)))
         course = self._grid, self._goals, float(self.longest_arc)
-        _add(record, np.ascontiguousarray(poses), given, ends, begins, *course)
+        poses = np.ascontiguousarray(poses)
+
+        def part(first: int, last: int) -> None:
+            _add(first, last, record, poses, given, ends, begins, *course)
+
+        on_cores(_add, part, len(record), WORTH_SHARING)
 
     @cached_property
     def _goals(self) -> NDArray[np.float64]:
@@ -323,8 +329,10 @@ def _begin(x: float, y: float, grid: tuple, last: int) -> tuple[int, int]:
     return (progress, fault) if progress == 0 else (0, _SKIPPED)
 
 
-@njit(cache=True, nogil=True, parallel=True)
+@njit(cache=True, nogil=True)
 def _add(
+    first: int,
+    last_record: int,
     record: NDArray,
     poses: NDArray,
     active: NDArray,
@@ -334,10 +342,13 @@ def _add(
     goals: NDArray,
     longest: float,
 ) -> None:
-    """Move robots with records [K, W] to poses [K, 3], or begin there; see :data:`_COLUMNS`."""
+    """Move robots with records [K, W] to poses [K, 3], or begin there; see :data:`_COLUMNS`.
+
+    ``first`` and ``last_record`` limit the robots, from the first to before the last.
+    """
     _, length, width = grid
     last = len(goals) - 1
-    for k in prange(len(record)):
+    for k in range(first, last_record):
         x, y, heading = poses[k, 0], poses[k, 1], poses[k, 2]
         progress, fault = int(record[k, 4]), int(record[k, 7])
         if begins:

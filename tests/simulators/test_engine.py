@@ -8,6 +8,7 @@ import pytest
 
 import neurosim as ns
 from neurosim import testing
+from neurosim.base import threads
 from neurosim.simulators import engine
 
 OWN = """
@@ -101,7 +102,8 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
 
     def driven(cores):
         shares.clear()
-        monkeypatch.setattr(engine, "get_num_threads", lambda: cores)
+        for module in (engine, threads.numba):
+            monkeypatch.setattr(module, "get_num_threads", lambda: cores)
         return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, outcomes=301).poses
 
     alone = driven(1)

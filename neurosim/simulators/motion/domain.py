@@ -12,8 +12,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 from numpy.typing import NDArray
+
+from neurosim.base.threads import on_cores
 
 #: Commands may leave the ranges by this share of their width, or by that of so many rows, whichever
 #: is more: the largest that was recorded is not quite the largest that was meant.
@@ -161,7 +163,6 @@ def _shape_of(columns: int, timed: int) -> NDArray[np.int64]:
     return shape
 
 
-@njit(cache=True, nogil=True, parallel=True)
 def _nearest(points: NDArray, rows: NDArray, timed: int, stretch: NDArray) -> NDArray:
     """Return how far each point [N, C] is from the nearest row [M, C].
 
@@ -170,11 +171,30 @@ def _nearest(points: NDArray, rows: NDArray, timed: int, stretch: NDArray) -> ND
         timed: the column in which longer rows are not away at all, or -1.
         stretch: [N] where points are the rows: those of the own stretch do not count; else empty.
     """
-    found = np.empty(len(points))
-    for n in prange(len(points)):
+    distances = np.empty(len(points))
+
+    def part(first: int, last: int) -> None:
+        own = points[first:last], stretch[first:last]
+        _measure(*own, rows, stretch, timed, distances[first:last])
+
+    on_cores(_measure, part, len(points))
+    return distances
+
+
+@njit(cache=True, nogil=True)
+def _measure(
+    points: NDArray,
+    own: NDArray,
+    rows: NDArray,
+    stretch: NDArray,
+    timed: int,
+    distances: NDArray,
+) -> None:
+    """Write the distances [N] of :func:`_nearest`; ``own`` are the stretches of the points."""
+    for n in range(len(points)):
         nearest = np.inf
         for m in range(len(rows)):
-            if len(stretch) > 0 and stretch[n] == stretch[m]:
+            if len(own) > 0 and own[n] == stretch[m]:
                 continue
             away = 0.0
             for c in range(rows.shape[1]):
@@ -182,8 +202,7 @@ def _nearest(points: NDArray, rows: NDArray, timed: int, stretch: NDArray) -> ND
                 if c != timed or off > 0.0:
                     away += off * off
             nearest = min(nearest, away)
-        found[n] = math.sqrt(nearest)
-    return found
+        distances[n] = math.sqrt(nearest)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"nsz", "contract"})
