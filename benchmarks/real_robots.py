@@ -1,0 +1,461 @@
+"""How well real robots are learned from logs of their drives, beside peers on the same windows.
+
+    python benchmarks/real_robots.py [--robots dart,asphalt] [--quick] [--seed 0] [--json]
+    python benchmarks/real_robots.py --peers peers.json      peers are measured once and kept there
+
+A robot is learned from the earlier part of its log, through the import of CSV files. The rest of
+the log, which shares no instant with it, is cut into windows. Each is predicted open loop, from the
+commands that were sent within it and before it. Errors are mean absolute ones of dx, dy (cm) and
+dtheta (deg) at the end of windows of 0.25, 1 and 2 s and of free runs of 5 s. Where a log is of
+drives that are shorter, the longest windows are as long as these allow. Ratios are geometric means
+over lengths and outputs, first to the single peer with the least such mean, then to the best peer
+at each length and output.
+
+Peers are those of :mod:`real_peers`. ``+u`` is on the residuals of the lagged bicycle, ``+v`` is
+given the speed measured before the window, which neither ours nor the others know; ratios are to
+peers without it, and then to all.
+
+Intervals: the percentage of windows within the central intervals of 50, 80 and 95 %, of each
+output; for each robot their mean over lengths and outputs, and by how many points those of 80 % are
+off on average.
+
+Which robots constants were chosen on: those of learning by windows on ``dart``, ``asphalt`` and
+``f1tenth``, those of their intervals on ``dart``, ``asphalt`` and ``lab 104``. ``gravel``,
+``sand``, ``utias`` and ``lab 105`` are only reported.
+
+On one idle core about a minute for ours and two for peers, for each robot. The robots' records are
+expected at ``../shared/data``. scikit-learn: pip install scikit-learn (extra ``bench``).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+import torch
+from numpy.typing import NDArray
+from real_peers import PETS_STEP, Lagged, Pets, Regressor
+from zoo_robots import ZOO
+
+from neurosim.base import files, se2
+from neurosim.simulators import MotionNetwork
+from neurosim.training.coverage import LEVELS, central
+from neurosim.training.train import learn, training_data
+from tracking.datasets.csv_files import import_csv
+from tracking.datasets.logs import Log
+
+Array = NDArray[np.float64]
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+OUTPUTS = ("dx", "dy", "dtheta")
+READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
+#: Share of a log, last in time, that is held out, and how long windows are, s.
+HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
+#: Commands are sampled in steps of this, s, from so long before a window on; windows begin so often
+#: in what is learned from, and in what is held out; and there are no more than so many.
+STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 3.0, 0.1, 0.25, 1200, 300
+#: A speed before a window is measured over this time, s.
+BEFORE = 0.1
+#: Outcomes drawn of each window.
+DRAWS = 200
+
+
+@dataclass(frozen=True)
+class Robot:
+    """What is known of a robot.
+
+    Attributes:
+        names: of its commands.
+        learned: logs to learn from.
+        held_out: logs to be judged by, with the time from which on windows may begin, s.
+    """
+
+    names: tuple[str, ...]
+    learned: list[Log]
+    held_out: list[tuple[Log, float]]
+
+
+class Cut(NamedTuple):
+    """Windows of one length.
+
+    Attributes:
+        commands: in steps, from :data:`WARM` before the window to its end, [W, K, C].
+        moved: displacement, [W, 3] m, m, rad.
+        speed: measured before the window, [W, 3] m/s, m/s, rad/s; NaN where it is not known.
+    """
+
+    commands: Array
+    moved: Array
+    speed: Array
+
+
+def log_of(name: str, moment: Array, commands: Array, poses: Array) -> Log:
+    """Return a log of one drive, without poses that repeat the one before."""
+    moment, poses = np.array(moment, float), np.array(poses, float)
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    fresh = np.append(True, (np.diff(poses, axis=0) != 0).any(1))
+    return Log(name, moment, np.array(commands, float), fresh, moment[fresh], poses[fresh])
+
+
+def in_two(log: Log) -> tuple[Log, tuple[Log, float]]:
+    """Return the earlier part of a log, and the log with the time from which on it is held out."""
+    end = log.time[0] + (1.0 - HELD_OUT) * (log.time[-1] - log.time[0])
+    early, seen = log.time <= end, log.pose_time <= end
+    part = (log.time[early], log.commands[early], log.seen[early])
+    return Log(log.name, *part, log.pose_time[seen], log.poses[seen]), (log, end)
+
+
+def of_logs(names: tuple[str, ...], logs: list[Log]) -> Robot:
+    learned, held_out = zip(*map(in_two, logs), strict=True)
+    return Robot(names, list(learned), list(held_out))
+
+
+def of_drives(names: tuple[str, ...], logs: list[Log], held_out: Callable[[int], bool]) -> Robot:
+    """Return a robot whose log is of many short drives, some of which are held out."""
+    apart = [held_out(number) for number in range(len(logs))]
+    judged = [(log, float(log.time[0])) for log, own in zip(logs, apart, strict=True) if own]
+    return Robot(names, [log for log, own in zip(logs, apart, strict=True) if not own], judged)
+
+
+def dart() -> Robot:
+    logs = []
+    for number in (1, 2):
+        table = pd.read_csv(DATA / "real" / "dart" / f"drive-{number}.csv")
+        commands = np.stack([table["throttle"] * table["safety_value"], table["steering"]], 1)
+        poses = table[["vicon x", "vicon y", "vicon yaw"]].to_numpy()
+        moment = table["vicon time"].to_numpy()
+        logs.append(log_of(str(number), moment - moment[0], commands, poses))
+    return of_logs(("throttle", "steering"), logs)
+
+
+def drive(floor: str) -> Robot:
+    table = pd.read_csv(DATA / "real" / "drive" / f"{floor}.csv")
+    names = ["cmd_left_rad_s", "cmd_right_rad_s"]
+    logs = [
+        log_of(str(key), own["time_s"], own[names], own[["x_m", "y_m", "yaw_rad"]])
+        for key, own in table.groupby("window")
+    ]
+    return of_drives(("left", "right"), logs, lambda n: n >= (1.0 - HELD_OUT) * len(logs))
+
+
+def f1tenth() -> Robot:
+    table = pd.read_csv(DATA / "real" / "f1tenth" / "drives.csv")
+    names = ["v_cmd_m_s", "steer_cmd_rad"]
+    logs = [
+        log_of(str(key), own["time_s"], own[names], own[["x_m", "y_m", "heading_rad"]])
+        for key, own in table.groupby("measurement")
+    ]
+    return of_drives(("speed", "steering"), logs, lambda n: n % 4 == 0)
+
+
+def utias() -> Robot:
+    odometry, truth = (
+        np.loadtxt(DATA / "utias" / f"Robot_{name}.dat") for name in ("Odometry", "Groundtruth")
+    )
+    truth[:, 3] = np.unwrap(truth[:, 3])
+    poses = np.stack([np.interp(odometry[:, 0], truth[:, 0], part) for part in truth[:, 1:].T], 1)
+    return of_logs(("v", "w"), [log_of("1", odometry[:, 0], odometry[:, 1:], poses)])
+
+
+def lab(name: str, seconds: float = 150.0) -> Robot:
+    """Return a robot of the virtual lab, driven as by hand: commands change ten times a second."""
+    rng, count = np.random.default_rng([int(name.split()[1]), 31]), round(10 * seconds)
+    # The mean of both motors and their difference wander; now and then the robot is let go.
+    wander = np.zeros((count, 2))
+    for n in range(1, count):
+        wander[n] = 0.93 * wander[n - 1] + rng.normal(0, (24.0, 9.0))
+    wander *= np.repeat(rng.random(count // 30 + 1) < 0.85, 30)[:count, None]
+    told = np.clip(np.stack([wander[:, 0] - wander[:, 1], wander.sum(1)], 1), -100, 100).round()
+    times = np.tile([1 / 30, 2 / 30, 0.1], (count, 1))
+    robot = ZOO[name]
+    starts, ends = robot._poses(np.column_stack([told, np.full(count, 0.1)]), times, rng, True)
+    # It is put back to the middle of the board now and then, between two commands.
+    moved, path = se2.between(starts[:, None], ends), [np.zeros((1, 3))]
+    for own in moved:
+        path.append(se2.compose(path[-1][-1], own))
+    poses = np.concatenate(path)
+    poses = poses + rng.normal(0, np.take(robot.camera, (0, 0, 1)), poses.shape)
+    commands = np.concatenate([np.repeat(told, 3, axis=0), told[-1:]])
+    return of_logs(robot.names, [log_of("1", np.arange(len(poses)) / 30, commands, poses)])
+
+
+ROBOTS: dict[str, Callable[[], Robot]] = {
+    "dart": dart,
+    "asphalt": lambda: drive("asphalt"),
+    "gravel": lambda: drive("gravel"),
+    "sand": lambda: drive("sand"),
+    "f1tenth": f1tenth,
+    "utias": utias,
+    "lab 104": lambda: lab("lab 104"),
+    "lab 105": lambda: lab("lab 105"),
+}
+
+
+def cut(logs: list[tuple[Log, float]], length: float, every: float, most: int) -> Cut:
+    """Return windows of a length (s) that begin so often (s), and are no more than ``most``."""
+    found: list[tuple[Array, Array, Array]] = []
+    offsets = (np.arange(-round(WARM / STEP), round(length / STEP)) + 0.5) * STEP
+    for log, start in logs:
+        for begin in np.arange(
+            max(start, log.pose_time[0]), log.pose_time[-1] - length + 1e-6, every
+        ):
+            place = np.searchsorted(log.time, begin + offsets + 1e-6, side="right") - 1
+            ends = log.pose_at(np.array([begin - BEFORE, begin, begin + length]))
+            known = begin - BEFORE >= log.pose_time[0]
+            speed = se2.between(ends[0], ends[1]) / BEFORE if known else np.full(3, np.nan)
+            found.append((log.commands[place.clip(0)], se2.between(ends[1], ends[2]), speed))
+    found = found[:: -(-len(found) // most)]
+    return Cut(*(np.array(part) for part in zip(*found, strict=True)))
+
+
+def lengths_of(robot: Robot) -> tuple[float, ...]:
+    """Return the lengths of windows (s), a free run last, that a robot's logs have."""
+    longest = max(log.pose_time[-1] - max(start, log.pose_time[0]) for log, start in robot.held_out)
+    longest = np.floor(longest / 0.25 + 1e-6) * 0.25
+    return tuple(dict.fromkeys(min(length, longest) for length in (*LENGTHS, FREE)))
+
+
+def learned(robot: Robot, seed: int, **settings) -> tuple[MotionNetwork, int]:
+    """Return a simulator of a robot, and how many rows it was learned from."""
+    tables = [
+        pd.DataFrame(
+            {
+                "drive": log.name,
+                "time": log.time,
+                **dict(zip(("x", "y", "heading"), log.pose_at(log.time).T, strict=True)),
+                **dict(zip(robot.names, log.commands.T, strict=True)),
+            }
+        )[log.time <= log.pose_time[-1]]
+        for log in robot.learned
+    ]
+    columns = {name: name for name in ("time", "x", "y", "heading", *robot.names)}
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "log.csv"
+        pd.concat(tables).to_csv(path, index=False)
+        rows = import_csv(path, Path(folder) / "dataset", columns=columns, session="drive")
+    return learn(training_data(rows), seed, **settings), len(rows)
+
+
+def outcomes(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
+    """Return predicted displacements [W, 3] of windows, and some drawn, [D, W, 3]."""
+    commands, warm = torch.tensor(windows.commands), round(WARM / STEP)
+    generator = torch.Generator().manual_seed(seed)
+    lasts = torch.full((len(commands), 1), STEP, dtype=torch.float64)
+    state = simulator.start(torch.zeros(len(commands), 3, dtype=torch.float64), member=-1)
+    for k in range(warm):
+        state = simulator.step(state, torch.cat([commands[:, k], lasts], 1))
+    state = simulator.over(state)  # the noise begins with the window
+    begun = state[:, :3].numpy()
+    drawn = state.repeat(draws, 1)
+    if simulator.members > 1:
+        drawn[:, -1] = simulator.draw_members(len(drawn), generator).to(drawn)
+    for k in range(warm, commands.shape[1]):
+        command = torch.cat([commands[:, k], lasts], 1)
+        state = simulator.step(state, command)
+        drawn = simulator.step(drawn, command.repeat(draws, 1), generator)
+    ends = (
+        drawn[:, :3].unflatten(0, (draws, len(commands))).numpy()
+        if draws
+        else np.zeros((0, len(begun), 3))
+    )
+    return se2.between(begun, state[:, :3].numpy()), se2.between(begun, ends)
+
+
+def off(predicted: Array, windows: Cut) -> list[float]:
+    """Return the mean absolute errors of dx, dy (cm) and dtheta (deg)."""
+    return (np.abs(predicted - windows.moved).mean(0) * READABLE).tolist()
+
+
+def held(drawn: Array, windows: Cut) -> list[list[float]]:
+    """Return percentages within the intervals of :data:`LEVELS` of each output, [3][L]."""
+    ranks = central(drawn, windows.moved)
+    return [[100.0 * float((own <= level).mean()) for level in LEVELS] for own in ranks.T]
+
+
+def measured(robot: Robot, seed: int, quick: bool) -> dict[str, dict[str, dict]]:
+    """Return of each length (as text) what peers miss, "error", and their "coverage"."""
+    warm, lengths = round(WARM / STEP), lengths_of(robot)
+    earlier = [(log, float(log.time[0])) for log in robot.learned]
+    basis = cut(earlier, 0.5, EVERY, MOST)
+    lagged = {
+        f"lagged {name}": Lagged(products, STEP, WARM).fit(basis.commands, basis.moved)
+        for name, products in (("unicycle", False), ("bicycle", True))
+    }
+    short = cut(earlier, PETS_STEP, EVERY / 2, 2 * MOST)
+    pets = Pets(STEP, warm, seed).fit(*short)
+    kinds = ("ridge", "boosting") if quick else ("ridge", "process", "boosting", "ensemble")
+    regressors: dict[float, dict[str, Regressor]] = {}
+    found: dict[str, dict[str, dict]] = {}
+    for length in lengths:
+        judged = cut(robot.held_out, length, APART, JUDGED)
+        own: dict[str, dict] = {"stands still": {"error": off(0.0 * judged.moved, judged)}}
+        for name, model in lagged.items():
+            own[name] = {"error": off(model.predict(judged.commands), judged)}
+        mean, particles = pets.predict(judged.commands, judged.speed)
+        own["PETS+v"] = {"error": off(mean, judged), "coverage": held(particles, judged)}
+        if length == lengths[-1]:
+            for name, model in regressors[1.0].items():
+                if not name.endswith("+v"):
+                    own[name] = {"error": off(_composed(model, judged), judged)}
+            found[f"{length:g}"] = own
+            continue
+        learns = cut(earlier, length, EVERY, MOST)
+        made = regressors.setdefault(length, {})
+        for kind in kinds:
+            for ending, base in (("", None), ("+u", lagged["lagged bicycle"])):
+                for speeds in (False, True):
+                    name = kind + ending + "+v" * speeds
+                    made[name] = Regressor(kind, base, speeds, warm, seed).fit(*learns)
+                    mean, error = made[name].predict(judged.commands, judged.speed)
+                    own[name] = {"error": off(mean, judged)}
+                    if error is not None:
+                        rng = np.random.default_rng(seed)
+                        drawn = mean + error * rng.standard_normal((DRAWS, *mean.shape))
+                        own[name]["coverage"] = held(drawn, judged)
+        found[f"{length:g}"] = own
+    return found
+
+
+def _composed(model: Regressor, windows: Cut) -> Array:
+    """Return the displacements [W, 3] of free runs by a regressor of windows of 1 s."""
+    second, pose = round(1.0 / STEP), np.zeros((len(windows.moved), 3))
+    warm = round(WARM / STEP)
+    for begin in range(0, windows.commands.shape[1] - warm - second + 1, second):
+        part = windows.commands[:, begin : begin + warm + second]
+        pose = se2.compose(pose, model.predict(part, windows.speed)[0])
+    return pose
+
+
+def ratios(ours: dict[str, list[float]], peers: dict[str, dict[str, dict]], speeds: bool) -> dict:
+    """Return what ours misses beside peers, of windows and of free runs (the last length).
+
+    Returns:
+        ``windows`` and ``free``, each with the best single ``peer``, the ratio ``of peer``, the
+        mean ratio ``of each`` output's and length's best peer, and the ``worst`` of these.
+    """
+    found, lengths = {}, list(ours)
+    for part, some in (("windows", lengths[:-1]), ("free", lengths[-1:])):
+        names = [
+            name
+            for name in peers[some[0]]
+            if name != "stands still" and (speeds or not name.endswith("+v"))
+        ]
+        table = np.array([[peers[length][name]["error"] for name in names] for length in some])
+        own = np.array([ours[length] for length in some])
+        logs = np.log(own[:, None] / table)  # [lengths, peers, outputs]
+        single = logs.mean((0, 2))
+        best, each = int(single.argmax()), logs.max(1)
+        found[part] = {
+            "peer": names[best],
+            "of peer": float(np.exp(single[best])),
+            "of each": float(np.exp(each.mean())),
+            "worst": float(np.exp(each.max())),
+        }
+    return found
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--robots", default=",".join(ROBOTS), help="a,b,...")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--quick", action="store_true", help="fewer peers, fewer draws")
+    parser.add_argument("--peers", type=Path, help="JSON file that keeps peers' errors")
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    names = options.robots.split(",")
+    if unknown := set(names) - set(ROBOTS):
+        parser.error(f"no robots {', '.join(unknown)}; there are {', '.join(ROBOTS)}")
+    torch.set_num_threads(1)
+    kept = json.loads(options.peers.read_text()) if options.peers and options.peers.exists() else {}
+    found: dict[str, dict] = {}
+    for name in names:
+        robot = ROBOTS[name]()
+        key = f"{name}, seed {options.seed}, {'quick' if options.quick else 'full'}"
+        if key not in kept:
+            kept[key] = measured(robot, options.seed, options.quick)
+            if options.peers:
+                files.write_text(options.peers, json.dumps(kept))
+        began = time.monotonic()
+        simulator, count = learned(robot, options.seed)
+        seconds = time.monotonic() - began
+        ours: dict[str, dict] = {}
+        for length in lengths_of(robot):
+            judged = cut(robot.held_out, length, APART, JUDGED)
+            draws = DRAWS // 4 if options.quick else DRAWS
+            mean, drawn = outcomes(simulator, judged, draws, options.seed)
+            ours[f"{length:g}"] = {
+                "windows": len(judged.moved),
+                "error": off(mean, judged),
+                "coverage": held(drawn, judged),
+            }
+        errors = {length: own["error"] for length, own in ours.items()}
+        found[name] = {
+            "rows": count,
+            "seconds": round(seconds, 1),
+            "ours": ours,
+            "peers": kept[key],
+            "ratios": ratios(errors, kept[key], False),
+            "ratios, speeds known": ratios(errors, kept[key], True),
+        }
+        if not options.json:
+            print(words(name, found[name]), flush=True)
+    if options.json:
+        print(json.dumps(found))
+    elif len(found) > 1:
+        print(summary(found))
+
+
+def words(name: str, found: dict) -> str:
+    """Return a robot's table for a person."""
+    lines = [f"{name}: {found['rows']} rows, learned in {found['seconds']:g} s"]
+    for length, own in found["ours"].items():
+        peers = found["peers"][length]
+        lines.append(
+            f"  {length} s, {own['windows']} windows" + " " * 9 + "dx cm  dy cm dtheta deg"
+        )
+        ordered = {"ours": own, **peers}
+        for label, one in ordered.items():
+            cells = "".join(f"{value:8.2f}" for value in one["error"])
+            if "coverage" in one:
+                shares = ("/".join(f"{c:.0f}" for c in output) for output in one["coverage"])
+                cells += "   holds " + ", ".join(shares)
+            lines.append(f"    {label:18s}{cells}")
+    return "\n".join(lines)
+
+
+def summary(found: dict[str, dict]) -> str:
+    """Return the table of all robots: ratios, and how far intervals are off."""
+    lines = [
+        "",
+        "ratio to the best single peer, to the best at each output, the worst of these",
+        f"{'':10s}{'windows':>21s}{'free runs':>21s}{'windows, +v too':>21s}"
+        f"{'intervals hold':>18s}{'80 off':>8s}",
+    ]
+    for name, one in found.items():
+        cells = ""
+        for kind, part in (
+            ("ratios", "windows"),
+            ("ratios", "free"),
+            ("ratios, speeds known", "windows"),
+        ):
+            own = one[kind][part]
+            cells += f"{own['of peer']:9.2f}{own['of each']:6.2f}{own['worst']:6.2f}"
+        coverage = np.array([own["coverage"] for own in one["ours"].values()])
+        mean = "/".join(f"{value:.0f}" for value in coverage.mean((0, 1)))
+        apart = np.abs(coverage[..., LEVELS.index(0.8)] - 80.0).mean()
+        lines.append(f"{name:10s}{cells}{mean:>18s}{apart:8.1f}")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
