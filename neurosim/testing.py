@@ -25,8 +25,7 @@ from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, Tracked, Trajectory
 from neurosim.controllers.base import Controller
 from neurosim.controllers.network import Network
-from neurosim.controllers.plan import COMMAND_NAMES, Plan
-from neurosim.controllers.registry import CONTROLLERS
+from neurosim.controllers.registry import CONTROLLERS, make_controller
 from neurosim.evolution.climb import resumable
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.evolution.space import SearchSpace
@@ -335,8 +334,9 @@ def _check_rollouts(
 
 def _families(simulator: Simulator, steps: int) -> Iterator[tuple[Controller, Episode]]:
     episode = Episode(0.1, steps, 0.3)
-    if tuple(simulator.command_names) == COMMAND_NAMES:
-        yield Plan(slots=max(steps // 2, 1), durations=(0.2, 0.6)), episode
+    plan = make_controller("plan", simulator, slots=max(steps // 2, 1), durations=(0.2, 0.6))
+    if tuple(plan.outputs) == tuple(simulator.command_names):
+        yield plan, episode
     outputs = tuple(name for name in simulator.command_names if name != "duration")
     inputs = (*simulator.reading_names, "x", "sin_heading", "time")
     yield Network(inputs, (3,), outputs, 40.0), episode

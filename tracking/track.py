@@ -42,7 +42,7 @@ def track(
     markers: Mapping[str, Any] | None = None,
     partial: bool = False,
     live: Mapping[int, Track] | None = None,
-    sync: str = "flash",
+    sync: str | None = None,
     doubtful: bool = False,
 ) -> dict[str, Any]:
     """Track a recording: poses.csv and tracking.json into its folder.
@@ -66,7 +66,7 @@ def track(
         live: what was seen while it was recorded, by session; the videos of these sessions are
             not looked at again.
         sync: what ties the camera's clock to the robot's: the lamp's ``flash``, or ``motion``,
-            the robot's answers to its commands.
+            the robot's answers to its commands. None: the lamp, if it was ever switched on.
         doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
     Returns:
@@ -82,6 +82,8 @@ def track(
     geometry = marker_geometry(markers, camera)
     names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
     lines = list(source.commands().itertuples())
+    if sync is None:
+        sync = "flash" if any(line.kind == "lamp-on" for line in lines) else "motion"
     parts: list[Poses] = []
     tracks: list[tuple[str | Path, Track]] = []
     sessions = []

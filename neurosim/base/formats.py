@@ -36,9 +36,10 @@ Walls = Annotated[
 ]
 #: A pose, or where the robot was not seen.
 Seen = tuple[float | None, float | None, float | None]
-#: A command of a plan: speeds in percent, a duration in s.
-Speed = Annotated[float, Meta(ge=-100, le=100)]
-Command = tuple[Speed, Speed, Annotated[float, Meta(gt=0, le=3600)]]
+#: A command: its numbers in the robot's units, and behind them, in a plan, a duration in s.
+CommandRow = Annotated[
+    list[Annotated[float, Meta(ge=-1e6, le=1e6)]], Meta(min_length=2, max_length=64)
+]
 #: Of a picture, and of a camera.
 Pixels = Annotated[int, Meta(ge=1, le=10**6)]
 Triple = tuple[float, float, float]
@@ -619,7 +620,7 @@ class Controller(Format):
     evolution: Evolution
     start: FarPose | None = None
     settings: dict[str, Any] | None = None
-    commands: list[Command | None] | None = None
+    commands: list[CommandRow | None] | None = None
 
 
 class Known(Format):
@@ -684,7 +685,8 @@ class Trial(Format):
     virtual: bool
     controller: Source
     task: Named
-    commands: list[Triple]
+    columns: list[Column]
+    commands: list[CommandRow]
     predicted: Outcome
     actual: Actual
     errors: list[TrialError | None]

@@ -41,10 +41,8 @@ from neurosim.cli._types import PATH, PIXEL, Option, ranged
 @click.option(
     "--sync",
     type=click.Choice(["flash", "motion"]),
-    default="flash",
-    show_default=True,
     help="What aligns the camera's clock with the robot's: the lamp, or the robot's answers to its "
-    "commands.",
+    "commands.  [default: the lamp, if it was switched on]",
 )
 @click.option(
     "--click",
@@ -74,7 +72,7 @@ def track(
     overlay: Path | None,
     videos: tuple[Path, ...],
     partial: bool,
-    sync: str,
+    sync: str | None,
     clicks: tuple[tuple[float, float], ...],
     doubtful: bool,
     out: Path | None,

@@ -18,10 +18,12 @@ from numpy.typing import NDArray
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.controllers.base import Controller
-from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan, commands_of
+from neurosim.controllers.plan import COMMAND_NAMES, Command, FixedPlan, Plan, commands_of
 from neurosim.controllers.registry import CONTROLLERS
 
 FORMAT, VERSION = "neurosim-controller", 1
+#: No command of a plan lasts longer, s.
+LONGEST = 3600.0
 _PARTS = ("task", "simulator", "predicted", "evolution")
 
 
@@ -66,8 +68,10 @@ class SavedController:
             genes: of the individual.
             others: from ``task`` on, see the class.
         """
-        if controller.kind == "plan":
-            controller, genes = FixedPlan(tuple(commands_of(controller, genes))), np.empty(0)
+        if isinstance(controller, Plan | FixedPlan):
+            names = {"names": controller.names, "units": controller.units}
+            controller = FixedPlan(tuple(commands_of(controller, genes)), **names)
+            genes = np.empty(0)
         return cls(controller, genes, *others)
 
     @property
@@ -104,7 +108,8 @@ class SavedController:
             )
         about: dict[str, Any]
         if self.commands:
-            columns = zip(COMMAND_NAMES, ("%", "%", "s"), strict=True)
+            assert isinstance(family, FixedPlan)
+            columns = zip(family.outputs, (*family.units, "s"), strict=True)
             about = {
                 "inputs": [{"name": name, "unit": unit} for name, unit in columns],
                 "commands": [None if one is None else list(one) for one in self.commands],
@@ -165,15 +170,34 @@ def read_controller(folder: str | Path) -> SavedController:
 
 
 def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
-    if tuple(entry["name"] for entry in content["inputs"]) != COMMAND_NAMES:
-        raise FileError(path, f"expected the names {', '.join(COMMAND_NAMES)}", field="inputs")
+    columns = {entry["name"]: entry.get("unit") or "1" for entry in content["inputs"]}
+    names = tuple(columns)
+    if len(names) < 2 or names[-1] != "duration" or len(names) < len(content["inputs"]):
+        expected = ", ".join(COMMAND_NAMES)
+        raise FileError(
+            path, f"expected the names of a command, such as {expected}", field="inputs"
+        )
     if "commands" not in content:
         raise FileError(path, "is missing", field="commands")
     given = (None if one is None else tuple(map(float, one)) for one in content["commands"])
-    commands: tuple[Command | None, ...] = tuple(given)  # type: ignore[arg-type]
+    commands: tuple[Command | None, ...] = tuple(given)
+    percent = [place for place, unit in enumerate(columns.values()) if unit == "%"]
+    for place, command in enumerate(commands):
+        if command is None:
+            continue
+        beyond = [command[n] for n in percent if n < len(command) and abs(command[n]) > 100]
+        if len(command) != len(names):
+            expected = f"{len(names)} numbers, found {len(command)}"
+        elif not 0 < command[-1] <= LONGEST:
+            expected = f"a number above 0, up to {LONGEST:,.0f}, found {command[-1]:g}"
+        elif beyond:
+            expected = f"a number from -100 to 100, found {beyond[0]:g}"
+        else:
+            continue
+        raise FileError(path, f"expected {expected}", field=f"commands[{place}]")
     if all(command is None for command in commands):
         raise FileError(path, "gives no command at all", field="commands")
-    return FixedPlan(commands), np.empty(0)
+    return FixedPlan(commands, names[:-1], tuple(columns.values())[:-1]), np.empty(0)
 
 
 def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:

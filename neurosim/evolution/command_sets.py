@@ -16,14 +16,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.base.threads import WORTH_SHARING, on_cores
 from neurosim.evolution.genetic import GeneticSettings
 
-GENES = 4
 #: Share of a first generation's commands that are null.
 NULL_SHARE = 0.2
 #: Key of a command that crossover leaves alone.
@@ -47,7 +46,7 @@ class PlanPopulation:
     Like :class:`neurosim.evolution.GeneticAlgorithm`, with operators that know of commands.
 
     Attributes:
-        genes: [N, P, 4 K] in 0..1, the population of each of N runs; treat as read-only.
+        genes: [N, P, G K] in 0..1, the population of each of N runs; treat as read-only.
         hints: what :meth:`tell` wants to know beside the fitness.
     """
 
@@ -62,7 +61,7 @@ class PlanPopulation:
         """Start from a first population.
 
         Args:
-            genes: [N, P, 4 K] in 0..1.
+            genes: [N, P, G K] in 0..1.
             settings: sizes and probabilities.
             seed: the same seed makes the same children.
         """
@@ -75,7 +74,7 @@ class PlanPopulation:
         self._generation = 0
 
     def ask(self) -> NDArray[np.float64]:
-        """Return the plans [N, P, 4 K] to evaluate; treat them as read-only."""
+        """Return the plans [N, P, G K] to evaluate; treat them as read-only."""
         return self.genes
 
     def state(self) -> dict[str, NDArray]:
@@ -148,30 +147,31 @@ def cross(a, b, keys_a, keys_b, eta, state):
     """Cross the commands of two plans that have the same key, in place.
 
     Args:
-        a, b: [4 K] genes of two parents; they become their children.
+        a, b: [G K] genes of two parents; they become their children.
         keys_a, keys_b: [K]; no key but NOT_PAIRED twice in a parent.
         eta: distribution index of simulated binary crossover, with which half of a pair's
             genes are crossed: see :func:`neurosim.evolution.operators.sbx`.
         state: [1] uint64 of the random generator, moved on.
     """
+    width = len(a) // len(keys_a)
     for i in range(len(keys_a)):
         for j in range(len(keys_b)):
             if keys_a[i] != keys_b[j] or keys_a[i] == NOT_PAIRED:
                 continue
-            for g in range(GENES):
+            for g in range(width):
                 if _uniform(state) < 0.5:
                     continue
                 u = _uniform(state)
                 beta = (2.0 * u if u <= 0.5 else 0.5 / (1.0 - u)) ** (1.0 / (eta + 1.0))
-                one, other = a[GENES * i + g], b[GENES * j + g]
+                one, other = a[width * i + g], b[width * j + g]
                 shift = 0.5 * (1.0 - beta) * (other - one)
-                a[GENES * i + g] = min(max(one + shift, 0.0), 1.0)
-                b[GENES * j + g] = min(max(other - shift, 0.0), 1.0)
+                a[width * i + g] = min(max(one + shift, 0.0), 1.0)
+                b[width * j + g] = min(max(other - shift, 0.0), 1.0)
             break
 
 
 @njit(cache=True)
-def mutate(genes, probability, scale, insertion, state):
+def mutate(genes, width, probability, scale, insertion, state):
     """Change each gene of a plan with ``probability``, in place.
 
     A speed or duration gets normally distributed noise or is drawn anew, one as often as the
@@ -180,14 +180,15 @@ def mutate(genes, probability, scale, insertion, state):
     plan, where the others make room: a plan that lacks a command need not have its null one there.
 
     Args:
-        genes: [4 K] in 0..1.
+        genes: [G K] in 0..1.
+        width: G, genes of a command.
         probability: chance of each gene.
         scale: standard deviation of the noise.
         insertion: 1, or 0 for null commands to come back where they are.
         state: [1] uint64 of the random generator, moved on.
     """
-    for first in range(0, len(genes), GENES):
-        for g in range(first + 1, first + GENES):
+    for first in range(0, len(genes), width):
+        for g in range(first + 1, first + width):
             if _uniform(state) < probability:
                 if _uniform(state) < 0.5:
                     genes[g] = min(max(genes[g] + scale * _normal(state), 0.0), 1.0)
@@ -197,23 +198,23 @@ def mutate(genes, probability, scale, insertion, state):
             if is_null(genes[first]):
                 place = first
                 if insertion:
-                    place = GENES * int(_uniform(state) * (len(genes) // GENES))
-                    _move(genes, first, place)
+                    place = width * int(_uniform(state) * (len(genes) // width))
+                    _move(genes, first, place, width)
                 genes[place] = _uniform(state) * (1.0 - NULL_SHARE)
-                for g in range(place + 1, place + GENES):
+                for g in range(place + 1, place + width):
                     genes[g] = _uniform(state)
             else:
                 genes[first] = 1.0 - 0.5 * NULL_SHARE * _uniform(state)
 
 
 @njit(cache=True)
-def _move(genes, source, place):
+def _move(genes, source, place, width):
     """Move the command whose genes begin at ``source`` to ``place``; those between shift."""
     if source < place:
         for g in range(source, place):
-            genes[g] = genes[g + GENES]
+            genes[g] = genes[g + width]
     for g in range(source - 1, place - 1, -1):
-        genes[g + GENES] = genes[g]
+        genes[g + width] = genes[g]
 
 
 @njit(cache=True)
@@ -249,32 +250,37 @@ def _breed(first_job, last_job, genes, keys, fitness, counts, rates, seed, child
         for child in range(2):
             place = elites + 2 * pair + child
             if place < population:
-                mutate(both[child], mutation, scale, insertion, state)
+                mutate(both[child], width // keys.shape[2], mutation, scale, insertion, state)
                 children[run, place] = both[child]
 
 
 @njit(cache=True)
-def decode(genes, max_speed, shortest, longest):
-    """Return commands [B, K, 3] (percent, percent, s) and which are given [B, K].
+def decode(genes, low, high, steps, shortest, longest):
+    """Return commands [B, K, C + 1] (their numbers, s) and which are given [B, K].
 
-    In whole percents and milliseconds, as they will be sent.
+    Rounded as they will be sent: to so many steps in a unit, and to whole milliseconds.
 
     Args:
-        genes: [B, 4 K] in 0..1: null above 1 - NULL_SHARE, left, right, duration.
-        max_speed: fastest motor speed, percent.
+        genes: [B, G K] in 0..1, G = C + 2: null above 1 - NULL_SHARE, the numbers, duration.
+        low, high: limits of each number, [C].
+        steps: in a unit of each number, [C].
         shortest, longest: limits of a command's duration, s.
     """
-    batch, count = len(genes), genes.shape[1] // GENES
-    commands = np.empty((batch, count, 3))
+    numbers = len(low)
+    width = numbers + 2
+    batch, count = len(genes), genes.shape[1] // width
+    commands = np.empty((batch, count, numbers + 1))
     given = np.empty((batch, count), np.bool_)
     for b in range(batch):
         for k in range(count):
-            part = genes[b, GENES * k : GENES * (k + 1)]
+            part = genes[b, width * k : width * (k + 1)]
             given[b, k] = not is_null(part[0])
-            for side in range(2):
-                commands[b, k, side] = np.rint((2.0 * part[1 + side] - 1.0) * max_speed)
-            duration = shortest + (longest - shortest) * part[3]
-            commands[b, k, 2] = np.rint(1000.0 * duration) / 1000.0
+            for n in range(numbers):
+                middle, half = 0.5 * (low[n] + high[n]), 0.5 * (high[n] - low[n])
+                value = middle + (2.0 * part[1 + n] - 1.0) * half
+                commands[b, k, n] = np.rint(value * steps[n]) / steps[n]
+            duration = shortest + (longest - shortest) * part[numbers + 1]
+            commands[b, k, numbers] = np.rint(1000.0 * duration) / 1000.0
     return commands, given
 
 
@@ -303,20 +309,23 @@ def pairing_keys(region, given):
     return keys
 
 
-def encode(commands, max_speed: float, durations: tuple[float, float]) -> NDArray[np.float64]:
-    """Return the genes [4 K] of a command set; undoes :func:`decode`.
+def encode(
+    commands, low: ArrayLike, high: ArrayLike, durations: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return the genes [G K] of a command set; undoes :func:`decode`.
 
     Args:
-        commands: K of (left %, right %, duration s), or None for a null command.
-        max_speed: fastest motor speed, percent.
+        commands: K of (numbers, duration s), or None for a null command.
+        low, high: limits of each number, [C].
         durations: shortest and longest command, s.
     """
-    low, high = durations
-    genes = np.full((len(commands), GENES), 1.0 - 0.5 * NULL_SHARE)
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    shortest, longest = durations
+    genes = np.full((len(commands), len(low) + 2), 1.0 - 0.5 * NULL_SHARE)
     for place, command in enumerate(commands):
         if command is not None:
-            left, right, duration = command
-            speeds = [0.5 * (speed / max_speed + 1.0) for speed in (left, right)]
-            share = (duration - low) / (high - low) if high > low else 0.0
-            genes[place] = [0.5 * (1.0 - NULL_SHARE), *speeds, share]
+            *numbers, duration = command
+            shares = (np.array(numbers) - low) / np.where(high > low, high - low, 1.0)
+            share = (duration - shortest) / (longest - shortest) if longest > shortest else 0.0
+            genes[place] = [0.5 * (1.0 - NULL_SHARE), *shares, share]
     return genes.ravel()

@@ -24,7 +24,7 @@ from neurosim.base import se2
 from neurosim.base.declared import Checked, Count, Placing, Seconds, SecondsOrNone
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Trajectory
-from neurosim.controllers.plan import Command, Plan, commands_of
+from neurosim.controllers.plan import Command, Plan, commands_of, stop_after
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.search import Search, new_optimiser
@@ -166,7 +166,7 @@ class Replanner:
             assert command is not None
             self._genes = self._of(slots[place + 1 :])
         elif self._moves or probability < DONE:
-            command = 0.0, 0.0, self._settings.settle
+            command = (*self._stop, self._settings.settle)
         else:
             return None
         after = self._stepper.step(self._state, np.array([command]), None)[0, :3]
@@ -182,7 +182,13 @@ class Replanner:
     @property
     def _moves(self) -> bool:
         """Whether the last command made the robot move."""
-        return bool(self._commands) and any(self._commands[-1][:2])
+        return bool(self._commands) and self._commands[-1][:-1] != self._stop
+
+    @property
+    def _stop(self) -> tuple[float, ...]:
+        """The numbers of a stop after the last command."""
+        last = self._commands[-1] if self._commands else [0.0] * len(self._plan.names)
+        return tuple(stop_after(last, self._plan.units))
 
     def _of(self, commands: Sequence[Command | None]) -> NDArray[np.float64]:
         """Return the genes of as many commands as there are slots, the last ones null."""
@@ -195,12 +201,12 @@ class Replanner:
             self._state = self._stepper.start(pose[None])
             self._poses.append(pose)
             return
-        left, right, duration = self._commands[-1]
+        *numbers, duration = self._commands[-1]
         ahead = min(max(ahead, 0.0), duration)
         for part in (duration - ahead, ahead):
             seen = self._state[0, :3]
             if part > 0:
-                command = np.array([[left, right, part]])
+                command = np.array([[*numbers, part]])
                 self._state = self._stepper.step(self._state, command, None)
         turned = seen[2] + se2.wrapped(pose[2] - seen[2])
         true = np.array([pose[0], pose[1], turned])
@@ -269,12 +275,12 @@ class _Onward(Evaluator):
     _record: NDArray[np.float64] | None = None
 
     def here(self, state: NDArray, poses: NDArray, commands: NDArray) -> None:
-        """Be in a state [S], after poses [K + 1, 3] and commands [K, 3]."""
+        """Be in a state [S], after poses [K + 1, 3] and commands [K, C]."""
         self._state, self._record = state, None
         if len(commands):
             record = self.task.new_record(poses[:1])
             for pose, command in zip(poses[1:, None], commands[:, None], strict=True):
-                self.task.add(record, Interval(pose, command[:, 2], commands=command))
+                self.task.add(record, Interval(pose, command[:, -1], commands=command))
             self._record = record[0]
 
     def scored(self, trajectory: Trajectory) -> Judgement:

@@ -223,15 +223,12 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
     try:
         seen = {number: seen_live(recording, number, model) for number in sessions}
         live = {number: one for number, one in seen.items() if one}
-        # Without a lamp the motion alone joins the clocks.
-        flashed = "lamp-on" in set(recording.commands()["kind"])
-        sync = "flash" if flashed else "motion"
         try:
-            summary = track(recording.path, live=live, sync=sync)
+            summary = track(recording.path, live=live)
         except UserError:
             if not live:
                 raise
-            summary = track(recording.path, sync=sync)
+            summary = track(recording.path)
         if doubtful := describe_doubtful(summary):
             say(doubtful)
     except UserError as error:

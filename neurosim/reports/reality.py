@@ -231,20 +231,25 @@ def _late(trial: Trial) -> str:
 
 
 def _commands(trials: Sequence[Trial]) -> list[Block]:
-    head = [
-        "command", "left (%)", "right (%)", "duration (s)", "predicted x, y (m)",
-        "predicted heading (deg)", "actual x, y (m)", "actual heading (deg)", "error (cm)",
-        "heading error (deg)",
-    ]  # fmt: skip
     tables: list[Block] = []
     for trial in [trial for trial in trials if trial.by_command][:MOST_DRAWN]:
+        columns = trial.meta["columns"]
+        head = [
+            "command", *(f"{one['name']} ({one['unit']})" for one in columns),
+            "predicted x, y (m)", "predicted heading (deg)", "actual x, y (m)",
+            "actual heading (deg)", "error (cm)", "heading error (deg)",
+        ]  # fmt: skip
         rows = []
         poses = zip(trial.predicted[1:], trial.meta["actual"]["poses"][1:], strict=True)
         both = zip(trial.meta["commands"], poses, trial.errors, strict=False)
         for number, (command, (predicted, actual), error) in enumerate(both, start=1):
             rows.append(
                 [
-                    str(number), f"{command[0]:.1f}", f"{command[1]:.1f}", f"{command[2]:.2f}",
+                    str(number),
+                    *(
+                        f"{value:.1f}" if one["unit"] == "%" else f"{value:.2f}"
+                        for value, one in zip(command, columns, strict=False)
+                    ),
                     *_pose(predicted), *_pose(actual, predicted[2]),
                     *("not seen" if math.isnan(error[0]) else text for text in (
                         f"{100 * error[0]:.1f}", f"{math.degrees(error[1]):.1f}",
@@ -262,7 +267,12 @@ def _rest(trial: Trial) -> list[list[str]]:
     predicted, actual = (trial.meta[part].get("rest") for part in ("predicted", "actual"))
     if predicted is None:
         return []
-    row = ["at rest", "", "", "", *_pose(predicted), *_pose(actual, predicted[2])]
+    row = [
+        "at rest",
+        *("" for _ in trial.meta["columns"]),
+        *_pose(predicted),
+        *_pose(actual, predicted[2]),
+    ]
     if actual is None:
         return [[*row, "not seen", "not seen"]]
     away = 100 * math.dist(actual[:2], predicted[:2])

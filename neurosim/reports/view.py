@@ -21,7 +21,6 @@ from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import FixedPlan, SavedController, read_controller
-from neurosim.controllers.plan import COMMAND_NAMES
 from neurosim.loop.evaluate import Evaluator, with_contacts
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.reports.artefacts import task_of
@@ -320,14 +319,16 @@ def _path(
     commands, active = saved.controller.commands(saved.genes[None], 0.0)
     given = commands[0][active[0]]
     ends = np.flatnonzero(active[0]) + 1
-    if tuple(saved.controller.outputs) == COMMAND_NAMES and not noise:
-        parts = np.maximum(np.ceil(given[:, 2] / _PIECE - 1e-9), 1).astype(int)
+    if isinstance(saved.controller, FixedPlan) and not noise:
+        parts = np.maximum(np.ceil(given[:, -1] / _PIECE - 1e-9), 1).astype(int)
         pieces = [
-            (left, right, duration / count)
-            for (left, right, duration), count in zip(given.tolist(), parts.tolist(), strict=True)
+            (*numbers, duration / count)
+            for (*numbers, duration), count in zip(given.tolist(), parts.tolist(), strict=True)
             for _ in range(count)
         ]
-        cut = replace(saved, controller=FixedPlan(tuple(pieces)), genes=np.empty(0))
+        cut = replace(
+            saved, controller=replace(saved.controller, slots=tuple(pieces)), genes=np.empty(0)
+        )
         fine = _drive(simulator, cut, episode, poses[0], None).poses
         assert fine is not None
         if np.abs(fine[0, 0, np.cumsum(parts)] - poses[ends]).max() < _SAME:

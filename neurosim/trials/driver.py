@@ -213,6 +213,17 @@ def missing(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
             f"{', '.join(takes.names)}"
         )
+    elif saved.controller.blind and tuple(columns) != takes.names:
+        found.append(
+            f"the plan has its numbers in another order ({', '.join(columns)}) than this robot "
+            f"({kind}): {', '.join(takes.names)}"
+        )
+    else:
+        try:
+            for command in plan_of(saved):
+                takes.check(command.numbers)
+        except UserError as error:
+            found.append(f"this robot ({kind}) does not take a command of the plan: {error}")
     goals = [name for name in saved.controller.inputs if name in OF_GOALS]
     if goals and task.episode.goals is None:
         found.append(

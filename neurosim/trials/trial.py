@@ -168,6 +168,10 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
         "simulator": dict(saved.simulator) or None,
         "virtual": bool(is_virtual(recording.meta)),
         "task": dict(saved.task),
+        "columns": [
+            *({"name": one.name, "unit": one.unit} for one in recording.takes.numbers),
+            {"name": "duration", "unit": "s"},
+        ],
         "commands": [[*line.numbers, line.duration] for line in driven.sent],
         "start": {"planned": list(saved.start), "actual": actual[0]},
         "predicted": {

@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -68,14 +68,18 @@ def same(read, written):
         ({"version": 9}, "field 'version': this neurosim reads version 1, found 9"),
         ({"kind": "oracle"}, "field 'kind': expected one of plan, .*, found 'oracle'"),
         ({"kind": "network"}, "field 'settings': is missing"),
-        ({"inputs": [{"name": "v"}]}, "field 'inputs': expected the names left, right, duration"),
+        (
+            {"inputs": [{"name": "v"}, {"name": "w"}]},
+            "field 'inputs': expected the names of a command, such as left",
+        ),
         ({"commands": "none"}, "field 'commands': expected a list"),
         ({"commands": [None, None]}, "gives no command at all"),
-        ({"commands": [[1, 2]]}, r"field 'commands\[0\]"),
+        ({"commands": [[1]]}, r"field 'commands\[0\]'"),
+        ({"commands": [[1, 2]]}, r"field 'commands\[0\]': expected 3 numbers, found 2"),
         ({"commands": [None, [1, "2", 3]]}, r"field 'commands\[1\]"),
         ({"commands": [[101, 0, 1]]}, "a number from -100 to 100, found 101"),
         ({"commands": [[10, 0, 0]]}, "a number above 0, up to 3,600, found 0"),
-        ({"commands": [[10, 0, 1e7]]}, "a number above 0, up to 3,600, found 1"),
+        ({"commands": [[10, 0, 1e5]]}, "a number above 0, up to 3,600, found 1"),
         ({"commands": [[10, 0, 1]]}, r"field 'predicted.poses': expected 2 poses"),
         ({"start": [0, 0, True]}, r"field 'start\[2\]': expected a number"),
         ({"task": {}}, r"field 'task\.name'"),
@@ -271,3 +275,39 @@ def test_a_plan_is_the_genes_that_it_is_encoded_in():
     assert active[0].tolist() == [True, False, True, False]
     assert found[0, [0, 2]].tolist() == [list(commands[0]), list(commands[2])]
     assert found[0, 3].tolist() == [0.0, 0.0, 0.5]
+
+
+CAR = {"names": ("speed", "steer"), "units": ("m/s", "rad"), "limits": ((-0.1, 0.3), (-0.4, 0.4))}
+
+
+def test_a_plan_of_a_car_has_its_numbers_and_holds_its_steering_when_it_stops(tmp_path):
+    family = Plan(slots=3, **CAR)
+    assert family.outputs == ("speed", "steer", "duration")
+    commands = ((0.3, -0.4, 1.25), (-0.0512, 0.1234, 3.0), None)
+    genes = family.encode(commands)
+    found, active = family.commands(genes[None], 0.5)
+    assert active[0].tolist() == [True, True, False, False]
+    assert found[0, :2].tolist() == [pytest.approx(one) for one in commands[:2]]
+    assert found[0, 3].tolist() == [0.0, 0.1234, 0.5]
+    extremes = family.commands(np.random.default_rng(1).integers(0, 2, (50, 12)) * 1.0, 0.0)[0]
+    assert np.unique(extremes[..., 0]).tolist() == [-0.1, 0.3]
+    nothing = family.commands(family.encode([None] * 3)[None], 0.5)[0]
+    assert nothing[0, 3].tolist() == [0.0, 0.0, 0.5]
+    predicted = {
+        "poses": [[0.0] * 3] * 3, "rest": [0.0] * 3, "fitness": 1.0, "completes": False,
+    }  # fmt: skip
+    saved = SavedController.of(family, genes, {"name": "go-to", "settings": {}}, (0, 0, 0))
+    replace(saved, predicted=predicted).write(tmp_path / "plan")
+    content = json.loads((tmp_path / "plan" / "controller.json").read_text())
+    assert [tuple(one.values()) for one in content["inputs"]] == [
+        ("speed", "m/s"), ("steer", "rad"), ("duration", "s"),
+    ]  # fmt: skip
+    read = read_controller(tmp_path / "plan")
+    assert read.controller == saved.controller
+    assert (read.controller.names, read.controller.units) == (CAR["names"], CAR["units"])
+    content["commands"][1] = [0.1, 3.0]
+    (tmp_path / "plan" / "controller.json").write_text(json.dumps(content))
+    with pytest.raises(FileError, match=r"'commands\[1\]': expected 3 numbers, found 2"):
+        read_controller(tmp_path / "plan")
+    with pytest.raises(UserError, match=r"2 numbers \(speed, steer\): give a unit and limits"):
+        Plan(**{**CAR, "limits": ((0.0, 1.0),)})

@@ -74,7 +74,7 @@ def test_mutation_hits_its_share_and_null_commands_come_back_new():
     old = np.random.default_rng(0).random((8000, 4))
     new, rng = old.copy(), state(1)
     for genes in new:
-        breeding.mutate(genes, 0.1, 0.1, 1, rng)
+        breeding.mutate(genes, 4, 0.1, 0.1, 1, rng)
     assert ((new >= 0) & (new <= 1)).all()
     old, new = old[:, None], new[:, None]
     was, now = breeding.is_null(old[..., 0]), breeding.is_null(new[..., 0])
@@ -85,7 +85,7 @@ def test_mutation_hits_its_share_and_null_commands_come_back_new():
     assert (old[stayed][:, 0] == new[stayed][:, 0]).all()
     assert (old[stayed][:, 1:] != new[stayed][:, 1:]).mean() == pytest.approx(0.1, abs=0.015)
     same = old[0, 0].copy()
-    breeding.mutate(same, 0.0, 0.1, 1, rng)
+    breeding.mutate(same, 4, 0.0, 0.1, 1, rng)
     assert np.array_equal(same, old[0, 0])
 
 
@@ -94,7 +94,7 @@ def test_mutation_hits_its_share_and_null_commands_come_back_new():
 )
 def test_commands_make_room_for_one_that_comes_back(source, place, expected):
     genes = np.repeat(np.arange(4.0), 4)
-    breeding._move(genes, 4 * source, 4 * place)
+    breeding._move(genes, 4 * source, 4 * place, 4)
     assert genes.reshape(4, 4)[:, 0].tolist() == list(expected)  # what is at place is drawn anew
 
 
@@ -140,7 +140,20 @@ def test_the_same_seed_breeds_the_same_children():
 
 def test_commands_survive_encoding():
     plan = [(50.0, -50.0, 0.5), None, (3.0, -17.0, 2.345), (0.0, 0.0, 3.0)]
-    commands, given_ = decode(encode(plan, 50.0, (0.5, 3.0))[None], 50.0, 0.5, 3.0)
+    low, high = np.full(2, -50.0), np.full(2, 50.0)
+    genes = encode(plan, low, high, (0.5, 3.0))
+    commands, given_ = decode(genes[None], low, high, np.ones(2), 0.5, 3.0)
     assert given_[0].tolist() == [True, False, True, True]
+    for found, expected in zip(commands[0], plan, strict=True):
+        assert expected is None or found == pytest.approx(expected)
+
+
+def test_commands_of_three_numbers_survive_encoding():
+    plan = [(0.3, -0.1234, 2.0, 0.5), None, (-0.3, 0.2, -1.5, 2.0)]
+    low, high = np.array([-0.3, -0.2, -2.0]), np.array([0.3, 0.2, 2.0])
+    genes = encode(plan, low, high, (0.5, 3.0))
+    assert genes.shape == (15,)
+    commands, given_ = decode(genes[None], low, high, np.full(3, 1e4), 0.5, 3.0)
+    assert given_[0].tolist() == [True, False, True]
     for found, expected in zip(commands[0], plan, strict=True):
         assert expected is None or found == pytest.approx(expected)

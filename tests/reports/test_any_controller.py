@@ -14,7 +14,7 @@ from khepera_data import made_up
 from matplotlib.axes import Axes
 from matplotlib.image import imread
 from matplotlib.patches import Wedge
-from report_artefacts import make_trial
+from report_artefacts import COLUMNS, make_trial
 from report_page import Page
 
 from neurosim.base import files
@@ -165,6 +165,7 @@ def seeing_trial(folder, **changes):
     content = {
         "kind": "network", "controller": {"path": "c", "sha256": "ab" * 32}, "simulator": None,
         "virtual": True, "task": {"name": "go-to", "settings": {}},
+        "columns": COLUMNS,
         "commands": [[40.0, 30.0, 0.1]] * 20,
         "start": {"planned": [0, 0, 0], "actual": poses[0]},
         "predicted": {"poses": None, "rest": None, "fitness": 1.5, "completes": None},
@@ -227,7 +228,7 @@ def test_a_robot_that_nobody_saw(tmp_path):
         ("task", {"name": 3}, r"'task\.name': expected text, found 3"),
         ("task", {"name": "go-to", "settings": {"goals": []}}, r"'task\.settings'"),
         ("task", {"name": "go-to", "settings": {"colour": 1}}, r"'task\.settings'.*colour"),
-        ("commands", [[1, 2]], r"'commands\[0\]': expected a list of 3 numbers"),
+        ("commands", [["1", 2]], r"'commands\[0\]\[0\]'.*a number from .*, found '1'"),
         (
             "predicted",
             {"poses": [[1, 2]]},

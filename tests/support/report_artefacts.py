@@ -12,6 +12,12 @@ from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.files import write_motion
 from tracking.datasets import dataset
 
+#: Of a plan of two wheels, as trial.json names them.
+COLUMNS = [
+    {"name": "left", "unit": "%"},
+    {"name": "right", "unit": "%"},
+    {"name": "duration", "unit": "s"},
+]
 INPUTS = [{"name": name, "unit": unit} for name, unit in dataset.MOTOR_INPUTS.items()]
 
 #: A plan around the course, as displacements in the robot's frame: it stands, drives and turns.
@@ -179,6 +185,7 @@ def make_trial(
             "simulator": {"path": "sim", "sha256": "ef" * 32},
             "virtual": virtual,
             "task": TASK,
+            "columns": COLUMNS,
             "commands": [[40.0 + k, 40.0, 2.0] for k in range(len(LEGS))],
             "plan_length": len(LEGS),
             "start": {"planned": list(START), "actual": [START[0] + 0.01, START[1], START[2]]},

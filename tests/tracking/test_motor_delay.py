@@ -81,6 +81,29 @@ def test_the_clock_is_found_without_a_flash(offset, drift, seed):
     assert fit.flashes == ()
 
 
+@settings(max_examples=8, deadline=None)
+@given(st.floats(-1000, 1000), st.integers(0, 10**6))
+def test_the_clock_of_a_drive_in_closed_loop_is_found(offset, seed):
+    """Ten commands a second, each little different from the one before."""
+    rng = np.random.default_rng(seed)
+    steps = np.arange(100)
+    turn = 12 * np.sin(0.09 * steps + rng.uniform(0, 6)) + 6 * np.sin(0.31 * steps)
+    ahead = 30 - np.abs(turn)
+    pairs = zip(3.0 + 0.1 * steps, ahead - turn, ahead + turn, strict=True)
+    lines = [*(MotorLine(*one) for one in pairs), MotorLine(13.0, 0.0, 0.0)]
+    robot, poses = drive(lines, 0.0, seed)
+    fit = fit_clock_to_motion(robot - offset, poses, lines)
+    assert abs(fit.offset - offset) < 0.02
+    assert 0 < fit.sd < 0.03
+
+
+def test_long_commands_that_differ_little_are_no_two_places():
+    ahead_turn = [(45, -35), (49, -17), (49, -8), (48, -43), (48, -39), (40, -22), (46, 10), (0, 0)]
+    lines = [MotorLine(3.0 + 2.8 * k, v - w, v + w) for k, (v, w) in enumerate(ahead_turn)]
+    times, poses = drive(lines, 0.0, 3)
+    assert abs(fit_clock_to_motion(times, poses, lines).offset) < 0.01
+
+
 @pytest.mark.parametrize(("off", "says"), [(0.1, "100 ms later"), (-3.0, "3000 ms earlier")])
 def test_flashes_that_are_mistaken_are_noticed(off, says):
     lines = commands(30, 7)
@@ -102,7 +125,7 @@ def test_motion_that_does_not_follow_the_commands():
     with pytest.raises(UserError, match="does not follow the commands"):
         fit_clock_to_motion(times, poses, commands(30, 2))
     with pytest.raises(UserError, match="too few"):
-        fit_clock_to_motion(times, poses, commands(2, 1))
+        fit_clock_to_motion(times, poses, commands(1, 1))
     with pytest.raises(UserError, match="too few"):
         fit_clock_to_motion(times, np.full_like(poses, np.nan), commands(30, 1))
 

@@ -201,7 +201,7 @@ def flash_not_filmed(recording):
         (other_size, r"320 x 240 pixels, the calibration was made at 640 x 480"),
         (no_board, "has no points on the board"),
         (empty_scene, "nothing pink and nothing blue was found in any frame"),
-        (no_flash, "video-002.mkv: the lamp was never switched on"),
+        (no_flash, "video-002.mkv: the clock cannot be found from the motion: 2 commands"),
         (flash_not_filmed, "video-002.mkv: no flash found"),
     ],
 )

@@ -30,6 +30,8 @@ TEMPLATE = 120.0
 #: The motion agrees with the commands at least so well (a correlation), and no second place in
 #: the video does so to this share of the best.
 LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
+#: The clock needs so many changes of speed: a start, a stop, and one between them.
+LEAST_CHANGES = 3
 #: Answers are put together over this long before the next ones are predicted from them, s.
 STRETCH = 60.0
 #: Flashes and motion may differ by this, s: a radio takes some of it.
@@ -55,7 +57,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
     """
     times, signals = signals_of(times, poses)
     changes = changes_of(lines)
-    if len(times) < 10 or len(changes) < FEWEST:
+    if len(times) < 10 or len(changes) < LEAST_CHANGES:
         raise UserError(
             f"the clock cannot be found from the motion: {len(changes)} commands and {len(times)} "
             "frames in which the robot was found are too few"
@@ -143,7 +145,7 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
     if agreement[best] < LEAST_AGREEMENT:
         raise UserError(_NO_MOTION)
     shifts = first - (times[0] + step * (np.arange(len(agreement)) - length + 1))
-    others = np.where(np.abs(shifts - shifts[best]) > 1.0, agreement, 0.0)
+    others = np.where(_beyond(agreement, best), agreement, 0.0)
     if others.max() > AMBIGUOUS * agreement[best]:
         rival = int(others.argmax())
         raise UserError(
@@ -152,6 +154,22 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
             "record with the lamp, or cut the video"
         )
     return float(shifts[best])
+
+
+def _beyond(agreement: NDArray, best: int) -> NDArray[np.bool_]:
+    """Return where [N] a place in the video is not on the flanks of the best one.
+
+    Long commands that differ little have long flanks. They end at a valley, from where it goes up
+    again by a tenth of the best.
+    """
+    beyond = np.ones(len(agreement), np.bool_)
+    rise = 0.1 * agreement[best]
+    for direction in (1, -1):
+        side = agreement[best::direction]
+        up = np.flatnonzero(side > np.minimum.accumulate(side) + rise)
+        end = int(up[0]) if len(up) else len(side)
+        beyond[best::direction][: int(side[:end].argmin()) + 1] = False
+    return beyond
 
 
 def follows_commands(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLine]) -> bool:

@@ -8,14 +8,16 @@ instant of a command are therefore
 
 with a, b, c of each command's own and d and T shared. a, b and c are linear and drop out
 (variable projection, Golub and Pereyra 1973), d and T are searched on a grid over all commands
-together. The spread of d comes from leaving out one command after the other (the jackknife),
-not from the residuals, which are far from independent.
+together. Commands that follow each other too fast for that, as those of a controller in closed
+loop, are answered by sums of such g: there windows of the path take the place of single commands,
+with one c for all changes in a window. The spread of d comes from leaving out one command (or
+window) after the other (the jackknife), not from the residuals, which are far from independent.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -27,8 +29,10 @@ BEFORE, AFTER = 0.2, 0.45
 #: A change of the forward or of the turning speed below this (percent) is no
 #: event; one command must last this long (s) for the next one's answer to be told from its own.
 LEAST_CHANGE, LEAST_DURATION = 8.0, 0.45
-#: Fewer answers than this fix no delay.
-FEWEST = 5
+#: Length of a window where commands follow each other faster, s.
+WINDOW = 1.2
+#: Fewer answers than this fix no delay; windows, each of many commands.
+FEWEST, FEWEST_WINDOWS = 5, 3
 #: Dead times that are tried, s, and motor lags.
 REACH, STEP = 0.15, 0.002
 LAGS = tuple(0.02 * i for i in range(1, 16))
@@ -66,10 +70,14 @@ class Delay:
 
 @dataclass(frozen=True)
 class Answers:
-    """Misfits [K, D, T] of K answers at every dead time and lag; their times [K]."""
+    """Misfits [K, D, T] of K answers at every dead time and lag; their times [K].
+
+    Fewer than ``fewest`` fix no delay.
+    """
 
     misfit: NDArray
     times: NDArray
+    fewest: int = FEWEST
 
 
 def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine]) -> Delay | None:
@@ -120,47 +128,104 @@ def changes_of(lines: Iterable[MotorLine]) -> NDArray:
 
 def answers_to(times: NDArray, signals: NDArray, changes: NDArray) -> Answers | None:
     """Return the misfit of every answer that is seen, over dead times and lags."""
-    if len(times) < 2:
+    if len(times) < 2 or not len(changes):
         return None
+    found, fewest = [*_single(times, signals, changes)], FEWEST
+    if len(found) < fewest:
+        found, fewest = [*_in_windows(times, signals, changes)], FEWEST_WINDOWS
+    if not found:
+        return None
+    when, misfits = zip(*found, strict=True)
+    return Answers(np.array(misfits), np.array(when), fewest)
+
+
+def _single(
+    times: NDArray, signals: NDArray, changes: NDArray
+) -> Iterator[tuple[float, NDArray[np.float64]]]:
+    """Give time and misfit [D, T] of the answer to every change that has room."""
     interval = float(np.median(np.diff(times)))
-    delays = np.arange(-REACH, REACH + STEP / 2, STEP)
-    misfits, when = [], []
+    delays, lags = np.arange(-REACH, REACH + STEP / 2, STEP), np.array(LAGS)
     for time, *sizes, room in changes:
         if room < LEAST_DURATION:
             continue
         rows = slice(*np.searchsorted(times, [time - BEFORE, time + AFTER]))
         around = times[rows] - time
-        # A dropped frame or two do no harm; a robot that is out of sight does.
-        expected = (BEFORE + AFTER) / interval
-        if len(around) < max(6, 0.7 * expected) or np.diff(around).max() > 0.25 * BEFORE + AFTER:
+        if not _seen_in(around, BEFORE + AFTER, interval):
             continue
-        line = np.linalg.qr(np.column_stack([np.ones_like(around), around]))[0]
-        late = around - delays[:, None]
+        late = (around - delays[:, None])[..., None]
+        shape = np.where(late > 0, late - lags * -np.expm1(-np.maximum(late, 0) / lags), 0)
         for signal, size in enumerate(sizes):
-            if abs(size) < LEAST_CHANGE:
-                continue
-            seen = signals[rows, signal]
-            rest = seen - line @ (line.T @ seen)
-            total = float(rest @ rest)
-            misfit = np.empty((len(delays), len(LAGS)))
-            for i, lag in enumerate(LAGS):
-                shape = np.where(late > 0, late - lag * -np.expm1(-np.maximum(late, 0) / lag), 0)
-                shape = shape - (shape @ line) @ line.T
-                power = np.maximum((shape**2).sum(axis=1), 1e-12)
-                misfit[:, i] = total - (shape @ rest) ** 2 / power
-            # In units of the signal that there was to explain, so that a small one counts less.
-            noise = max(misfit.min() / max(len(around) - 5, 1), 1e-12)
-            misfits.append(misfit / noise)
-            when.append(time)
-    if not misfits:
-        return None
-    return Answers(np.array(misfits), np.array(when))
+            if abs(size) >= LEAST_CHANGE:
+                yield time, _misfit(around, signals[rows, signal], shape)
+
+
+def _in_windows(
+    times: NDArray, signals: NDArray, changes: NDArray
+) -> Iterator[tuple[float, NDArray[np.float64]]]:
+    """Give time and misfit [D, T] of the answers to all changes in every window of the path."""
+    interval = float(np.median(np.diff(times)))
+    begin, end = changes[0, 0] - BEFORE, changes[-1, 0] + AFTER
+    reach = round(REACH / STEP)
+    grid = begin + STEP * np.arange(-reach - 1, math.ceil((end - begin) / STEP) + reach + 2)
+    told = np.zeros((len(grid), 2))
+    np.add.at(told, np.searchsorted(grid, changes[:, 0]), changes[:, 1:3])
+    told = np.cumsum(told, axis=0)
+    keep = np.exp(-STEP / np.array(LAGS))[:, None]
+    speeds = np.zeros((len(grid), len(LAGS), 2))
+    for i in range(1, len(grid)):
+        speeds[i] = told[i - 1] + (speeds[i - 1] - told[i - 1]) * keep
+    paths = np.cumsum(speeds, axis=0) * STEP
+    for number in range(max(int((end - begin) / WINDOW), 1)):
+        first = begin + number * WINDOW
+        rows = slice(*np.searchsorted(times, [first, first + WINDOW]))
+        around = times[rows] - first
+        if not _seen_in(around, WINDOW, interval):
+            continue
+        # Dead times are whole steps of the grid; a frame lies between two of its points.
+        place = (times[rows] - grid[0]) / STEP
+        below = place.astype(int)
+        at = below - np.arange(-reach, reach + 1)[:, None]
+        part = (place - below)[:, None]
+        inside = (grid >= first) & (grid <= first + WINDOW)
+        for signal in range(2):
+            if np.ptp(told[inside, signal]) >= LEAST_CHANGE:
+                path = paths[..., signal]
+                shape = path[at] * (1.0 - part) + path[at + 1] * part
+                yield first + WINDOW / 2, _misfit(around, signals[rows, signal], shape)
+
+
+def _seen_in(around: NDArray, length: float, interval: float) -> bool:
+    """Return whether frames cover so long a time, s.
+
+    A dropped frame or two do no harm; a robot that is out of sight does.
+    """
+    if len(around) < max(6, 0.7 * length / interval):
+        return False
+    return bool(np.diff(around).max() <= 0.25 * BEFORE + AFTER)
+
+
+def _misfit(around: NDArray, seen: NDArray, shape: NDArray) -> NDArray[np.float64]:
+    """Return what a straight line and a multiple of a shape leave of a signal, [D, T].
+
+    Args:
+        around: times [N] of the signal, s.
+        seen: the signal [N].
+        shape: of its answer, [D, N, T].
+    """
+    line = np.linalg.qr(np.column_stack([np.ones_like(around), around]))[0]
+    rest = seen - line @ (line.T @ seen)
+    shape = shape - np.einsum("nk,dkt->dnt", line, np.einsum("nk,dnt->dkt", line, shape))
+    power = np.maximum((shape**2).sum(axis=1), 1e-12)
+    misfit = float(rest @ rest) - np.einsum("n,dnt->dt", rest, shape) ** 2 / power
+    # In units of the signal that there was to explain, so that a small one counts less.
+    noise = max(misfit.min() / max(len(around) - 5, 1), 1e-12)
+    return misfit / noise
 
 
 def delay_of(answers: Answers) -> Delay | None:
     """Return dead time and lag of all answers together, or None where they are too few."""
     count = len(answers.misfit)
-    if count < FEWEST:
+    if count < answers.fewest:
         return None
     total = answers.misfit.sum(axis=0)
     delay, lag = _least(total)

@@ -1,0 +1,140 @@
+"""A model car and an omnidirectional base are driven by plans, replanned plans and networks."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurosim.base import se2
+from neurosim.base.errors import UserError
+from neurosim.controllers import FixedPlan, Network, SavedController, make_controller
+from neurosim.lab import VirtualLinesRig, read_truth
+from neurosim.lab.lines.planar import KINDS
+from neurosim.loop.evolve import evolve
+from neurosim.loop.replan import ReplanSettings
+from neurosim.loop.settings import EvolveSettings
+from neurosim.recording.record import Guard, Rig
+from neurosim.simulators.base import Simulator
+from neurosim.tasks.go_to import GoTo
+from neurosim.trials.driver import missing
+from neurosim.trials.trial import run_trial
+from tracking.camera.camera_model import CameraModel
+from tracking.track import track
+
+SIZE = (320, 240)
+QUICK = EvolveSettings(generations=40, runs=1)
+pytestmark = pytest.mark.slow
+
+
+class Ideal(Simulator):
+    """A robot of the lab that does at once what it is commanded."""
+
+    state_names = ("x", "y", "theta")
+
+    def __init__(self, takes):
+        self.takes = takes
+        self.command_names = (*takes.names, "duration")
+        self.inputs = [{"name": one.name, "unit": one.unit} for one in takes.numbers]
+
+    @property
+    def domain(self):
+        # Slowly: the robot is not as quick as this simulator.
+        shares = (0.4 if one.speed else 1.0 for one in self.takes.numbers)
+        pairs = zip(self.takes.numbers, shares, strict=True)
+        return {one.name: (share * one.low, share * one.high) for one, share in pairs}
+
+    def start(self, pose, generator=None):
+        return pose
+
+    def step(self, state, command, generator=None):
+        command = command.numpy()
+        moved = se2.exp(self.takes.twist(command[:, :-1]) * command[:, -1:])
+        return torch.from_numpy(se2.compose(state.numpy(), moved))
+
+
+def drive(kind, folder, controller, **options):
+    """Return what trial.json says, and how far off its path was, m and rad (RMS)."""
+    with VirtualLinesRig(2, kind=kind, noise_seed=4, camera_size=SIZE) as rig:
+        optics = rig.camera.optics
+        CameraModel(
+            SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        ).write(folder / "calibration.json")
+        rig.robot.connect()
+        report = run_trial(
+            controller, folder / "trial", Rig.of_lab(rig), track=track,
+            calibration=folder / "calibration.json", guard=Guard("ignore"), **options,
+        )  # fmt: skip
+    truth, path = read_truth(folder / "trial"), np.array(report["actual"]["path"])
+    off = path[:, 1:] - truth.pose_at(path[:, 0])
+    off[:, 2] = se2.wrapped(off[:, 2])
+    return report, np.sqrt((off**2).mean(axis=0))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_plan_that_was_evolved_drives_it(kind, tmp_path):
+    sim, task = Ideal(KINDS[kind]), GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.1)
+    family = make_controller("plan", sim, task, slots=5)
+    (saved,) = evolve(sim, task, family, settings=QUICK, seed=1, out=tmp_path / "plan")
+    report, off = drive(kind, tmp_path, tmp_path / "plan")
+    assert [one["name"] for one in report["columns"]] == [*KINDS[kind].names, "duration"]
+    assert report["commands"] == [pytest.approx(one) for one in saved.given]
+    assert report["ended_early"] is False
+    # The robot is not ideal, and where it was is known for all that: also without a lamp.
+    last = report["errors"][-1]
+    assert 0.005 < last["position"] < 0.25
+    assert (off < (0.006, 0.006, 0.03)).all()
+
+
+def test_a_replanned_plan_ends_where_it_should(tmp_path):
+    sim, task = (
+        Ideal(KINDS["omni"]),
+        GoTo(goals=((0.5, 0.25, 0.5),), tolerance=0.02, heading_tolerance=0.05),
+    )
+    first = ((0.2, 0.1, 0.2, 2.0), None, None, None)
+    plan = FixedPlan(first, KINDS["omni"].names, ("m/s", "m/s", "rad/s"))
+    predicted = {
+        "poses": [[0.0, 0.0, 0.0], [0.36, 0.18, 0.3]], "rest": [0.36, 0.18, 0.3], "fitness": 0.5,
+        "completes": False,
+    }  # fmt: skip
+    saved = SavedController(plan, np.empty(0), task.describe(), (0.0, 0.0, 0.0), predicted)
+    saved.write(tmp_path / "plan")
+    settings = ReplanSettings(generations=15, draws=4)
+    report, _ = drive("omni", tmp_path, tmp_path / "plan", replan=(sim, settings))
+    assert report["replanned"] is True
+    assert len(report["commands"]) > 2
+    assert report["actual"]["completes"] is True
+    away = np.array(report["actual"]["rest"]) - task.goals[0]
+    assert np.hypot(*away[:2]) < task.tolerance
+
+
+def test_a_network_in_closed_loop_drives_a_car_without_a_lamp(tmp_path):
+    task = GoTo(goals=((1.5, 0.0, 0.0),), seconds=6.0)
+    names = KINDS["car"].names
+    # Steers back to the line y = 0.2 from below it.
+    weights = [[0.0, 0.0, 1.0], [-2.5, -1.5, 0.4]]
+    family = Network(("y", "sin_heading"), (), names, (0.35, 0.45))
+    genes = np.ravel(np.array(weights, float))
+    SavedController(family, genes, task.describe(), (0.0, 0.0, 0.0), {"fitness": 1.0}).write(
+        tmp_path / "network"
+    )
+    report, off = drive("car", tmp_path, tmp_path / "network")
+    path = np.array(report["actual"]["path"])
+    assert path[-1, 1] > 0.8
+    assert path[-1, 2] == pytest.approx(0.16, abs=0.06)
+    assert (off < (0.015, 0.01, 0.04)).all()
+
+
+def test_a_plan_that_the_robot_does_not_take_is_refused_before_it_moves():
+    task, omni = GoTo(), KINDS["omni"]
+    units = tuple(one.unit for one in omni.numbers)
+
+    def lacks(command, names):
+        plan = FixedPlan((command,), names, units)
+        with VirtualLinesRig(1, kind="omni", camera=False) as rig, rig.robot as robot:
+            return missing(SavedController(plan, np.empty(0), {}), robot, None, task)
+
+    assert "vx: 0.5 is beyond its limits" in lacks((0.5, 0.0, 0.0, 1.0), omni.names)[0]
+    assert "in another order (vy, vx, omega)" in lacks((0.1,) * 4, ("vy", "vx", "omega"))[0]
+    assert "driven by vx, vy, omega" in lacks((0.1,) * 4, ("a", "b", "c"))[0]
+    with pytest.raises(UserError, match="takes vx, vy, omega, duration"):
+        plan = make_controller("plan")
+        evolve(Ideal(omni), task, plan, settings=QUICK)
