@@ -116,7 +116,7 @@ def register(what: str, name: str, item: Any = None) -> Any:
     if what not in _REGISTRIES:
         from neurosim.base.errors import UserError
 
-        raise UserError(f"{what!r} cannot be registered; what can: {', '.join(_REGISTRIES)}")
+        raise UserError(f"{what!r} cannot be registered; choose one of: {', '.join(_REGISTRIES)}")
     module, attribute = _REGISTRIES[what]
     return getattr(import_module(module), attribute).register(name, item)
 

@@ -165,7 +165,7 @@ def _check_sensors(robot: Any) -> None:
     names = tuple(robot.sensor_names)
     _require(len(set(names)) == len(names), f"sensor_names must differ, not {names}")
     clash = sorted(set(names) & set(NOT_READINGS))
-    _require(not clash, f"{clash} are what controllers are told of pose, goal and time, no sensors")
+    _require(not clash, f"{clash} are inputs of pose, goal and time, not sensors")
     readings = robot.read_sensors()
     _require(
         tuple(readings) == names,
@@ -233,7 +233,7 @@ def _check_names(simulator: Simulator) -> None:
         f"there must be a command, a duration at its end, not {names}",
     )
     unknown = sorted(set(simulator.domain) - set(names))
-    _require(not unknown, f"domain has limits of {unknown}, which are no commands ({names})")
+    _require(not unknown, f"domain has limits of {unknown}, which are not commands ({names})")
     for name, (low, high) in simulator.domain.items():
         _require(low <= high, f"domain[{name!r}] must be lowest and highest, not {low}, {high}")
     _require(simulator.members >= 1, f"members must be at least 1, not {simulator.members}")
@@ -385,7 +385,7 @@ def _check_blind(controller: Controller, genes: NDArray[np.float64]) -> None:
             stop = commands[:, -1]
             _require(
                 not active[:, -1].any() and not stop[:, :-1].any() and (stop[:, -1] == rest).all(),
-                "with a rest, the last command is the stop for so long, and not active",
+                "with a rest, the last command is a stop of this duration, and not active",
             )
         for row in range(_ROWS):
             alone, _ = controller.commands(genes[row : row + 1], rest)
@@ -542,7 +542,7 @@ def check_optimiser(make: Callable[[SearchSpace], Any]) -> None:
     resumed.load(kept)
     _require(
         all(np.array_equal(genes, generation(resumed)) for genes in expected),
-        "what is resumed must go on as if it had not been interrupted",
+        "a resumed search must continue as if it had not been interrupted",
     )
 
 

@@ -118,7 +118,7 @@ def follow(
             sighting = tracker.update(frame, time)
             if clicks is not None and tracker.found is None:
                 raise UserError(
-                    f"{path}: no pair of markers is where was clicked in the first frame; click on "
+                    f"{path}: no pair of markers is at the clicks in the first frame; click on "
                     "the front marker and on the rear marker of one robot"
                 )
             rows.append((index, time, *_row(sighting)))
@@ -162,5 +162,5 @@ def _not_found(
     return (
         f"{path}: no {colours[0].name} and {colours[1].name} marker were found together in any "
         "frame; are these the markers' colours"
-        + (", and are their distance and size as they were said to be?" if known else "?")
+        + (", and are their distance and size as given?" if known else "?")
     )

@@ -42,7 +42,7 @@ class PageSettings(Checked):
 
     Attributes:
         colours: of the front and of the rear marker.
-        diameter: of a marker's coloured disc, m.
+        diameter: Diameter of a marker's coloured disc, m.
         square: side of a square of the chessboard, m.
         pattern: inner corners of the chessboard.
         paper: size of the sheet.

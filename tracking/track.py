@@ -212,8 +212,8 @@ def track_video(
     over_board = camera is not None and camera.has_board
     if height is not None and not over_board:
         raise UserError(
-            "a height over the board is of use only with a calibration that says where the camera "
-            "is over the board; leave it out, or name such a calibration"
+            "a height over the board needs a calibration with points on the board; leave it out, "
+            "or name such a calibration"
         )
     if height is None:
         height = float((markers or {}).get("height") or 0.0)
@@ -308,7 +308,7 @@ def _check_whole(path: str | Path, frames: int, missing: int) -> None:
     if missing > 0:
         raise UserError(
             f"{path} ends after {frames} of {frames + missing} frames: it was cut short after it "
-            "was recorded; restore it, or use what there is of it with --partial"
+            "was recorded; restore it, or use the existing part with --partial"
         )
 
 
@@ -325,7 +325,7 @@ def _check_times(source: Recording, session: int, count: int) -> None:
     raise FileError(
         times,
         f"has {count} rows of session {session}, but {path.name} has {frames} frames: it was cut "
-        "short after it was recorded; restore it, or use what there is of it with --partial",
+        "short after it was recorded; restore it, or use the existing part with --partial",
     )
 
 

@@ -29,12 +29,13 @@ class BackToRealitySettings(Checked):
         generations: Generations of the first L1.
         later_generations: Generations of each later L1; 0: as many as of the first.
         genetic: the genetic algorithm of L1; others take its population size.
-        spread: Spread of the first population in L1, as a share of the ranges; not of ga.
+        spread: Spread of the first population in L1, as a fraction of the ranges; not for ga.
         sets: Number of parameter sets of the simulator; controllers are evolved over all of them.
             The paper has 1.
-        prior: Standard deviation of the first random parameter sets around the simulator as it is,
-            as a share of the ranges.
-        caution: Over several sets fitness is the mean minus this many standard deviations.
+        prior: Standard deviation of the first random parameter sets around the given simulator, as
+            a fraction of the ranges.
+        caution: Number of standard deviations that are subtracted from the mean fitness over
+            several sets.
         candidates: Number of L1's best controllers that are tried in reality in each cycle.
         adapt: Optimiser that adapts the simulator (L3): as search, or none.
         adapt_generations: Generations of L3.
@@ -44,13 +45,13 @@ class BackToRealitySettings(Checked):
             best, failures last, as in the paper; recent: the last ones that were tried, failures
             included, and the best one; tracked: as recent, but there is no L3 unless reality
             tracked the robot.
-        policy_steps: Number of steps of the policy gradient in reality (L2); the policy that it
-            came to is tried as well. 0: no L2. The paper goes on until it converges.
+        policy_steps: Number of steps of the policy gradient in reality (L2); the last policy is
+            tried too. 0: no L2. The paper goes on until it converges.
         policy: the policy gradient.
         confirm: Number of evaluations after which the best controller is accepted; 1: at once.
-        finalists: With confirm, the most evaluations that are spent on this after each round.
+        finalists: Most evaluations for confirming after each round.
         trials: Trials in reality of one evaluation.
-        budget: Most evaluations in reality; 0: no limit.
+        budget: Largest number of evaluations in reality; 0: no limit.
     """
 
     cycles: Count = 1

@@ -68,8 +68,8 @@ class Checkpoint:
         """
         if self._settings.exists():
             raise UserError(
-                f"{self.folder} holds an interrupted {self._what}; "
-                "go on with it (--resume), or remove it yourself"
+                f"{self.folder} has an interrupted {self._what}: continue it (--resume), or "
+                "remove the folder yourself"
             )
         files.make_folder(self.folder)
         self._state.unlink(missing_ok=True)
@@ -106,7 +106,9 @@ class Checkpoint:
             FileError: if the checkpoint is damaged.
         """
         if not self._settings.exists():
-            raise UserError(f"there is no interrupted {self._what} at {self.folder}; start it anew")
+            raise UserError(
+                f"there is no interrupted {self._what} at {self.folder}; start it without --resume"
+            )
         begun = files.read_json(self._settings, FORMAT, VERSION, formats.Checkpoint)["settings"]
         settings = json.loads(json.dumps(dict(settings)))  # a tuple comes back as a list
         if (wrong := _difference(begun, settings)) is not None:
@@ -131,7 +133,7 @@ class Checkpoint:
     def damaged(self) -> FileError:
         """Return the error to raise where the saved state does not fit its settings."""
         return FileError(
-            self._state, f"is not the state of this {self._what}; remove its folder and start anew"
+            self._state, f"is not the state of this {self._what}; remove its folder and start again"
         )
 
     def remove(self) -> None:

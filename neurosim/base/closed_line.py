@@ -37,7 +37,7 @@ class ClosedLine:
         """
         found = np.ascontiguousarray(points, np.float64)
         if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3:
-            raise UserError("a closed line takes three or more points, x and y (m) of each")
+            raise UserError("a closed line needs at least three points, each with x and y (m)")
         if not np.isfinite(found).all() or np.abs(found).max() > 1e3:
             raise UserError("the points of a closed line must be finite, and within 1000 m")
         sides = np.linalg.norm(np.roll(found, -1, axis=0) - found, axis=1)
@@ -77,7 +77,10 @@ class ClosedLine:
         if shape == "points":
             return cls(points)
         if not (0 < length < 1e3 and 0 < width < 1e3):
-            raise UserError(f"a line of {length:g} m by {width:g} m is none")
+            raise UserError(
+                f"a closed line needs a length and a width above 0 m, not {length:g} m by "
+                f"{width:g} m"
+            )
         if shape == "ellipse":
             count = max(math.ceil(math.pi * (length + width) / 2 / _PIECE), 8)
             turn = 2 * np.pi * np.arange(count) / count

@@ -69,14 +69,14 @@ class Commands:
             raise ValueError(f"a command has numbers of different names, not {names}")
         wrong = [name for name in names if not name.isidentifier() or name in RESERVED]
         if wrong:
-            raise ValueError(f"{wrong[0]!r} cannot be the name of a command's number")
+            raise ValueError(f"{wrong[0]!r} cannot be the name of a number of a command")
         suits = {
             "wheels": len(names) == 2,
             "car": [one.unit for one in self.numbers] == ["m/s", "rad"],
             "twist": set(names) <= set(_TWIST),
         }
         if not suits.get(self.body, True):
-            raise ValueError(f"these numbers are not those of the body {self.body}: {names}")
+            raise ValueError(f"the body {self.body} does not have these numbers: {names}")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -178,7 +178,8 @@ class Commands:
                 found[..., _TWIST[name]] = given[..., place]
         else:
             raise UserError(
-                "this robot does not say how it moves by its commands: let it say its body"
+                "this robot does not give its body, so its motion cannot be computed: name a "
+                "body in its commands"
             )
         return found
 

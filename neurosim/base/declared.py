@@ -283,7 +283,7 @@ def _mismatch(value: Any, kind: Any, message: str, path: str) -> Mismatch:
         field = field if isinstance(key, str) else f"{field.removesuffix(str(key))}[{key}]"
     named = re.search(r"(?:missing required|unknown) field `(.+)`", message)
     if named:
-        what = "is missing" if "missing" in message else "is no field here"
+        what = "is missing" if "missing" in message else "is not a field here"
         return Mismatch(f"{field}.{named[1]}".lstrip("."), what)
     if not re.match("Expected|Invalid", message):  # what a dataclass itself says of its fields
         return Mismatch(field, message)

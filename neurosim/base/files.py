@@ -124,7 +124,7 @@ def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
     flags = {"ab": os.O_APPEND, "wb": 0, "xb": os.O_EXCL}[mode] | os.O_WRONLY | os.O_CREAT
     flags |= getattr(os, "O_NOFOLLOW", 0) | getattr(os, "O_NONBLOCK", 0)
     flags |= getattr(os, "O_BINARY", 0)
-    stay = "what is written here must stay here: put a plain file in its place, or remove it"
+    stay = "files must be written in this folder: replace it by a plain file, or remove it"
     if path.is_symlink():
         raise UserError(f"{path} is a link to {os.readlink(path)}, and {stay}")
     _refuse_device(path, "a file")
@@ -208,7 +208,7 @@ def make_folder(path: Path) -> None:
     """
     for folder in (path, *path.parents):
         if folder.is_file():
-            raise UserError(f"{folder} is a file; name a folder, or a place in one")
+            raise UserError(f"{folder} is a file; name a folder")
     path.mkdir(parents=True, exist_ok=True)
 
 
@@ -250,7 +250,8 @@ def locked(folder: str | Path, doing: str) -> Iterator[None]:
         with suppress(OSError):  # Windows lets nobody else read it
             holder = path.read_text(encoding="utf-8", errors="replace")[:512].strip()
         raise UserError(
-            f"{folder} is being {doing} by {holder or 'another process'}: wait for that, or end it"
+            f"{folder} is being {doing} by {holder or 'another process'}: wait until it ends, or "
+            "end it"
         ) from None
     try:
         with suppress(PermissionError), open_own(path, "wb") as file:
@@ -305,8 +306,8 @@ def check_no_links(folder: str | Path) -> None:
     for path in sorted(Path(folder).rglob("*")):
         if path.is_symlink():
             raise UserError(
-                f"{path} is a link to {os.readlink(path)}, and what is written here must stay "
-                "here: put the file itself in its place, or remove it"
+                f"{path} is a link to {os.readlink(path)}, and files must be written inside this "
+                "folder: replace the link by the file itself, or remove it"
             )
 
 
@@ -409,7 +410,7 @@ def _json_integer(text: str) -> int:
 def _json_number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"{text[:20]} is no number that a file can hold")
+        raise ValueError(f"{text[:20]} cannot be written as a number")
     return value
 
 
@@ -418,7 +419,7 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(found) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
-        raise ValueError(f"the key {twice!r:.40} stands twice in one object")
+        raise ValueError(f"the key {twice!r:.40} appears twice in one object")
     return found
 
 
@@ -645,9 +646,9 @@ def table_of_lines(
             return pd.DataFrame(columns=names, dtype=object)
         table = pd.read_csv(io.StringIO("\n".join(lines.values())), **options)
     except (pd.errors.ParserError, csv.Error) as error:
-        raise FileError(path, f"is no CSV ({error})") from None
+        raise FileError(path, f"is not a CSV file ({error})") from None
     if table.shape != (len(lines), len(names)):
-        raise FileError(path, "is no CSV: a quotation mark is not closed on its line")
+        raise FileError(path, "is not a CSV file: a quotation mark is not closed on its line")
     table.columns, table.index = pd.Index(names), pd.Index(lines, name="line")
     return table
 

@@ -112,8 +112,8 @@ def end_now(number: int) -> None:
 
 #: What a program says that was interrupted.
 INTERRUPTED = (
-    "neurosim: interrupted; what was written so far can be read; where there is a checkpoint, "
-    "re-run with --resume to continue"
+    "neurosim: interrupted; complete files can be read; if there is a checkpoint, run the "
+    "command again with --resume"
 )
 
 

@@ -78,7 +78,7 @@ class Registry:
         point = self._points().get(name)
         if point is None:
             raise UserError(
-                f"there is no {self.what} {name!r}; there is {', '.join(self.names()) or 'none'}"
+                f"there is no {self.what} {name!r}; choose from {', '.join(self.names()) or 'none'}"
             )
         try:
             return point.load()

@@ -24,7 +24,7 @@ seed_option = click.option(
     "--seed", type=ranged(Seed), default=0, show_default=True, help="Random seed."
 )
 resume_option = click.option(
-    "--resume", is_flag=True, help="Continue what was interrupted, with its options."
+    "--resume", is_flag=True, help="Continue an interrupted run, with its options."
 )
 #: What a colour can be called; the tests hold it to what the tracker knows.
 COLOUR_NAMES = (
@@ -50,7 +50,7 @@ placing_option = click.option(
     type=(Real(MetresOrNone, "mm"), Real(Turn, "degrees")),
     default=("3", "0.5"),
     show_default=True,
-    help="How exactly the robot is put down: standard deviations, mm and degrees.",
+    help="Error in placing the robot: standard deviations of position and heading, mm and degrees.",
 )
 
 
@@ -59,8 +59,10 @@ at_line_option = click.option(
     type=click.Choice(["end", "ignore"]),
     default="end",
     show_default=True,
-    help="What a drive does where a light sensor meets a line or the robot reaches the board's "
-    "edge: it ends, on the robot and in the simulator alike, or the guard ignores them.",
+    help=(
+        "End of a drive if a light sensor meets a line or the robot reaches the board's edge: "
+        "end it, on the robot and in the simulator, or ignore both."
+    ),
 )
 
 
@@ -87,8 +89,8 @@ def warn_unsupported(share: float) -> None:
     """
     if share > MOST_UNSUPPORTED:
         click.echo(
-            f"neurosim: {100 * share:.0f} % of the commands (by time) are unlike any that the "
-            "simulator learned from; record some there: neurosim record --guided",
+            f"neurosim: {100 * share:.0f} % of the commands (by time) are unlike any in the "
+            "simulator's data; record such commands: neurosim record --guided",
             err=True,
         )
 

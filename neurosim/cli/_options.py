@@ -432,8 +432,8 @@ class SettingsCommand(click.Command):
             if not ctx.default_map:
                 raise
             raise UserError(
-                f"the options that this was begun with cannot be read ({error}): give them again, "
-                "or begin anew"
+                f"the options of the first start cannot be read ({error}): give them again, or "
+                "start in a new folder"
             ) from None
         given = {each.name: each for each in self.get_params(ctx) if _is_set(ctx, each.name)}
         state.given = {
@@ -470,8 +470,8 @@ class SettingsCommand(click.Command):
                     name = first.params[group.chooser]
                 elif kept_name and group.outside(kept_name):
                     raise UserError(
-                        f"this was begun with {group.option} {kept_name}: give that and its "
-                        "options again, for --resume takes from a file nothing that opens a device"
+                        f"this was started with {group.option} {kept_name}: give it and its "
+                        "options again, because --resume does not open devices from a file"
                     )
                 else:
                     name = kept_name or group.default_name(state.chosen)

@@ -69,13 +69,20 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
     def add(function: Callable) -> Callable:
         for option in (
             calibration_option("The calibration.json of --camera."),
-            click.option("--camera", help="Films a real robot: a number, or what OpenCV opens."),
+            click.option(
+                "--camera",
+                help=(
+                    "Camera that films a real robot: a number, a file, or a URL that OpenCV opens."
+                ),
+            ),
             choice_options(
                 "--reality",
                 "neurosim.trials.realities:NAMED",
                 default=default,
-                help=f"{help} One of the lab, by-hand (a person types what came out), or a robot "
-                "by the name of its driver.",
+                help=(
+                    f"{help} One of the lab, by-hand (a person types the fitness), or a robot by "
+                    "the name of its driver."
+                ),
                 skip=("controller", "task", "simulator"),  # which it is given
                 outside=_may_be_real,
             ),
@@ -91,7 +98,7 @@ patience_option = click.option(
     type=ranged(Seconds),
     default=600.0,
     show_default=True,
-    help="A trial in reality that takes longer is given up, s.",
+    help="Longest time of a trial in reality, s.",
 )
 
 

@@ -68,8 +68,10 @@ def _settings(chosen: Chosen) -> Any:
 @click.option(
     "--start",
     type=PATH,
-    help="What to start from: a controller's folder, or a JSON file of its parameters.  "
-    "[default: what was tuned by hand]",
+    help=(
+        "First controller: its folder, or a JSON file of its parameters.  [default: the "
+        "hand-tuned one]"
+    ),
 )
 @choice_options(
     "--settings",
@@ -121,11 +123,11 @@ def back_to_reality(
 ) -> None:
     """Adapt a controller and a simulator to each other by trials in reality.
 
-    Controllers are evolved in the simulator (L1), tried in reality, and the simulator's parameters
-    are changed until it gives what reality gave (L3); the best controller may be improved further
-    in reality (L2); then evolution continues in the adapted simulator (Zagal, Ruiz-del-Solar and
-    Vallejos 2004). Without more options L3 needs a reality that tracks the robot, and there is no
-    L2. Every trial is on the disk before it is used; --resume continues an interrupted run.
+    Controllers are evolved in the simulator (L1) and tried in reality. The simulator's parameters
+    are changed until it agrees with reality (L3). The best controller may be improved further in
+    reality (L2). Then evolution continues in the adapted simulator (Zagal, Ruiz-del-Solar and
+    Vallejos 2004). By default L3 needs a reality that tracks the robot, and there is no L2. Every
+    trial is on the disk before it is used; --resume continues an interrupted run.
     """
     from neurosim.back_to_reality.run import back_to_reality as run
     from neurosim.back_to_reality.run import start_genes

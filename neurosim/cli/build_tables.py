@@ -27,9 +27,9 @@ def build_tables(
 ) -> None:
     """Make a look-up-table simulator of SAMPLES: .sample files of a wall and of a cylinder.
 
-    A file's name says which: it contains wall or cylinder. Several files of one object are
-    repeats, from which sensor noise is estimated. How late the robot answers is read from the
-    sampling.json beside the motor samples.
+    A file's name contains wall or cylinder. Several files of one object are repeats, from which
+    sensor noise is estimated. The robot's delays are read from the sampling.json next to the motor
+    samples.
     """
     from neurosim.sampling import build_tables as build_tables_
 

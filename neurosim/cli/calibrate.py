@@ -21,7 +21,7 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, PIXELS, Numbers, Option, R
     "--dictionary",
     default="4X4_50",
     show_default=True,
-    help="That of a ChArUco board's markers.",
+    help="ArUco dictionary of a ChArUco board's markers.",
 )
 @click.option(
     "-o", "--out", type=PATH, default=Path("calibration.json"), show_default=True, help="The file."
@@ -60,8 +60,10 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, PIXELS, Numbers, Option, R
     cls=Option,
     type=PIXEL,
     nargs=4,
-    help="Without a chessboard: the pixels of the board's four corners in a photograph, clockwise "
-    "from the top left one as seen.",
+    help=(
+        "Without a chessboard: pixels of the board's four corners in a photograph, clockwise "
+        "from the top left corner."
+    ),
 )
 @click.option(
     "--board",
@@ -86,7 +88,7 @@ def calibrate(
     """Learn the camera from PHOTOGRAPHS of a chessboard: files, a folder of them, or a video.
 
     Without marked points the lens alone is learned, and poses stay in pixels. With --corners one
-    photograph of the board is enough; its lens is taken to be a usual one.
+    photograph of the board is enough; a usual lens is assumed.
     """
     from tracking.camera.calibrate import calibrate as calibrate_
     from tracking.camera.calibrate import from_corners
@@ -95,7 +97,7 @@ def calibrate(
     if points is not None and given:
         raise UserError("give the marked points with --points or with --point, not with both")
     if corners is None and board is not None:
-        raise UserError("--board goes with --corners: name the pixels of the board's corners, too")
+        raise UserError("--board needs --corners: give the pixels of the board's corners")
     source = photographs[0] if len(photographs) == 1 else list(photographs)
     if corners is None:
         model = calibrate_(
@@ -120,8 +122,8 @@ def calibrate(
         click.echo(describe_left_out(each), err=True)
     if model.uncertainty is None:
         click.echo(
-            f"{model.photographs} photographs are too few, or too much alike, to say how uncertain "
-            f"this is: take at least {FEWEST_PHOTOGRAPHS + 1}, better 20, with the chessboard "
+            f"{model.photographs} photographs are too few or too similar to estimate the "
+            f"uncertainty: take at least {FEWEST_PHOTOGRAPHS + 1}, better 20, with the chessboard "
             "tilted in several directions and over the whole image",
             err=True,
         )

@@ -15,13 +15,17 @@ _MARKS = {"good": "good ", "wrong": "WRONG", "unknown": "?    "}
 
 @click.command("check-robot", cls=SettingsCommand)
 @robot_option
-@click.option("--ask", is_flag=True, help="Ask what the robot did where nothing counts its wheels.")
+@click.option(
+    "--ask",
+    is_flag=True,
+    help="Ask a person about the robot's motion if it has no wheel counters.",
+)
 @json_option
 def check_robot(robot: str, robot_options: dict[str, Any], ask: bool, as_json: bool) -> None:
     """Try a robot: how fast it answers, whether it stops by itself, which way it drives.
 
-    It drives for moments at 30 % of its limits: let it stand free. Each finding is a sentence; of
-    what is wrong it says what to do. The exit status is 1 if something is wrong.
+    The robot drives shortly at 30 % of its limits: give it free space. Each result is one sentence;
+    an error includes what to do. The exit code is 1 if something is wrong.
     """
     from neurosim.robots.check import check
     from neurosim.trials.rig import Setup, open_rig

@@ -72,42 +72,51 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
 @click.option(
     "--as-sent",
     is_flag=True,
-    help="Count displacements from when commands were sent, not from when the motors were seen to "
-    "answer.",
+    help=(
+        "Count displacements from the time when commands were sent, not from the time when the "
+        "motors answered."
+    ),
 )
 @click.option("--mixed", is_flag=True, help="Allow recordings of different robots.")
 @click.option(
     "--doubtful",
     is_flag=True,
-    help="Use poses that track marked as doubtful, too: they may not be the robot's.",
+    help="Also use poses that track marked as doubtful: they may not be the robot's.",
 )
 @click.option(
     "--columns",
     type=Pairs("NAME=COLUMN,...", "time=t,x=pos_x,v=speed", alone=True),
-    help="csv: what the file calls its columns. Names are time, x, y, heading of a log; duration "
-    "(or start, end), dx, dy, dtheta (or x0, y0, heading0, x1, y1, heading1) of rows; any other "
-    "is a command, and prev_ with its name, in rows, the command before.",
+    help=(
+        "csv: names of the file's columns. A log has time, x, y, heading; rows have duration (or "
+        "start, end), dx, dy, dtheta (or x0, y0, heading0, x1, y1, heading1). Any other name is "
+        "a command; prev_ and its name, in rows, is the command before."
+    ),
 )
 @click.option(
     "--units",
     type=Pairs("NAME=UNIT,...", "v=m/s,w=rad/s"),
-    help="csv: units of the commands, to be shown.  [default: m/s of v, rad/s of w]",
+    help="csv: units of the commands, for reports.  [default: m/s of v, rad/s of w]",
 )
 @click.option(
     "--rows",
     is_flag=True,
-    help="csv: each line is a command, not a sample; needed where the columns do not say so.",
+    help="csv: each line is a command, not a sample; needed if the columns do not show it.",
 )
 @click.option(
     "--from-rest",
     is_flag=True,
-    help="csv, rows: the robot stood before each command; otherwise the line above came before.",
+    help=(
+        "csv, rows: the robot stood before each command; otherwise the line above is the command "
+        "before."
+    ),
 )
 @click.option(
     "--session",
     metavar="COLUMN",
-    help="csv: the file's column that says which drive a line of a log is of.  [default: another "
-    "one begins where the clock starts again, or is silent for long]",
+    help=(
+        "csv: the column with the drive of each line of a log.  [default: another one begins "
+        "where the clock starts again, or is silent for long]"
+    ),
 )
 @click.option("--keep", is_flag=True, help="csv: keep headings that do not fit the motion.")
 @_unit("length", ["m", "cm", "mm"], "unit of x, y, dx, dy.")
@@ -119,21 +128,25 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "where y points, looking along x; right (pictures, y down) has headings clockwise.",
 )
 @_unit("frame", ["body", "world"], "frame of dx, dy: the robot's at the start, or heading0's.")
-@_seconds("longest", 3.0, "cut a command that is held into pieces of at most so many s.")
-@_seconds("shortest", 0.5, "leave out pieces shorter than so many s.")
-@_seconds("step", 0.1, "with --windows, join commands that are shorter than so many s.")
+@_seconds("longest", 3.0, "cut a command that is held into pieces of at most this length, s.")
+@_seconds("shortest", 0.5, "leave out pieces shorter than this, s.")
+@_seconds("step", 0.1, "with --windows, join commands that are shorter than this, s.")
 @click.option(
     "--windows/--held",
     default=None,
-    help="csv, mrclam: learn from windows of the log with all commands in them, or from commands "
-    "that were held alone.  [default: windows where few commands were held]",
+    help=(
+        "csv, mrclam: learn from windows of the log with all their commands, or only from "
+        "commands that were held.  [default: windows where few commands were held]"
+    ),
 )
 @_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
 @click.option(
     "--delay",
     type=ranged(Delay),
-    help="csv, mrclam: poses are so late beside the commands, s.  [default: found, and corrected "
-    "where no robot is so late or early]",
+    help=(
+        "csv, mrclam: delay of the poses relative to the commands, s.  [default: found, and "
+        "corrected where no robot is so late or early]"
+    ),
 )
 @json_option
 def dataset(
@@ -158,10 +171,9 @@ def dataset(
     as_json: bool,
     **conventions: str,
 ) -> None:
-    """Turn RECORDINGS that were tracked into rows of (command -> displacement).
+    """Turn tracked RECORDINGS into rows of (command -> displacement).
 
-    A guided recording's rounds are recordings; its folder stands for all of them. With --from,
-    RECORDINGS are files.
+    Give a guided recording as one folder, with all its rounds. With --from, RECORDINGS are files.
     """
     from neurosim.recording.rounds import parts_of
     from tracking.datasets.dataset import build

@@ -31,15 +31,15 @@ FORMAT, VERSION = "neurosim-demo", 2
     type=click.IntRange(50, 100_000),
     default=400,
     show_default=True,
-    help="How many commands to record.",
+    help="Number of commands to record.",
 )
 @seed_option
 @click.pass_context
 def demo(ctx: click.Context, out: Path, commands: int, seed: int) -> None:
     """Run the whole pipeline in the virtual lab, from recording to trial, into the folder OUT.
 
-    Every step is printed as the command that does it alone. What is there already is kept: an
-    interrupted demo continues where it stopped.
+    Every step is printed as a command. Finished steps are kept: an interrupted demo continues where
+    it stopped.
     """
     began = time.monotonic()
     if out.exists() and not out.is_dir():
@@ -67,8 +67,8 @@ def _compiling(out: Path) -> Iterator[Callable[[], None]]:
         yield lambda: None
         return
     click.echo(
-        "The first time on a computer the loops of later stages are compiled, meanwhile and in "
-        "another process; that is kept.\n",
+        "On the first run on a computer, the loops of later stages are compiled in another "
+        "process; the result is kept.\n",
         err=True,
     )
     # It ends when this end of its input is closed, whatever becomes of this process.
@@ -135,7 +135,7 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
     if not path.exists():
         if not is_empty(out):
             raise UserError(
-                f"{out} is not empty, and not what a demo was begun with; name a new folder"
+                f"{out} is not empty and is not the folder of a demo; name a new folder"
             )
         write_json(path, FORMAT, VERSION, now)
         return commands, seed
@@ -143,8 +143,8 @@ def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
     for name, value in now.items():
         if is_given(name) and begun[name] != value:
             raise UserError(
-                f"the demo in {out} was begun with --{name} {begun[name]}, not {value}; go on with "
-                "that, or name a new folder"
+                f"the demo in {out} was started with --{name} {begun[name]}, not {value}; use the "
+                "same value, or name a new folder"
             )
     return begun["commands"], begun["seed"]
 

@@ -161,8 +161,10 @@ def changed(
     is_flag=False,
     flag_value="probability",
     type=click.Choice(["probability", "fitness"]),
-    help="Continue over drawn outcomes, for the probability of completing the task "
-    "(alone: --robust=probability) or for the expected fitness.",
+    help=(
+        "Continue over random samples: maximise the probability of completing the task (--robust "
+        "alone, or --robust=probability), or the expected fitness."
+    ),
 )
 @settings_options(
     "robust_settings",
@@ -190,7 +192,9 @@ def changed(
 )
 @patience_option
 @at_line_option
-@click.option("--all", "keep_all", is_flag=True, help="Keep the best of every run: OUT-01, ...")
+@click.option(
+    "--all", "keep_all", is_flag=True, help="Keep the best controller of every run: OUT-01, ..."
+)
 @resume_option
 @seed_option
 @json_option
@@ -226,8 +230,8 @@ def evolve(
 
     By default a plan of motor commands around nine rectangles (section 6.2 of Pretorius et al.
     2009). For --task obstacle-avoidance, in a simulator with sensors, a network (Lund and Miglino
-    1996). Any controller, task, simulator and optimiser can be combined; --help lists the options
-    of those that are named before it.
+    1996). Any controller, task, simulator and optimiser can be combined. --help lists the options
+    of those that you name before it.
     """
     from neurosim.evolution.genetic import GeneticSettings
     from neurosim.loop.evolve import evolve as evolve_
@@ -236,9 +240,7 @@ def evolve(
     from neurosim.trials.realities import open_reality
 
     if not real_generations and (is_given("reality") or reality_options):
-        raise UserError(
-            "--reality is the reality of --robot-generations: add that, or leave it out"
-        )
+        raise UserError("--reality needs --robot-generations: add it, or leave out --reality")
     found = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":
         found.perimeter = None

@@ -26,7 +26,7 @@ def export(simulator: Path, to: Literal["onnx", "torch"], out: Path, as_json: bo
     """Write the step of SIMULATOR as a program that runs without neurosim.
 
     Simulators that were learned from a recording can be exported, look-up tables and walking robots
-    cannot. The README.md in the folder says what the program takes and returns.
+    cannot. The README.md in the folder describes the program's inputs and outputs.
     """
     from neurosim.simulators.export import export as export_
 

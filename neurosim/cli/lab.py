@@ -24,7 +24,7 @@ _port_option = click.option(
     help="Port of the socket; 0: any that is free.",
 )
 _seconds_option = click.option(
-    "--seconds", type=ranged(Seconds), help="Stop after so many seconds.  [default: with Ctrl-C]"
+    "--seconds", type=ranged(Seconds), help="Stop after this time, s.  [default: with Ctrl-C]"
 )
 
 
@@ -40,7 +40,7 @@ def lab() -> None:
 @seed_option
 @json_option
 def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: bool) -> None:
-    """Keep a virtual NXT running in real time, for any program that speaks to bricks."""
+    """Keep a virtual NXT running in real time, for any program that uses LEGO's protocol."""
     from neurosim.lab import VirtualRig
     from neurosim.lab.nxt.world import Pacer
 
@@ -205,7 +205,7 @@ def _ways(address: dict[str, str | int]) -> tuple[dict, str]:
     type=click.Choice(["nxt", "khepera"]),
     default="nxt",
     show_default=True,
-    help="Under the roof, or the small one above a Khepera (sample --camera lab).",
+    help="The camera: under the roof, or the small one above a Khepera (sample --camera lab).",
 )
 @seed_option
 @json_option

@@ -60,15 +60,17 @@ class _InOrder(click.Group):
     type=PATH,
     multiple=True,
     metavar="FILE.py",
-    help="Run a Python file first: robots, tasks and others that it registers work in every verb. "
-    "Can be given several times.",
+    help=(
+        "Run a Python file first: robots, tasks and others that it registers work in every "
+        "command. Can be given several times."
+    ),
 )
 def cli(plugins: tuple[Path, ...]) -> None:
     """A robot builds its own simulator.
 
     Record what the robot does, learn a simulator from the recording, evolve a controller in the
-    simulator, drive the robot with it. Every verb reads what the verb before it wrote; start
-    with "neurosim demo DEMO", which runs the whole pipeline in the virtual lab.
+    simulator, drive the robot with it. Every command reads the output of the command before it.
+    Start with "neurosim demo DEMO", which runs the whole pipeline in the virtual lab.
     """
     for path in plugins:
         run_plugin(path)
@@ -85,7 +87,7 @@ def run_plugin(path: Path) -> None:
     # Its name is no other module's: a file may be called random.py.
     spec = importlib.util.spec_from_file_location(f"{PLUGIN}{path.stem}", path)
     if spec is None or spec.loader is None:
-        raise FileError(path, "is no Python file; its name must end in .py")
+        raise FileError(path, "is not a Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
     sys.path.append(str(path.resolve().parent))  # what it imports may stand beside it

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 @click.option(
     "--extrapolate",
     is_flag=True,
-    help="Commands may leave what the simulator learned from, which is only reported.",
+    help="Commands may leave the range of the simulator's data; this is only reported.",
 )
 @seed_option
 @json_option
@@ -46,9 +46,9 @@ def plan_check(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Tell how likely the plan CONTROLLER is to succeed, as SIMULATOR sees it, and where it fails.
+    """Predict in SIMULATOR how likely the plan CONTROLLER is to succeed, and where it fails.
 
-    SIMULATOR need not be the one that the plan was evolved in.
+    SIMULATOR may be another one than that of the plan's evolution.
     """
     from neurosim.loop.check import check
     from neurosim.simulators import read_simulator
@@ -65,8 +65,8 @@ def plan_check(
 def _in_words(check: Check) -> str:
     low, high = check.interval
     lines = [
-        f"Completes the course with a probability of {_percent(check.probability)} "
-        f"({check.draws} outcomes drawn: {_percent(low)} to {_percent(high)})."
+        f"Completes the course with a probability of {_percent(check.probability)} ({check.draws} "
+        f"random samples: {_percent(low)} to {_percent(high)})."
     ]
     if check.members is not None:
         low, high = check.members

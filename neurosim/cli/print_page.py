@@ -19,7 +19,11 @@ from neurosim.cli._types import PATH, PATTERN
     "tracking.printing:PageSettings",
     units={"diameter": "mm", "square": "mm"},
     kinds={"pattern": PATTERN},
-    helps={"colours": f"Of the front and of the rear marker, FRONT,REAR. Colours: {COLOUR_NAMES}."},
+    helps={
+        "colours": (
+            f"Colours of the front and the rear marker, FRONT,REAR. Colours: {COLOUR_NAMES}."
+        )
+    },
 )
 @json_option
 def print_page(out: Path, settings: dict[str, Any], as_json: bool) -> None:

@@ -58,18 +58,23 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 @robot_option
 @camera_options
 @calibration_option(
-    "The camera's calibration.json, kept with the recording: with it the robot is tracked while it "
-    "is recorded."
+    "The camera's calibration.json. It is kept with the recording, and the robot is tracked "
+    "while it is recorded."
 )
 @markers_option
 @click.option(
     "--live/--no-live", default=True, show_default=True, help="Track while recording, or later."
 )
-@click.option("--watch", "page", is_flag=True, help="Serve a page that shows what is seen.")
+@click.option(
+    "--watch",
+    "page",
+    is_flag=True,
+    help="Serve a page with the camera's picture and the tracked robot.",
+)
 @click.option(
     "--guided",
     is_flag=True,
-    help="Choose the commands in rounds, where what was learned so far is most uncertain.",
+    help="Choose the commands in rounds, where the simulator learned so far is most uncertain.",
 )
 @settings_options(
     "rounds", "neurosim.recording.rounds:Rounds", only=("size",), names={"size": "round"}
@@ -100,9 +105,9 @@ def record(
     Put the robot in the middle of the board first. Lamp flashes at the beginning and at the end
     align the video's clock with the robot's.
 
-    With --guided OUT holds a recording for each round. Every round is tracked, and the commands of
-    the next one are those that an ensemble, learned from all rounds so far, disagrees about most.
-    That needs a camera and its --calibration.
+    With --guided, OUT has one recording for each round. An ensemble is learned from all rounds so
+    far, and the next commands are those about which its members disagree most. This needs a camera
+    and its --calibration.
     """
     from neurosim.base.errors import UserError
     from neurosim.recording.commands import RandomCommands
@@ -128,8 +133,8 @@ def record(
 
         if camera.get("camera") == "none" or calibration is None:
             raise UserError(
-                "--guided looks at what every round did: it needs a camera, and its --calibration "
-                "calibration.json (neurosim calibrate makes one)"
+                "--guided tracks every round: it needs a camera and its --calibration "
+                "calibration.json (from neurosim calibrate)"
             )
         made = record_rounds(
             out,
@@ -226,8 +231,8 @@ def _page(
     model = None if calibration is None else CameraModel.read(calibration)
     if camera is None or model is None or not model.has_board:
         raise UserError(
-            "--watch shows what is tracked live: it needs a camera, and a --calibration with "
-            "points on the board"
+            "--watch needs live tracking: give a camera and a --calibration with points on the "
+            "board"
         )
     viewer = Viewer(
         camera.size,

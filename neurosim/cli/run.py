@@ -45,13 +45,15 @@ from neurosim.cli._types import PATH
 @click.option(
     "--replan/--no-replan",
     default=None,
-    help="Plans: plan again after every command, from where the camera sees the robot.  [default: "
-    "for the tasks that are about where exactly the robot stops: go-to]",
+    help=(
+        "Plans: replan before every command, from the pose that the camera sees.  [default: for "
+        "the tasks that are about where exactly the robot stops: go-to]"
+    ),
 )
 @click.option(
     "--simulator",
     type=PATH,
-    help="The simulator in which it is planned again.  [default: that of the plan]",
+    help="The simulator for replanning.  [default: that of the plan]",
 )
 @settings_options(
     "replanning",
@@ -79,15 +81,15 @@ def run(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Drive the robot with CONTROLLER, and compare what it does with what was predicted.
+    """Drive the robot with CONTROLLER, and compare the drive with the prediction.
 
     Put the robot at the controller's start first: for nine-rectangles the centre of the centre-left
-    rectangle, facing rectangle 1, the top-left one. A controller that sees is asked at the steps of
-    its task; what the robot lacks for it is said before anything moves. With --camera none the
-    robot's path is that of its wheels' counters, where it has them.
+    rectangle, facing rectangle 1, the top-left one. A closed-loop controller gives a command at
+    each step of its task. If the robot lacks one of its inputs, the command stops before anything
+    moves. With --camera none, the path is that of the wheels' counters.
 
-    With --replan a plan is planned again after every command, in its simulator, from where the
-    robot is then; the command before goes on meanwhile.
+    With --replan, a plan is replanned before every command, in its simulator, from the robot's
+    pose. Meanwhile the command before continues.
     """
     from neurosim.controllers import read_controller
     from neurosim.recording.markers import marker_settings
@@ -98,8 +100,8 @@ def run(
 
     if calibration is None and camera.get("camera") != "none":
         raise UserError(
-            "where the robot is, a calibrated camera says: give --calibration, or --camera none to "
-            "go by the counters of the robot's wheels"
+            "the robot's position is unknown: give --calibration (camera), or --camera none "
+            "(wheel counters)"
         )
     saved = read_controller(controller)
     again = _replanning(saved, replan, simulator, replanning)
@@ -151,13 +153,13 @@ def _replanning(
         wanted = asked or (bool(saved.commands) and make_task(saved.task).replanned)
     if not wanted:
         if simulator is not None or settings:
-            raise UserError("--simulator and how it is planned again are options of --replan")
+            raise UserError("--simulator and the settings of replanning need --replan")
         return None
     folder = simulator or _simulator(saved)
     if folder is None:
         raise UserError(
-            "the simulator that the plan was evolved in is not where it was, or was changed: name "
-            "one with --simulator, or send the plan as it is with --no-replan"
+            "the simulator of the plan was moved or changed: name one with --simulator, or drive "
+            "without replanning (--no-replan)"
         )
     return read_simulator(folder), ReplanSettings(**settings)
 
@@ -204,7 +206,7 @@ def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
         end = seen[-1]
         text += (
             f"; after command {end['command']} it was {100 * end['position']:.1f} cm and "
-            f"{abs(math.degrees(end['heading'])):.1f} degrees from where the simulator said"
+            f"{abs(math.degrees(end['heading'])):.1f} degrees from the simulator's prediction"
         )
     kept = report.get("deadlines")
     if kept:

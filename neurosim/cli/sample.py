@@ -86,9 +86,9 @@ def sample(
 ) -> None:
     """Let a robot sample a wall, a round obstacle and its motors, into the folder OUT.
 
-    Put it in front of each as asked. It turns on the spot, backs off, turns again; on open floor
-    it drives its motor settings, and its counters measure how far it got; or a camera does, which
-    sees that wheels slip, and differ.
+    Put it in front of each when asked. It turns on the spot, backs off, and turns again. On open
+    floor it drives its motor settings. Its counters, or a camera, measure the distances; a camera
+    also measures slip.
     """
     from neurosim.lab import sampling_places
     from neurosim.recording.markers import marker_settings
@@ -101,11 +101,11 @@ def sample(
     if camera is None:
         for name in ("calibration", "markers"):
             if is_given(name):
-                raise UserError(f"--{name} is that of a camera: name it with --camera")
+                raise UserError(f"--{name} needs --camera")
     elif calibration is None:
         raise UserError(
-            "--camera needs --calibration calibration.json (neurosim calibrate makes one, of the "
-            "camera where it is now)"
+            "--camera needs --calibration calibration.json (from neurosim calibrate, with the "
+            "camera in its present place)"
         )
     else:
         model = CameraModel.read(calibration)
@@ -159,7 +159,7 @@ def _words(out: Path, result: dict[str, Any]) -> str:
     cost = result.get("interpolation")
     if cost is not None:
         text += (
-            f"At {cost['settings']} settings beside the grid interpolation errs by "
+            f"At {cost['settings']} settings outside of the grid the interpolation error is "
             f"{1000 * cost['forward']['median']:.2f} mm/s and "
             f"{math.degrees(cost['turn']['median']):.2f} degrees/s (median; at most "
             f"{1000 * cost['forward']['max']:.2f} and {math.degrees(cost['turn']['max']):.2f}).\n"

@@ -29,20 +29,26 @@ from neurosim.cli._types import PATH, PIXEL, Option, ranged
     f"says where they are, too.  [default: as recorded, or pink,blue]  Colours: {COLOUR_NAMES}.",
 )
 @calibration_option("The camera's calibration.json.  [default: the one kept with the recording]")
-@click.option("--overlay", type=PATH, help="Also write a video with what was found drawn over it.")
+@click.option(
+    "--overlay", type=PATH, help="Also write a video with the tracked markers drawn over it."
+)
 @click.option(
     "--video",
     "videos",
     multiple=True,
     type=PATH,
-    help="Video of a session that was filmed with something else; once for each.",
+    help="Video of a session that was filmed by another program; give it once for each session.",
 )
-@click.option("--partial", is_flag=True, help="Use a video that was cut short as far as it goes.")
+@click.option(
+    "--partial", is_flag=True, help="Use the existing part of a video that was cut short."
+)
 @click.option(
     "--sync",
     type=click.Choice(["flash", "motion"]),
-    help="What aligns the camera's clock with the robot's: the lamp, or the robot's answers to its "
-    "commands.  [default: the lamp, if it was switched on]",
+    help=(
+        "How the camera's clock is aligned with the robot's: by the lamp, or by the robot's "
+        "answers to its commands.  [default: the lamp, if it was switched on]"
+    ),
 )
 @click.option(
     "--click",
@@ -50,19 +56,24 @@ from neurosim.cli._types import PATH, PIXEL, Option, ranged
     cls=Option,
     type=PIXEL,
     multiple=True,
-    help="Of a video file: a pixel of the front marker in its first frame; again for the rear.",
+    help=(
+        "Video files: a pixel of the front marker in the first frame; give it again for the rear "
+        "marker."
+    ),
 )
 @click.option(
     "--doubtful",
     is_flag=True,
-    help="Write the poses of a pair that may not be the robot's, too, marked as doubtful.",
+    help="Also write the poses of a pair that may not be the robot, marked as doubtful.",
 )
 @click.option("-o", "--out", type=PATH, help="New folder for the poses of a video file.")
 @click.option(
     "--height",
     type=ranged(Coordinate),
-    help="Of a video file, with a calibration over the board: height of the markers over it, m.  "
-    "[default: as markers.json says, or 0]",
+    help=(
+        "Video files, with a calibration over the board: height of the markers over it, m.  "
+        "[default: as markers.json says, or 0]"
+    ),
 )
 @json_option
 def track(
@@ -81,8 +92,8 @@ def track(
 ) -> None:
     """Find the two markers in every frame of RECORDING, or of a video file by itself.
 
-    Of a recording, the poses go into its poses.csv, in metres, on the robot's clock. A video file
-    needs -o; without a calibration, or with one of the lens alone, its poses are in pixels.
+    The poses of a recording go into its poses.csv, in metres, on the robot's clock. A video file
+    needs -o. Without a calibration, or with one of the lens alone, its poses are in pixels.
     """
     from tracking.datasets.recordings import read_markers
     from tracking.markers.colours import colour_pair
@@ -91,15 +102,15 @@ def track(
     from tracking.track import track as track_
 
     if not recording.exists():
-        raise UserError(f"{recording}: no such recording, and no such video file")
+        raise UserError(f"{recording}: no recording or video file has this name")
     known = read_markers(markers) if markers and markers.endswith(".json") else None
     pair = colour_pair(markers) if markers and known is None else None
     if recording.is_file():
         for name in ("sync", "videos"):
             if is_given(name):
                 raise UserError(
-                    f"--{name.removesuffix('s')} is for recordings; a video file by itself has no "
-                    "other clock and no other video: leave it out"
+                    f"--{name.removesuffix('s')} is for recordings, not for a video file: leave "
+                    "it out"
                 )
         if out is None:
             raise UserError(f"{recording} is a video file; name a folder for its poses with -o")
@@ -141,8 +152,8 @@ def track(
         remedy = "name others with --colours; neurosim watch shows what a click on each finds"
     if result["undecided"]:
         click.echo(
-            f"{recording}: in {result['undecided']} frames after the robot was lost, several pairs "
-            "could have been it, and none was taken",
+            f"{recording}: in {result['undecided']} frames after the robot was lost, several "
+            "pairs fitted the robot, and none was accepted",
             err=True,
         )
     problem = warning(found)

@@ -19,9 +19,11 @@ from neurosim.cli._types import PATH
     "--trainer",
     "neurosim.training.trainers.registry:TRAINERS",
     default="combined",
-    help="How it is trained. combined fits a model of the drive, and product units and a Gaussian "
-    "process to what that leaves, weighed by cross-validation; in ga, the paper's, every weight of "
-    "three networks of whole commands is a gene.",
+    help=(
+        "How it is trained. combined fits a drive model, and product units and a Gaussian "
+        "process to its errors, weighed by cross-validation; in ga, the paper's, every weight of "
+        "three networks of whole commands is a gene."
+    ),
     of=lambda trainer: trainer.settings_type,
 )
 @settings_options("options", "neurosim.training.train:train", only=("device", "sensors"))
@@ -46,8 +48,8 @@ def train(
     readings = simulator.meta.get("readings")
     if repeated:
         click.echo(
-            f"neurosim: {repeated} of the rows of {dataset} are copies of others, to the last "
-            "digit: they count once; look whether something was recorded or imported twice",
+            f"neurosim: {repeated} of the rows of {dataset} are exact copies of others and count "
+            "once; was something recorded or imported twice?",
             err=True,
         )
     result = {
@@ -104,10 +106,10 @@ def _sensors_in_words(readings: dict[str, Any] | None) -> str:
 @click.command()
 @click.argument("simulator", type=PATH)
 @click.argument("dataset", type=PATH)
-@click.option("--all-rows", is_flag=True, help="Also the rows that training has seen.")
+@click.option("--all-rows", is_flag=True, help="Also use the rows of the training.")
 @json_option
 def evaluate(simulator: Path, dataset: Path, all_rows: bool, as_json: bool) -> None:
-    """Print Table 2 of Pretorius et al. (2009) for SIMULATOR on DATASET, beside the paper's."""
+    """Print Table 2 of Pretorius et al. (2009) for SIMULATOR on DATASET, next to the paper's."""
     from neurosim.training.evaluate import evaluate as evaluate_
 
     result = evaluate_(simulator, dataset, held_out_only=not all_rows)

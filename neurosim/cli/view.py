@@ -15,22 +15,24 @@ from neurosim.cli._types import PATH, POSE, Option, ranged
 @click.command()
 @click.argument("place", type=PATH)
 @click.option("-o", "--out", type=PATH, required=True, help="The picture: .png, .svg or .pdf.")
-@click.option("--simulator", type=PATH, help="Where to drive, if PLACE is only an arena.")
-@click.option("--controller", type=PATH, help="What drives, of any kind: shows its path.")
+@click.option("--simulator", type=PATH, help="Simulator to drive in, if PLACE is only an arena.")
+@click.option("--controller", type=PATH, help="Controller of any kind; its path is drawn.")
 @click.option(
     "--pose",
     cls=Option,
     type=POSE,
-    help="Where the robot starts: x and y in cm, heading in degrees.  [where its task starts, "
-    "the arena's, or drawn]",
+    help=(
+        "Where the robot starts: x and y in cm, heading in degrees.  [the start of its task or "
+        "of the arena, or random]"
+    ),
 )
 @click.option(
     "--seconds",
     type=ranged(Annotated[float, Meta(ge=0.1, le=3600)]),
-    help="How long a controller that sees drives.  [as long as its trial]",
+    help="Time that a closed-loop controller drives, s.  [as long as its trial]",
 )
 @click.option("--noise/--no-noise", default=False, show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace a picture that exists; else it is kept.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
 @seed_option
 @json_option
 def view(
@@ -47,8 +49,8 @@ def view(
 ) -> None:
     """Draw PLACE: the folder of a simulator of any kind, or the JSON file of an arena.
 
-    With a controller the robot drives through its task in the simulator; it is drawn where it
-    ends, with what its sensors read there.
+    With a controller, the robot drives its task in the simulator. It is drawn at the end of its
+    path, with its sensors' readings.
     """
     from neurosim.reports.view import contacts_in_words, draw_view
 

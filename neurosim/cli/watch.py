@@ -41,12 +41,12 @@ from neurosim.cli._types import PATH, SIZE, Option, ranged
     type=PATH,
     default=Path("calibration.json"),
     show_default=True,
-    help="Where the page saves the calibration; markers.json goes beside it.",
+    help="Where the page saves the calibration; markers.json is written next to it.",
 )
 @click.option(
     "--film",
     type=PATH,
-    help="Also film what the camera sees, into a new .avi, until the end; for neurosim track.",
+    help="Also write the camera's pictures to a new .avi file, for neurosim track.",
 )
 @click.option(
     "--port",
@@ -56,7 +56,7 @@ from neurosim.cli._types import PATH, SIZE, Option, ranged
 )
 @click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
 @click.option(
-    "--seconds", type=ranged(Seconds), help="Stop after so many seconds.  [default: with Ctrl-C]"
+    "--seconds", type=ranged(Seconds), help="Stop after this time, s.  [default: with Ctrl-C]"
 )
 @json_option
 def watch(
@@ -72,10 +72,10 @@ def watch(
     seconds: float | None,
     as_json: bool,
 ) -> None:
-    """Show on a page in the browser what the camera sees and where the robot is found.
+    """Show the camera's picture and the tracked robot on a page in the browser.
 
-    On the page, one click sets a marker's colour and four set the board's corners: nothing needs
-    to be printed or typed. The page is for this computer alone.
+    On the page, one click sets a marker's colour and four clicks set the board's corners. The page
+    works on this computer only.
     """
     from neurosim.recording.markers import marker_settings
     from neurosim.watch import PageServer, Viewer
@@ -99,8 +99,8 @@ def watch(
     with _open_camera(camera, camera_size, fps) as source:
         if model is not None and tuple(model.image_size) != tuple(source.size):
             raise UserError(
-                f"{calibration} is of pictures of {model.image_size[0]}x{model.image_size[1]}, but "
-                f"the camera's are {source.size[0]}x{source.size[1]}; name its size with "
+                f"{calibration} is for pictures of {model.image_size[0]}x{model.image_size[1]}, "
+                f"but the camera gives {source.size[0]}x{source.size[1]}; set its size with "
                 "--camera-size"
             )
         viewer = Viewer(
@@ -121,7 +121,7 @@ def watch(
             viewer.show,
         )
         if film is not None and Path(camera).is_file():
-            raise UserError(f"{camera} is a film already: --film is for cameras; leave it out")
+            raise UserError(f"{camera} is a video file: --film is for cameras; leave it out")
         filmed = None if film is None else Film(film, source.size)
 
         def take(at: float, frame: Any) -> None:

@@ -147,8 +147,8 @@ def check_inputs(controller: Controller, readings: Sequence[str], goals: bool, w
         there = ", ".join(readings) if readings else "no sensors"
         why = "the task gives no goals" if set(missing) <= set(OF_GOALS) else f"it has {there}"
         raise UserError(
-            f"the controller ({controller.kind}) needs {', '.join(missing)}, which {where} does "
-            f"not offer: {why}"
+            f"the controller ({controller.kind}) needs {', '.join(missing)}, and {where} does not "
+            f"have it: {why}"
         )
 
 

@@ -103,9 +103,7 @@ class SavedController:
         family = self.controller
         check_readable(family)
         if isinstance(family, FixedPlan) and not self.given:
-            raise UserError(
-                "a plan that gives no command cannot be written: nothing could drive it"
-            )
+            raise UserError("a plan without any command cannot be written")
         about: dict[str, Any]
         if self.commands:
             assert isinstance(family, FixedPlan)
@@ -140,8 +138,8 @@ def check_readable(family: Controller) -> None:
     """
     if family.kind not in CONTROLLERS.names():
         raise UserError(
-            f"a controller of the kind {family.kind!r} cannot be read again: register its "
-            'family first, as in neurosim.register("controller", NAME, FAMILY)'
+            f"a controller of the kind {family.kind!r} is not registered, so it cannot be read "
+            'again: register its family first, as in neurosim.register("controller", NAME, FAMILY)'
         )
 
 

@@ -177,9 +177,9 @@ def _freeze(family: Network | Recurrent, *names: str) -> None:
 def _check_names(family: Network | Recurrent) -> None:
     if not family.inputs:
         raise UserError(
-            f"a controller of the kind {family.kind} needs inputs, the names of what it observes: "
-            f'make it with make_controller("{family.kind}", simulator, task), which takes the '
-            'sensors and goals that there are, or give inputs=("x", "y", "cos_heading", '
+            f"a controller of the kind {family.kind} needs inputs (names of its observations): "
+            f'make it with make_controller("{family.kind}", simulator, task), which uses all '
+            'sensors and goals, or give inputs=("x", "y", "cos_heading", '
             '"sin_heading")'
         )
     if not family.outputs:

@@ -55,7 +55,7 @@ def make_controller(
     for what, given, made in (("simulator", simulator, "load"), ("task", task, "make_task")):
         if isinstance(given, str | Path):
             raise UserError(
-                f"a controller is made for a {what} itself, not for {str(given)!r}: give "
+                f"make_controller needs the {what} itself, not its name {str(given)!r}: give "
                 f"neurosim.{made}({str(given)!r})"
             )
     maker = CONTROLLERS.get(kind)

@@ -78,8 +78,8 @@ class Face:
         missing = [name for name in self.names if name not in known]
         if missing:
             raise UserError(
-                f"{', '.join(missing)} cannot be observed in this simulator ({simulator.kind}) at "
-                f"the task {task.name}; what can: {', '.join(known)}"
+                f"{', '.join(missing)} cannot be observed in this simulator ({simulator.kind}) "
+                f"with the task {task.name}; choose from {', '.join(known)}"
             )
         self.outputs = tuple(name for name in simulator.command_names if name != "duration")
         self.timed = len(self.outputs) < len(simulator.command_names)

@@ -77,7 +77,7 @@ class Picture:
 
         if self._window is None:
             if pyplot.get_backend().lower() == "agg":
-                gymnasium.logger.warn("there is no display here: nothing is shown")
+                gymnasium.logger.warn("there is no display: nothing is shown")
             figure, axes = pyplot.subplots(num="neurosim")
             axes.set_axis_off()
             self._window = figure, axes.imshow(self.draw(0))

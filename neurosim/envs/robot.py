@@ -117,21 +117,21 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         lacking = [one for one in self._face.simulator.reading_names if one not in names]
         if self._face.reads and lacking:
             raise UserError(
-                f"the robot {name} has not {', '.join(lacking)}, which this simulator reads: it is "
-                "not one of this robot"
+                f"the robot {name} has no {', '.join(lacking)}, which this simulator reads: use a "
+                "simulator of this robot"
             )
         if self._spotter is None and not isinstance(self.robot, Counters):
             raise UserError(
-                f"nothing says where the robot {name} is: it does not count how far its wheels "
-                "turn; give the calibration of a camera above it"
+                f"the position of the robot {name} is unknown, because it has no wheel counters: "
+                "give the calibration of a camera above it"
             )
 
     def _watch(self, camera: Any, calibration: Path, robot: str, stack: ExitStack) -> Spotter:
         model = CameraModel.read(calibration)
         if camera is None or not model.has_board:
             raise UserError(
-                f"{calibration} does not tell where the robot is: that takes a camera, and a "
-                "calibration with points on the board"
+                f"{calibration} gives no positions: a camera and a calibration with points on the "
+                "board are needed"
             )
         spotter = Spotter(
             marker_settings(robot=robot),
@@ -189,7 +189,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         self._check_open()
         if not self._begun:
-            raise UserError("no trial is under way: call reset() before step()")
+            raise UserError("no trial has begun: call reset() before step()")
         commands = self._face.checked(action)
         face, clock, episode = self._face, self.robot.clock, self._face.episode
         takes = self.robot.commands

@@ -95,7 +95,7 @@ class TaskEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         """
         self._check_open()
         if not self._begun:
-            raise UserError("no trial is under way: call reset() before step()")
+            raise UserError("no trial has begun: call reset() before step()")
         commands = self.trials.face.checked(action)
         reward, decided, late = self.trials.step(commands)
         over = bool(decided[0] or late[0])
@@ -146,7 +146,10 @@ def made(
         UserError: if one of them is not what it should be.
     """
     if isinstance(task, Task) and settings:
-        raise UserError(f"the task {task.name} is made already: give {', '.join(settings)} to it")
+        raise UserError(
+            f"the task {task.name} exists already, so settings have no effect: give "
+            f"{', '.join(settings)} when you make it"
+        )
     if not isinstance(simulator, Simulator):
         simulator = read_simulator(simulator)
     return simulator, make_task(task, **settings)

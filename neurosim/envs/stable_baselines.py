@@ -78,7 +78,7 @@ class StableBaselinesEnvs(VecEnv):
         Raises:
             UserError: always.
         """
-        raise UserError(f"{attr_name} cannot be changed: make the environments anew")
+        raise UserError(f"{attr_name} cannot be changed: make new environments")
 
     def env_method(
         self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any

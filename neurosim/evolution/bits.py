@@ -26,11 +26,11 @@ class BitSettings(Checked):
     Attributes:
         population: Individuals of a generation.
         bits: Bits of a parameter.
-        mutation: Probability of each bit to be flipped.
+        mutation: Probability that a bit is flipped.
         crossover: Probability that a pair of parents is crossed.
-        scaling: The best has so many times the mean's chance to be selected.
-        first_mutation: Probability of each bit of the first generation to be flipped, which are
-            otherwise copies of where the search starts from; one is left as it is.
+        scaling: Ratio of the best individual's chance of selection to the mean's.
+        first_mutation: Probability that a bit is flipped in the first generation, which has copies
+            of the start; one copy is left unchanged.
     """
 
     population: Annotated[int, Meta(ge=2, le=1000000)] = 15

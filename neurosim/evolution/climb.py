@@ -58,8 +58,8 @@ class Replay:
             told = {name: values[row] for name, values in state.items()}
             if told.pop("asked") != zlib.crc32(self.ask().data):
                 raise UserError(
-                    "the optimiser asks for other individuals than before it was interrupted: it "
-                    "cannot be resumed unless all its random numbers come from the seed"
+                    "the optimiser asks for other individuals than before the interruption: to "
+                    "be resumed, it must take all random numbers from the seed"
                 )
             self.tell(**told)
 
@@ -96,8 +96,8 @@ class Climb(Replay):
         super().__init__(optimiser)
         if self.hints and hints is None:
             raise UserError(
-                f"this optimiser needs {', '.join(self.hints)} besides the fitness, which only "
-                "evolution of plans in a simulator has"
+                f"this optimiser needs {', '.join(self.hints)} in addition to the fitness; only "
+                "the evolution of plans in a simulator has these"
             )
         self._evaluate, self._hints = evaluate, hints
         self.asked: list[NDArray[np.float64]] = []

@@ -32,7 +32,7 @@ class CMA:
                 "the optimiser cma needs the package pycma: pip install 'neurosim[cma]'"
             ) from None
         if space.genes < 2:
-            raise UserError("cma searches two parameters at least: take ga for a single one")
+            raise UserError("cma needs at least two parameters: use ga for one")
         options: dict[str, Any] = {"seed": math.nan, "verbose": -9}
         if space.population is not None:
             options["popsize"] = space.population

@@ -31,7 +31,7 @@ class GeneticSettings(Checked):
     Attributes:
         population: Individuals of a population.
         crossover: Probability that a pair of parents is crossed; the others are copied.
-        mutation: Probability of each gene of a child to be changed.
+        mutation: Probability that a gene of a child is changed.
         tournament: Individuals in a tournament.
         eta: Distribution index of simulated binary crossover.
         mutation_scale: Standard deviation of a gene's change.

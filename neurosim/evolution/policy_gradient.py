@@ -25,8 +25,8 @@ class PolicySettings(Checked):
 
     Attributes:
         policies: Variations of the policy that a step tries.
-        epsilon: How far a parameter is varied, as a share of its range.
-        step: Length of a step, as a share of the parameters' ranges.
+        epsilon: Variation of a parameter, as a fraction of its range.
+        step: Length of a step, as a fraction of the parameters' ranges.
     """
 
     policies: Annotated[int, Meta(ge=2, le=1000000)] = 13

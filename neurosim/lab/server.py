@@ -89,7 +89,7 @@ class PtyEnd(Server):
         try:
             self._master, self._slave = os.openpty()
         except OSError as error:
-            raise RobotError(f"no pseudo-terminal to be had: {error}") from None
+            raise RobotError(f"no pseudo-terminal is available: {error}") from None
         super().__init__()
         # The slave end stays open here: without it the line would hang up with each client.
         tty.setraw(self._slave)

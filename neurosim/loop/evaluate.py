@@ -273,7 +273,7 @@ def check_readings(simulator: Simulator, task: Task) -> None:
     if task.episode.readings and not simulator.reading_names:
         raise UserError(
             f"the task {task.name} needs the readings of sensors, and this simulator "
-            f'({simulator.kind}) has none; make one of samples with "neurosim build-tables"'
+            f'({simulator.kind}) has none; make one from samples with "neurosim build-tables"'
         )
 
 

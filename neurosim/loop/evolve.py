@@ -70,7 +70,7 @@ class Evolution:
         self._real_generations = real_generations
         self.real: Transfer | None = None
         if real_generations and (settings.runs > 1 or settings.robust is not None):
-            raise UserError("generations in reality go on after one run, which is not made robust")
+            raise UserError("generations in reality need a single run (runs=1), and not robust")
         if settings.robust is not None:
             check_uncertain(evaluator.simulator)
         if not settings.extrapolate:
@@ -348,8 +348,8 @@ def check_uncertain(simulator: Simulator) -> None:
     """
     if not simulator.uncertain:
         raise UserError(
-            "this simulator has neither noise nor an ensemble, so that it expects one outcome "
-            "only; train one with the default trainer, or give it noise"
+            "this simulator has neither noise nor an ensemble, so it always predicts the same "
+            "motion; train one with the default trainer, or give it noise"
         )
 
 
@@ -393,8 +393,8 @@ def evolve(
         ask: asks a person to do something, and returns when it is done.
         patience: a trial in reality that takes longer is given up, s.
         progress: whether to show progress on stderr.
-        workers: Who judges: local, this process; or ray, the workers of a Ray cluster. The result
-            is the same.
+        workers: Where controllers are evaluated: local, in this process; or ray, on a Ray cluster.
+            The result is the same.
         **changes: of the settings: ``generations=50``, ``objective="progress"`` ...
 
     Returns:
@@ -470,9 +470,9 @@ def evolve(
             found = results(interrupted)
             if controller.blind and not found[0].given:
                 if interrupted:
-                    raise UserError("so far no plan gives any command; continue with --resume")
+                    raise UserError("no plan has a command yet; continue with --resume")
                 checkpoint.remove()
-                raise UserError("no plan that gives any command came of this; use more generations")
+                raise UserError("the best plan has no command; use more generations")
             for folder, one in zip(folders, found, strict=False):
                 one.write(folder, overwrite=resume)
             if not interrupted:
@@ -492,7 +492,7 @@ def evolve(
                 raise
             written(True)
             raise type(error)(
-                f"{error}; the best controller so far is in {out}, go on with --resume"
+                f"{error}; the best controller so far is in {out}, continue with --resume"
             ) from None
         except KeyboardInterrupt:
             if evolution.real is None:

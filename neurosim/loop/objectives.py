@@ -91,7 +91,7 @@ def objective_named(name: str) -> Objective:
         UserError: if there is none of this name.
     """
     if name not in OBJECTIVES:
-        raise UserError(f"there is no objective {name!r}; there is {', '.join(OBJECTIVES)}")
+        raise UserError(f"there is no objective {name!r}; choose from {', '.join(OBJECTIVES)}")
     return OBJECTIVES[name]
 
 

@@ -57,9 +57,9 @@ class ReplanSettings(Checked):
     """How a plan is planned again.
 
     Attributes:
-        generations: Generations of a search, if there is time for all.
-        think: Time that a search may take while the command before goes on, s.
-        draws: Outcomes that every plan of a search meets.
+        generations: Most generations of a search.
+        think: Time for a search, while the command before continues, s.
+        draws: Random samples for every plan of a search.
         placing: how exactly the robot's pose is known: standard deviations, m and rad.
         settle: a robot that may be done stands for so long and is looked at again, s.
         most: so many times as many commands as the plan has slots are given at most.

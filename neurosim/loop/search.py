@@ -107,7 +107,7 @@ class Search:
             self.optimiser.tell(merit.merit.reshape(asked.shape[:-1]), **hints)
         self._remember(genes, merit)
         if self._outcomes and self._objective == "probability":
-            return f"completes in {100 * merit.success.max():.0f} % of {len(self._draws)} outcomes"
+            return f"completes in {100 * merit.success.max():.0f} % of {len(self._draws)} samples"
         return f"best {np.max(self.best[-1]):z.1f}"
 
     def _draw(self) -> Draws:

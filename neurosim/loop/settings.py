@@ -32,7 +32,7 @@ class RobustSettings(Checked):
         objective: ``probability`` of completing the task, or ``fitness``, the expected fitness.
             The latter often prefers plans that stop halfway and are safe.
         generations: Generations of --robust, after those without noise.
-        draws: Outcomes that every individual of a generation of --robust meets.
+        draws: Random samples for every individual of a generation of --robust.
         refresh: new outcomes are drawn every so many generations, lest individuals be fitted to
             them.
         selection_draws: outcomes on which the individual to keep is chosen in the end.
@@ -53,7 +53,7 @@ class EvolveSettings(Checked):
 
     Attributes:
         optimiser: its name; ``ga`` is the genetic algorithm of the controller's paper.
-        generations: How many populations are evaluated.
+        generations: Number of generations.
         runs: Independent runs, evaluated together; the best of all is kept.
         genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a share
             of a gene's range.
@@ -61,19 +61,19 @@ class EvolveSettings(Checked):
             in the plan; False: where it is, as we read the paper.
         outcomes: Trials, drawn anew, that every individual of a generation is tried in; 0: it is
             judged by what the simulator expects.
-        objective: What is maximised: fitness, probability, progress or steady. See
+        objective: The maximised number: fitness, probability, progress or steady. See
             :mod:`neurosim.loop.objectives`.
         robust: how to make the result robust, or None.
-        placing: How exactly the robot is put down, for drawn outcomes: standard deviations of its
-            position (x and y) and of its heading, m and rad.
+        placing: Error in placing the robot, for random samples: standard deviations of its position
+            (x and y) and of its heading, m and rad.
         arenas: Arenas, drawn at random, in which individuals are tried in place of the
             simulator's own, a start in any of them; 0: in its own.
         selection: Start poses from which the best of the last population is chosen, where outcomes
             are drawn.
-        final_draws: Fresh outcomes from which the probability of success is estimated.
-        unsupported: Controllers rank behind all others that spend a larger share of the time than
-            this in commands unlike any that the simulator learned from.
-        extrapolate: Commands may leave what the simulator learned from, which is only reported.
+        final_draws: Random samples for estimating the probability of success.
+        unsupported: Controllers rank last if they spend a larger fraction of the time than this in
+            commands unlike any in the simulator's data.
+        extrapolate: Commands may leave the range of the simulator's data; this is only reported.
     """
 
     optimiser: str = "ga"

@@ -52,7 +52,7 @@ def load(folder: str | Path, device: str | torch.device = "cpu") -> Any:
         if (folder / name).exists():
             return read(folder, device) if read is read_simulator else read(folder)
     what = f"it has none of {', '.join(_READERS)}" if folder.is_dir() else "no such folder"
-    raise FileError(folder, f"is no simulator, controller or dataset: {what}")
+    raise FileError(folder, f"is not a simulator, controller or dataset: {what}")
 
 
 def read_dataset(folder: str | Path) -> Dataset:

@@ -44,7 +44,7 @@ def workers_named(name: Name) -> Workers:
         return local
     if name == "ray":
         return Ray()
-    raise UserError(f"there are no workers {name!r}; there are local and ray")
+    raise UserError(f"there are no workers {name!r}; choose local or ray")
 
 
 def local(

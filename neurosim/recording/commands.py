@@ -115,8 +115,8 @@ class RandomCommands(Checked):
     Attributes:
         max_speed: Largest speed, percent of full speed.
         durations: Shortest and longest command, s.
-        straight: Share of commands that do not turn.
-        stopped: Share of commands with all speeds zero. The rest is random.
+        straight: Fraction of commands that do not turn.
+        stopped: Fraction of commands with all speeds zero. The rest is random.
         seed: Random seed.
         takes: what the robot takes for a command.
     """

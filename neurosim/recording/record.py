@@ -135,7 +135,9 @@ def record(
                     done = driven.run()
                 except LinkLost as error:
                     how = driven.go_on
-                    raise LinkLost(f"{error}; what was sent is kept, put the robot {how}") from None
+                    raise LinkLost(
+                        f"{error}; the commands so far are kept, put the robot {how}"
+                    ) from None
                 finally:
                     # Before the camera stops: it should still see the robot stand still, and
                     # nothing that goes wrong with the video may leave the motors on.
@@ -153,8 +155,8 @@ def record(
         if camera is not None and camera.failed:
             # After the last command: what is missing is the end of the video.
             raise UserError(
-                f"the camera stopped delivering frames; {out} keeps what was filmed: "
-                "check the camera and go on with --resume"
+                f"the camera stopped delivering frames; {out} keeps the film so far: check the "
+                "camera and continue with --resume"
             )
         recording.meta["complete"] = done
         recording.save_meta()
@@ -170,8 +172,8 @@ def _check_guard(
     guard = settings.guard
     if guard.by == "position" and guard.at_line != "ignore" and (camera is None or not tracked):
         raise UserError(
-            "nothing keeps the robot on the board by its position, unless a camera tracks it while "
-            "it drives: give a camera and its calibration, or let the guard ignore the board's edge"
+            "the guard needs the robot's position: give a camera and its calibration, or let the "
+            "guard ignore the board's edge"
         )
     if settings.readings and not (isinstance(robot, Sensors) and robot.sensor_names):
         kind = robot.describe().get("kind", "robot")
@@ -187,9 +189,7 @@ def _check_source(
 ) -> None:
     """Refuse what a controller cannot be driven with, before anything moves."""
     if resume:
-        raise UserError(
-            "what a controller that sees drives cannot be gone on with: start a new recording"
-        )
+        raise UserError("a closed-loop recording cannot be resumed: start a new recording")
     sees = (
         camera is not None and calibration is not None and CameraModel.read(calibration).has_board
     )
@@ -233,8 +233,8 @@ def _write_poses(recording: Recording, say: Callable[[str], None]) -> None:
             say(doubtful)
     except UserError as error:
         say(
-            f"the recording is whole, but its poses are not: {error}; "
-            f"neurosim track {recording.path} looks at the video again"
+            f"the recording is complete, but its poses are not: {error}; track the video again: "
+            f"neurosim track {recording.path}"
         )
 
 

@@ -31,7 +31,7 @@ class Rounds(Checked):
 
     Attributes:
         commands: How many commands the whole recording has.
-        size: Commands of a round of --guided; the first, of random commands, has twice as many.
+        size: Commands of a round of --guided; the first round has twice as many, all random.
     """
 
     commands: Count
@@ -104,7 +104,7 @@ def record_rounds(
         UserError: if ``out`` is taken, or is complete, or was begun with other settings.
     """
     if settings.guard.at_line == "end":
-        raise UserError("--at-line end would end the first round; leave it out with --guided")
+        raise UserError("--at-line end would end the first round; leave it out if you use --guided")
     numbers = rounds.numbers()
     if resume:
         check_no_links(out)
@@ -135,7 +135,7 @@ def record_rounds(
             chosen = _chosen_before(folder, how) if begun else None
             if chosen is None and made:
                 _say(
-                    f"round {number} of {len(numbers)}: learning from what was recorded, then "
+                    f"round {number} of {len(numbers)}: learning from all rounds so far, then "
                     f"choosing {len(indices)} commands"
                 )
                 candidates = replace(source, takes=made[0].takes)
@@ -204,7 +204,7 @@ def _chosen_before(folder: Path, how: Mapping[str, Any]) -> CommandSource:
     path = folder / "recording.json"
     source = Recording(folder).meta.get("settings", {}).get("source", {})
     if source.get("kind") != how["kind"]:
-        raise FileError(path, "is no round of a guided recording", field="settings.source")
+        raise FileError(path, "is not a round of a guided recording", field="settings.source")
     for key, now in json.loads(json.dumps(how)).items():
         if source.get(key) != now:
             raise UserError(

@@ -82,7 +82,7 @@ class Session:
     """
 
     #: What a user does next where a session was interrupted.
-    go_on = "in the middle of the board and go on with --resume"
+    go_on = "in the middle of the board and continue with --resume"
 
     def __init__(
         self,
@@ -490,9 +490,7 @@ class Session:
 
     def _give_up(self) -> NoReturn:
         self._write("stop", self._rest)
-        raise UserError(
-            f"the robot does not find its way back inside the lines; put it {self.go_on}"
-        )
+        raise UserError(f"the robot cannot return inside the lines; put it {self.go_on}")
 
     def _straight(self, direction: float) -> tuple[tuple[float, ...], float]:
         """Return the command that drives straight on (1) or back (-1), and its speed, m/s."""

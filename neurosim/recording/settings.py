@@ -29,8 +29,8 @@ class Guard(Checked):
     """How the robot is kept on the board, by light sensors and by its tracked position.
 
     Attributes:
-        at_line: What happens where a light sensor sees a line or the robot reaches the board's
-            edge: return inside and continue, end the session, or ignore it.
+        at_line: Reaction if a light sensor sees a line or the robot reaches the board's edge:
+            return inside and continue, end the session, or ignore it.
         contrast: Difference of a light sensor's reading (0..1) from that of the bare board at
             which it is a line.
         retreat: metres to drive back over, away from the line: more than the longest straight
@@ -42,8 +42,8 @@ class Guard(Checked):
         margin: by position, the middle of the axle stays so far inside the board's edge, m.
         unseen: without light sensors, a robot that was not seen for so many seconds is stopped
             until it is.
-        by: What keeps the robot on the board: light sensors and its tracked position, or its
-            position alone, where other lines than the perimeter's are on the board.
+        by: Guard of the board: light sensors and the tracked position, or only the position, if the
+            board has other lines than the perimeter.
     """
 
     at_line: Literal["return", "end", "ignore"] = "return"
@@ -88,14 +88,14 @@ class RecordSettings(Checked):
     """What a recording is made with, beside robot, camera and commands.
 
     Attributes:
-        commands: How many commands to send.
+        commands: Number of commands to send.
         guard: how the robot is kept on the board.
         battery_limit: Voltage below which the recording pauses, V.
         full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
-        readings: Read the sensors all the time and keep what they read, so that a simulator can
-            learn them.
+        readings: Read the sensors all the time and keep the readings, so that a simulator can learn
+            them.
     """
 
     commands: Count = 500

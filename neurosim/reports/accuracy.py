@@ -102,7 +102,7 @@ def _composition(simulator: Artefact) -> list[Block]:
             words, ["actuator", *(law.replace("_", " ") for law in laws)], actuators, folded=True
         ),
         Table(
-            f"{simulator.name}: what the laws leave, {units}",
+            f"{simulator.name}: errors of the drive model, {units}",
             ["output", "product units", "their share", "process"],
             learned,
             folded=True,
@@ -128,7 +128,7 @@ def others(artefacts: Artefacts) -> Section | None:
                 ]
             )
     head = ["simulator", "kind", "commands", "sensors", "uncertainty"]
-    table = Table("What they take and give", head, rows, words=True)
+    table = Table("Inputs and outputs", head, rows, words=True)
     return Section("simulators", "Other simulators", [table]) if rows else None
 
 

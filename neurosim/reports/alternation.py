@@ -114,7 +114,7 @@ def _evaluations(one: Artefact, prefix: str) -> Picture:
     """Draw every evaluation in reality, in their order."""
     real = np.array(one.meta["real"], float)
     number = 1 + np.arange(len(real))
-    label = f"{one.name}: what each evaluation in reality told, and the best that is believed"
+    label = f"{one.name}: each evaluation in reality, and the accepted best"
     with drawing(9.0, 2.6) as (figure, axes):
         axes.plot(number, real, "o", ms=3, mew=0, color=INK["actual"])
         axes.plot(number, np.array(one.meta["believed"], float), color=INK["predicted"])

@@ -230,7 +230,7 @@ def _kind(path: Path) -> str:
         if (path / f"{kind}.json").exists():
             return kind
     names = ", ".join(f"{kind}.json" for kind in KINDS)
-    raise FileError(path, f"is no folder that a report can show: it has none of {names}")
+    raise FileError(path, f"cannot be shown in a report: it has none of {names}")
 
 
 def _check_history(artefact: Artefact) -> None:

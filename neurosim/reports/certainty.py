@@ -60,7 +60,7 @@ def _intervals(ranks_of: Mapping[str, NDArray]) -> Table:
         for level in LEVELS
     ]
     return Table(
-        "Intervals of single commands: what they say they hold, and what they held",
+        "Intervals of single commands: nominal probability, and measured fraction",
         ["said", *["dx", "dy", "dtheta"] * len(ranks_of)],
         rows,
         note="Shares of the held-out commands of Table 2 that lay within the central interval of "
@@ -73,7 +73,7 @@ def _calibration(name: str, ranks: NDArray, prefix: str) -> Picture:
     said = np.linspace(0.0, 1.0, 101)
     held = (ranks[:, :, None] <= said).mean(0)
     off = float(np.abs(held - said).max())
-    words = f"{name}: share of held-out commands within an interval, over the probability it says"
+    words = f"{name}: fraction of held-out commands within an interval, over its probability"
     lines = {
         output: (said, line) for output, line in zip(("dx", "dy", "dtheta"), held, strict=True)
     }
@@ -100,8 +100,8 @@ def _trials(trials: Sequence[Trial]) -> Table:
         score, base = brier(trials)
         note += f" Brier score {score:.3f}; of always saying the base rate {base:.3f}."
     return Table(
-        "Probabilities of success: said, and what happened",
-        ["said to complete", "trials", "said, mean", "completed"],
+        "Probabilities of success: predicted and measured",
+        ["predicted to complete", "trials", "said, mean", "completed"],
         rows,
         note=note,
     )

@@ -58,8 +58,8 @@ def unknown_tasks(found: Sequence[Artefact]) -> list[Text]:
     names = dict.fromkeys(one.meta["task"]["name"] for one in found if one.task is None)
     return [
         Text(
-            f"The task {name} is not registered on this computer, so that its outline is not "
-            "drawn; install the package that offers it."
+            f"The task {name} is not registered on this computer, so its outline is not shown; "
+            "install the package that offers it."
         )
         for name in names
     ]
@@ -185,9 +185,11 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         "Controllers, as their simulators predict them",
         [head[k] for k in shown],
         [[row[k] or "-" for k in shown] for row in rows],
-        note="Completes: whether the path that the simulator expects, without noise, does the "
-        "task. Probability: over drawn outcomes. Unlike what was recorded: commands near "
-        "none that the simulator learned from; what it says of them is a guess.",
+        note=(
+            "Completes: whether the path that the simulator expects, without noise, does the "
+            "task. Probability: over random samples. Unlike the data: commands that are not near "
+            "any of the simulator's data; predictions of them are a guess."
+        ),
     )
 
 

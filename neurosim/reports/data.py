@@ -29,7 +29,7 @@ def section(artefacts: Artefacts) -> Section:
         if artefact.meta.get("cutting"):
             blocks += _cutting(artefact.name, artefact.meta["cutting"])
     if not artefacts.datasets:
-        text = "Not shown: rows, what was left out, and the displacements. "
+        text = "Not shown: rows, rows that were left out, and the displacements. "
         blocks.append(Text(text + "Add the folder of a dataset to see it.", missing=True))
     return Section("dataset", "The dataset", blocks)
 
@@ -129,7 +129,7 @@ def _colours(artefact: Artefact) -> list[Block]:
     ]
     if not rows:
         return []
-    head = ["session", "front, confidence", "rear, confidence", "what speaks against it"]
+    head = ["session", "front, confidence", "rear, confidence", "reason against it"]
     title = f"{artefact.name}: the markers' colours as the camera saw them"
     return [Table(title, head, rows, words=True)]
 
@@ -157,7 +157,7 @@ def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
         )
     head = ["sent", "cut", "completed", "share cut"]
     tables: list[Block] = [
-        Table(f"{name}: what cutting at the lines did", ["commands", *head], by_kind, note=note)
+        Table(f"{name}: effect of cutting at the lines", ["commands", *head], by_kind, note=note)
     ]
     if by_duration:
         caption = f"{name}: commands cut, by planned duration"

@@ -67,7 +67,7 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
         share = simulator.meta.get("training", {}).get("held_out")
         if share is None or not 0 < share < 1:
             raise FileError(
-                simulator.json, "expected a share of the dataset", field="training.held_out"
+                simulator.json, "expected a fraction of the dataset", field="training.held_out"
             )
         seen, rows = dataset.split(share)
         how = f"the last {share:.0%} of its dataset in time, {len(rows)} commands"

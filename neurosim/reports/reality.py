@@ -69,13 +69,16 @@ def growth(artefacts: Artefacts) -> Section | None:
         if len(trials) > 1:  # one alone has its errors beside its commands
             blocks.append(_growth_table(position, heading))
         blocks.append(
-            Text("A plan is driven blind: the error after a command includes all before it.")
+            Text(
+                "A plan is driven in open loop: the error after a command includes all errors "
+                "before it."
+            )
         )
         if any(trial.meta.get("replanned") for trial in trials):
             blocks.append(
                 Text(
-                    "A plan that was planned again after every command was predicted anew each "
-                    "time, from where the robot was seen: its errors do not add up."
+                    "A replanned plan was predicted again for each command, from the robot's "
+                    "tracked pose: errors do not add up."
                 )
             )
     return Section("growth", "How the error grows from command to command", blocks)

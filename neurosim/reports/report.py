@@ -155,7 +155,7 @@ def _completed(artefacts: Artefacts) -> str:
     if done:
         return f"The robot completed the task{said}."
     if chance is None and predicted[0].get("completes"):
-        said = ", though the simulator said that it would"
+        said = ", although the simulator predicted it"
     reason = trials[0].meta["actual"].get("reason")
     why = f": it {reason}" if reason else ""
     return f"The robot did not complete the task{said}{why}."
@@ -173,8 +173,7 @@ def _distance(summary: Mapping[str, Any], artefacts: Artefacts) -> str:
     text = (
         "After a command it was, on average over commands, "
         f"{100 * summary['mean_position_error']:.1f} cm and "
-        f"{np.degrees(summary['mean_heading_error']):.1f} degrees from where the simulator said it "
-        "would be"
+        f"{np.degrees(summary['mean_heading_error']):.1f} degrees from the prediction"
     )
     if "final_position_error" not in summary:
         if all(trial.meta.get("ended_early") for trial in artefacts.trials if trial.by_command):

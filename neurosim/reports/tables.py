@@ -23,7 +23,7 @@ def samples(artefacts: Artefacts) -> Section | None:
             simulator = artefact.content
             blocks += [_sensors(artefact.name, simulator, f"t{place}"), _summary(simulator)]
             blocks.append(_motors(artefact.name, simulator))
-    return Section("samples", "What the robot sampled", blocks) if blocks else None
+    return Section("samples", "Samples of the robot", blocks) if blocks else None
 
 
 def _sensors(name: str, simulator: Any, prefix: str) -> Picture:
@@ -35,7 +35,7 @@ def _sensors(name: str, simulator: Any, prefix: str) -> Picture:
     distance = 1000 * (
         simulator.sensors.first_distance + simulator.sensors.distance_step * np.arange(distances)
     )
-    label = f"{name}: what each sensor reads by bearing and distance of a wall and of an obstacle"
+    label = f"{name}: reading of each sensor by bearing and distance of a wall and of an obstacle"
     with drawing(9.6, 3.4, nrows=2, ncols=count, sharex=True, sharey=True) as (figure, axes):
         for kind, named in enumerate(OBJECTS):
             for sensor in range(count):

@@ -98,8 +98,8 @@ class _Tried:
         )
         if 2 * late > STEP:
             says += (
-                f": too slow for a controller that sees at steps of {STEP:g} s; raise --baud, use "
-                "a cable in place of a radio, or give the task longer steps"
+                f": too slow for a closed-loop controller with steps of {STEP:g} s; raise --baud, "
+                "use a cable in place of a radio, or give the task longer steps"
             )
             return Finding("latency", "wrong", says, measured)
         return Finding("latency", "good", says, measured)
@@ -112,8 +112,8 @@ class _Tried:
         return self._stands(
             "order",
             "the last of ten commands, a stop, holds",
-            "it goes on driving after commands that end in a stop: they are not carried out in "
-            "their order, or not all",
+            "it continues to drive after commands that end in a stop: some commands are lost, or "
+            "their order changes",
         )
 
     def self_stopping(self) -> Finding:
@@ -130,8 +130,8 @@ class _Tried:
         moved = self._counts() != before
         found = self._stands(
             "self-stopping", "it stops by itself after its command, with nothing sent",
-            "it goes on driving after its command should be over: its driver says that it stops "
-            "by itself, and it does not",
+            "it continues to drive after the end of its command, although its driver is "
+            "SelfStopping",
         )  # fmt: skip
         if self._counter is not None and not moved:
             return Finding(

@@ -70,8 +70,8 @@ class Odometry:
                 self._asked = asked
                 return counts
         raise RobotError(
-            f"the robot's counters say that a wheel went {way} pulses, farther than it can: is its "
-            "line disturbed, or was it switched on anew? Put that right and try again"
+            f"the robot's counters say that a wheel went {way} pulses, farther than it can: check "
+            "its line, or whether it was switched off and on, and try again"
         )
 
     def _fastest(self) -> float:

@@ -78,8 +78,8 @@ class SerialLine:
         """
         if self.port.strip().lower().startswith("spy:"):
             raise RobotError(
-                f"cannot open the serial port {self.port}: spy:// is not taken here, for it "
-                "overwrites the file that it names; give the port alone"
+                f"cannot open the serial port {self.port}: spy:// is not allowed, because it "
+                "overwrites a file; give the port alone"
             )
         try:
             self._serial = serial.serial_for_url(

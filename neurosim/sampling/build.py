@@ -58,17 +58,16 @@ def build_tables(
         wheel_base: Distance between the wheels of the ideal robot, m; by default a Khepera's, 53
             mm.
         full_speed: Wheel speed of the ideal robot at 100 %, m/s; by default a Khepera's, 100 mm/s.
-        units: Whole speeds that the robot can be set to, up to full speed; by default as sampled,
-            or 10.
+        units: Number of whole speeds of the robot, up to full speed; by default as sampled, or 10.
         radius: Radius of the circle around the robot's body, m; by default that of the robot that
             sampled itself, or of a Khepera, 27.5 mm, where there are as many sensors as it has.
         arena: JSON file of the arena (from Python also an arena); by default that of the paper, 60
             x 35 cm with three obstacles.
         noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
             as the samples' own.
-        convention: How the samples are read: neurosim, where an object is further to the robot's
-            right from row to row; or as evorobotpy2 does, rows the other way round and cylinders
-            twice the first distance nearer.
+        convention: How the samples are read: neurosim, where the object moves to the robot's
+            right from row to row; or evorobotpy2, with rows in the opposite order and cylinders
+            nearer by twice the first distance.
 
     Returns:
         The simulator. ``meta["body"]`` says where its ``radius``, ``wheel_base`` and ``full_speed``
@@ -83,7 +82,7 @@ def build_tables(
         for name, value in (("wheel base", wheel_base), ("full speed", full_speed)):
             if value is not None:
                 raise UserError(
-                    f"the {name} is that of an ideal robot: leave it out, or leave out the motor "
+                    f"the {name} is for an ideal robot: leave it out, or leave out the motor "
                     "samples"
                 )
     used = [Path(path) for path in samples]
@@ -112,7 +111,7 @@ def build_tables(
     count = sensors.mean.shape[-1]
     if radius is None and count != KHEPERA_SENSORS:
         raise UserError(
-            f"nothing says how large this robot is, and with {count} sensors it is no Khepera: "
+            f"the size of this robot is unknown, and with {count} sensors it is not a Khepera: "
             "give its radius (--radius, mm)"
         )
     simulator = TableSimulator(

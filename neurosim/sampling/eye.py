@@ -53,7 +53,7 @@ class Eye:
             )
         if tuple(model.image_size) != tuple(camera.size):
             raise UserError(
-                "the calibration is of pictures of {}x{}, but the camera's are {}x{}".format(
+                "the calibration is for pictures of {}x{}, but the camera gives {}x{}".format(
                     *model.image_size, *camera.size
                 )
             )
@@ -99,10 +99,12 @@ class Eye:
         times = np.array([time for _, time, _, _ in seen])
         if len(seen) < _PICTURES or np.ptp(times) < _SHARE * duration:
             raise UserError(
-                "the camera delivers no more pictures; see to it and go on with --resume"
+                "the camera delivers no more pictures; check it and continue with --resume"
                 if self._camera.failed or self._camera.stalled
-                else "the camera does not see the robot: are its markers those of --markers, and "
-                "in view? Put it in the middle of the view and go on with --resume"
+                else (
+                    "the camera does not see the robot: are its markers those of --markers, and "
+                    "in view? Put it in the middle of the view and continue with --resume"
+                )
             )
         front, rear = (np.array([item[which] for item in seen]) for which in (2, 3))
         poses = marker_poses(front, rear, self._markers, self._model)

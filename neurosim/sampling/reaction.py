@@ -74,7 +74,7 @@ def read_reaction(folder: str | Path, seconds: NDArray[np.float64], scan: float)
     table = table[~table["whole"]]
     time, ways = table["time"].to_numpy(), table[["left", "right"]].to_numpy().T
     if len(time) < 10 or not (ways.max(axis=1) > 0).all():
-        raise UserError(f"{path}: the wheels did not turn as they were told to")
+        raise UserError(f"{path}: the wheels did not turn as they were commanded")
     delays, lags = np.arange(0.0, 0.15, _STEP), np.arange(_STEP, 0.3, 4 * _STEP)
     errors = np.stack([[_errors(time, way, d, lags) for d in delays] for way in ways])
     best = int(errors.min(axis=2).sum(axis=0).argmin())

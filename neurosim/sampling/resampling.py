@@ -96,10 +96,10 @@ def _repeats(turned: _Array, readings: _Array) -> float:
     best = int(np.argmin(errors))
     if best in (0, len(periods) - 1):
         raise UserError(
-            f"the robot's sensors do not see its turn begin again within {100 * _REACH:.0f} % of "
-            "where its counters say: they have another number of pulses than was taken (a "
-            "Khepera's is 10,000 a metre here and 12,000 or 12,500 in its manuals), or the robot "
-            "is of another size; give --pulses-per-metre and sample into a new folder"
+            f"the sensors' readings do not repeat within {100 * _REACH:.0f} % of a full turn of "
+            "the counters: the number of pulses (10,000 a metre for a Khepera here; 12,000 or "
+            "12,500 in its manuals) or the robot's size is wrong; give --pulses-per-metre and "
+            "sample into a new folder"
         )
     return float(periods[best])
 

@@ -72,8 +72,8 @@ def sample(
     """
     if not isinstance(robot, Sampler):
         raise UserError(
-            "this robot cannot sample itself: that takes a ring of proximity sensors, counters of "
-            "the wheels and speeds in whole numbers"
+            "this robot cannot sample itself: it needs a ring of proximity sensors, wheel "
+            "counters and speeds in whole numbers"
         )
     out = Path(out)
     levels = settings.levels(robot.full_speed)
@@ -89,7 +89,7 @@ def sample(
         try:
             return _sample(out, robot, settings, levels, place, seed, progress, eye)
         except LinkLost as error:
-            how = "what was sampled is kept, go on with --resume"
+            how = "the samples so far are kept, continue with --resume"
             raise LinkLost(f"{error}; {how}") from None
 
 
@@ -164,7 +164,9 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
     files.check_no_links(out)
     if any(found[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
-            path, "was begun with other settings; give the same to go on", field="settings"
+            path,
+            "was started with other settings; give the same settings to continue",
+            field="settings",
         )
     then, now = found.get("motors", "counters"), about["motors"]
     if then != now:

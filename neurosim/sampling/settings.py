@@ -27,14 +27,14 @@ class SampleSettings(Checked):
     """What to sample.
 
     Attributes:
-        angles: Angles of a full turn in the .sample files.
-        distances: Distances from the object.
+        angles: Number of angles of a full turn in the .sample files.
+        distances: Number of distances from the object.
         first: First distance, from the robot's rim to the object's surface, m.
         step: From distance to distance, m.
         repeats: Repetitions; at least two to estimate sensor noise.
-        grid: Drive a grid of so many speeds of each motor, and some settings beside it that show
-            what interpolation costs; 0: every whole speed of the robot. Evenly from full speed
-            backward to full speed forward.
+        grid: Drive a grid with this number of speeds of each motor, and some other settings to
+            measure the interpolation error; 0: every whole speed of the robot. Evenly from full
+            speed backward to full speed forward.
         held_out: Settings beside a grid that are driven to see what interpolation costs.
         duration: Duration of a motor sample, s.
     """

@@ -137,8 +137,8 @@ class _Whereabouts(Odometry):
         elif now - self._since > STUCK:
             robot.stop()
             raise RobotError(
-                "the robot's wheels do not turn: is it held, or its battery empty? Put it right "
-                "and go on with --resume"
+                "the robot's wheels do not turn: is it held, or is its battery empty? Correct "
+                "this and continue with --resume"
             )
         return pose
 

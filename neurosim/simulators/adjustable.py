@@ -36,7 +36,9 @@ class Adjustable:
     def __post_init__(self) -> None:
         finite = math.isfinite(self.low) and math.isfinite(self.high)
         if not finite or self.low >= self.high or (self.log and self.low <= 0.0):
-            raise UserError(f"the parameter {self.name}: {self.low:g} to {self.high:g} is no range")
+            raise UserError(
+                f"the parameter {self.name}: {self.low:g} to {self.high:g} is not a range"
+            )
         self.checked(self.value)
 
     def at(self, share: float) -> float:

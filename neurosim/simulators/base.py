@@ -273,7 +273,7 @@ class Simulator:
             UserError: if it knows of no places.
         """
         raise UserError(
-            f"a simulator of the kind {self.kind} has no arena, so there are no others to draw"
+            f"a simulator of the kind {self.kind} has no arena, so there are no random arenas"
         )
 
     def conditions(self) -> dict[str, Any]:
@@ -292,8 +292,8 @@ class Simulator:
             UserError: if it is not.
         """
         raise UserError(
-            f"a simulator of the kind {self.kind} cannot be exported: how many operations its step "
-            "takes depends on where the robots are; those of the kind motion-network can"
+            f"a simulator of the kind {self.kind} cannot be exported, because the number of "
+            "operations in its step depends on the robots' poses; a motion-network can"
         )
 
     def compiled(self) -> Any:
@@ -411,6 +411,6 @@ def check_commands(simulator: Simulator, commands: NDArray, where: str = "comman
             value, index = column[wrong.argmax()], "".join(f"[{i}]" for i in at)
             asked = f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else "a finite number"
             raise UserError(
-                f"{where}{index}: {name} = {value:g} lies outside of what this simulator was made "
-                f"from ({asked})"
+                f"{where}{index}: {name} = {value:g} lies outside of this simulator's data "
+                f"({asked})"
             )

@@ -270,8 +270,8 @@ def _page(about: dict[str, Any]) -> str:
     ]
     if about["noise"]:
         lines.append(
-            f"| `noise` | [B, {about['noise']}] | standard normal numbers, new ones for each step; "
-            "zeros: what is expected |"
+            f"| `noise` | [B, {about['noise']}] | standard normal numbers, new ones for each "
+            "step; zeros: the expected motion |"
         )
     lines += [
         f"| returned | [B, {len(about['state'])}] | the state afterwards |",
@@ -284,12 +284,12 @@ def _page(about: dict[str, Any]) -> str:
         lines += [
             "",
             f"The simulator is an ensemble: `member` is 0 to {about['members'] - 1}, or -1 for "
-            "what is expected. It stays the same from start to end.",
+            "the expected motion. It stays the same from start to end.",
         ]
     if "elapsed" in about["state"]:
         lines += [
             "",
-            "A step may be any part of a command: the same command given again goes on with it.",
+            "A step may be any part of a command: the same command, given again, continues it.",
         ]
     else:
         lines += ["", "A step is a whole command."]

@@ -314,11 +314,9 @@ class Task(Checked):
             UserError: naming what is missing.
         """
         if "poses" in self.scored_by and not poses:
-            raise UserError(
-                f"{self.name} can only be judged where the robot's poses are known: use a camera"
-            )
+            raise UserError(f"{self.name} needs the robot's poses: use a camera")
         if "readings" in self.scored_by and not readings:
-            raise UserError(f"{self.name} can only be judged where the sensors were read")
+            raise UserError(f"{self.name} needs the sensors' readings")
 
     def whole(self, fitness: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the fitness of whole trials [...] of those from each start [..., trial_starts]."""

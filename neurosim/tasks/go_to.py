@@ -41,8 +41,8 @@ class GoTo(Task):
         tolerance: Distance from the last goal within which the robot must stop, m.
         heading_tolerance: Difference from the last goal's heading within which the robot must stop,
             rad; by default its heading does not matter.
-        step: Time between two commands of a controller that sees, s.
-        seconds: Time that a controller that sees has, s.
+        step: Time between two commands of a closed-loop controller, s.
+        seconds: Time of a closed-loop controller, s.
         area: Length and width of a board, m: trials start anywhere on it, and end at a last goal
             that is anywhere on it, too. Both are moved together until the goal is where the task
             has it, so a controller that knows only where its goal is learns to go anywhere. By
@@ -79,7 +79,7 @@ class GoTo(Task):
         if self.area is not None:
             object.__setattr__(self, "area", tuple(map(float, self.area)))
             if len(self.goals) > 1 or self.walls:
-                raise UserError("starts are drawn for a single goal, without walls: leave out area")
+                raise UserError("random starts need a single goal, without walls: leave out area")
 
     @property
     def start(self) -> Pose:  # type: ignore[override]

@@ -72,14 +72,14 @@ class NineRectangles(Task):
     """The course around nine rectangles; other grids by other settings.
 
     Attributes:
-        penalty: What a breach of the rules takes off the fitness.
-        longest_arc: Farther than a robot drives in one command, m.
+        penalty: Fitness that is subtracted if the rules are broken.
+        longest_arc: A distance longer than any robot drives in one command, m.
         length: Length of a rectangle along x, m.
         width: Width of a rectangle along y, m.
         course: Number of each rectangle, rows from the top (largest y) down; -1 is forbidden.
             The numbers from 0 are passed in turn, and the last goal is 0 again.
-        step: Time between two commands of a controller that sees, s.
-        seconds: Time that a controller that sees has, s.
+        step: Time between two commands of a closed-loop controller, s.
+        seconds: Time of a closed-loop controller, s.
     """
 
     penalty: Annotated[float, Meta(ge=0, le=1000000)] = 32.0

@@ -119,7 +119,7 @@ class PursuitSettings(Checked):
     """How product units are searched for, one at a time.
 
     Attributes:
-        candidates: units drawn for each function that may get one.
+        candidates: random candidates for each new unit.
         parents: best of them, from which others are made.
         children: made by changing parents.
         mutation_scales: standard deviations of the change of exponents, one a round.
@@ -127,7 +127,7 @@ class PursuitSettings(Checked):
         ridge: added to the diagonal of the equations, scaled to ones.
         refine_every: units from one refinement of all exponents to the next.
         refine_steps: steps of a refinement.
-        reweigh_at: numbers of units at which the rows are weighed anew by their expected error.
+        reweigh_at: numbers of units at which the rows' weights are updated by their expected error.
         unit_cost: degrees of freedom that a unit counts as in generalised cross-validation.
         least_gain: relative gain of the score that counts as one.
         patience: units without a gain after which the search ends.

@@ -60,7 +60,7 @@ def evaluate(
     """
     network = read_simulator(simulator)
     if not isinstance(network, MotionNetwork):
-        raise UserError(f"{simulator} is no motion network: it was not learned from a dataset")
+        raise UserError(f"{simulator} is not a motion network: it was not learned from a dataset")
     rows = Dataset.read(dataset)
     if rows.inputs != network.input_names:
         raise UserError(

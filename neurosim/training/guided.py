@@ -245,8 +245,8 @@ def _rows(made: Sequence[Recording], units: Mapping[str, str]) -> tuple[NDArray,
     rows = [row for recording in made for row in displacements(recording).rows]
     if len(rows) < MIN_ROWS:
         raise UserError(
-            f"only {len(rows)} commands could be tracked so far, too few to learn from; "
-            f"look at {made[-1].path} with neurosim report, or check the camera"
+            f"only {len(rows)} commands could be tracked, too few to learn from; check the "
+            f"camera, or see {made[-1].path} with neurosim report"
         )
     inputs, outputs = (
         np.array([[row[name] for name in names] for row in rows], float)

@@ -93,8 +93,8 @@ class _Grid:
         if nx * ny > MOST_POINTS:
             raise UserError(
                 f"the readings are spread over {high[0] - low[0]:.0f} m by {high[1] - low[1]:.0f} "
-                "m, more than a map of a board can hold: are the poses right? --no-sensors leaves "
-                "the sensors out"
+                "m, more than the largest map of a board: are the poses right? --no-sensors "
+                "leaves the sensors out"
             )
         return cls(low, cell, (ny, nx))
 
@@ -196,7 +196,9 @@ def learn_sensors(
     names = sensors_of(readings)
     for name in names:
         if name in NOT_READINGS:
-            raise UserError(f"a sensor cannot be called {name}: that is what controllers call else")
+            raise UserError(
+                f"a sensor cannot be called {name}: controllers use this name for another input"
+            )
     every = _rows_of(readings)
     earlier = int(len(readings) * (1 - held_out))
     rows, later = every.take(np.arange(earlier)), every.take(np.arange(earlier, len(readings)))

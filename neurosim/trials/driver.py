@@ -108,7 +108,7 @@ class Driver:
         if not all(map(math.isfinite, speeds.values())):
             raise UserError(
                 f"the controller ({self._family.kind}) gave {speeds} after {seen.time:.1f} s, "
-                "which is no command: its weights or its function are at fault"
+                "which is not a command: check its weights or its function"
             )
         numbers = tuple(
             min(max(speeds[one.name], one.low), one.high) for one in self._takes.numbers
@@ -156,9 +156,7 @@ class Replanned:
         seed: int = 0,
     ):
         if not isinstance(saved.controller, FixedPlan):
-            raise UserError(
-                f"a {saved.kind} cannot be planned again after every command: only a plan can"
-            )
+            raise UserError(f"a {saved.kind} cannot be replanned: only a plan can")
         family = make_controller("plan", simulator, task, slots=len(saved.commands))
         assert isinstance(family, Plan)
         self.replanner = Replanner(

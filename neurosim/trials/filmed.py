@@ -184,10 +184,11 @@ class VirtualNxt(Driven):
             controller: the family.
             task: that is to be done.
             lab_seed: Which of the virtual lab's robots and boards.
-            seed: Of the lab's noise from trial to trial.
-            slip: Mean share of their way by which the wheels slip on the floor.  [the lab's own]
+            seed: Random seed of the lab's noise from trial to trial.
+            slip: Mean slip of the wheels on the floor, as a fraction of the distance.  [the lab's
+                own]
             battery: The battery's voltage before a trial, V.  [that of the robot]
-            worn: Share of its diameter that the left wheel has lost.
+            worn: Wear of the left wheel, as a fraction of its diameter.
 
         Raises:
             UserError: if the controller does not command wheels, or a number is none that can be.

@@ -87,7 +87,7 @@ def open_rig(
             yield rig
         return
     if setup.camera == "lab":
-        raise UserError("--camera lab is the virtual robot's; name a camera that there is")
+        raise UserError("--camera lab is for virtual robots; name a real camera")
     driver = ROBOTS.make(robot, options or {})
     with not_suspended(), stopped_at_end(lambda: driver.stop()):
         try:
@@ -118,12 +118,12 @@ def virtual(
     Args:
         setup: the rest.
         lab_seed: Which of the virtual lab's robots and boards.
-        lamp: The lamp: that on motor port A, color:3 for the colour sensor's, or none.
+        lamp: The lamp: A (on motor port A), color:3 (of the colour sensor on port 3), or none.
         line: A closed line printed on the board, and light sensors in front to follow it:
             rectangle, ellipse, or a JSON file of the task follow-line.
-        push: A hand pushes the robot aside by so much while it drives, m; in which direction the
-            random seed says.
-        push_after: So long after it began to drive, s.
+        push: A hand pushes the robot aside by this distance while it drives, m; the random seed
+            chooses the direction.
+        push_after: Time of the push after the start of the drive, s.
         real_time: The lab's time is the wall clock's.
 
     Raises:

@@ -90,8 +90,8 @@ def run_trial(
     task = make_task(saved.task)
     if calibration is not None and not CameraModel.read(calibration).has_board:
         raise UserError(
-            f"{calibration} has no points on the board, so poses cannot be held against the plan; "
-            "run neurosim calibrate with at least 4 marked points"
+            f"{calibration} has no points on the board, so poses cannot be compared with the "
+            "plan; run neurosim calibrate with at least 4 marked points"
         )
     source: CommandSource | SeeingSource | None = None
     if replan is not None:
@@ -399,8 +399,8 @@ def _check_driver(source: Mapping[str, str], recording: Recording) -> None:
     told = recording.meta["settings"].get("source", {}).get("controller") or {}
     if any(told.get(name) != value for name, value in source.items() if name != "path"):
         raise UserError(
-            f"{recording.path}: was driven by another controller, {told.get('path')}, or this one "
-            "was changed since"
+            f"{recording.path}: another controller drove it ({told.get('path')}), or this one was "
+            "changed since"
         )
 
 
@@ -408,7 +408,9 @@ def _check_same(plan: list[Command], sent: list[CommandLine], path: Path) -> Non
     for number, (one, line) in enumerate(zip(plan, sent, strict=False), start=1):
         same = line.numbers == one.numbers
         if not same or abs(line.duration - one.duration) > 1e-6:
-            raise UserError(f"{path}: command {number} is not the plan's; it is another's trial")
+            raise UserError(
+                f"{path}: command {number} is not that of the plan; this is a trial of another plan"
+            )
 
 
 def _pose_at(track: Track, time: float) -> Pose:

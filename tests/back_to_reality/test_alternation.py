@@ -524,7 +524,7 @@ def test_cma_of_a_single_parameter_is_refused_before_any_trial(tmp_path):
             return super().parameters[:1]
 
     model = Simulated(Heavy(), Slide(), Push())
-    with pytest.raises(UserError, match="two parameters at least: take ga"):
+    with pytest.raises(UserError, match="at least two parameters: use ga"):
         Alternation(model, Journal(reality_of(), tmp_path / "a.jsonl"), START,
                     settings_named("paper", adapt="cma"))  # fmt: skip
 
@@ -568,6 +568,9 @@ def test_an_optimiser_that_does_not_suit_is_refused_before_any_trial(tmp_path, w
         hints = ("keys",)
 
     monkeypatch.setitem(OPTIMISERS._registered, "keyed", Keyed)
-    for name, said in (("hill", "there is no optimiser 'hill'"), ("keyed", "needs keys besides")):
+    for name, said in (
+        ("hill", "there is no optimiser 'hill'"),
+        ("keyed", "needs keys in addition"),
+    ):
         with pytest.raises(UserError, match=said):
             alternation(tmp_path / "trials.jsonl", settings_named("paper", **{which: name}))

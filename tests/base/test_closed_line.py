@@ -54,7 +54,7 @@ def test_poses_face_along_the_line_or_against_it():
 @pytest.mark.parametrize(
     ("made", "words"),
     [
-        (lambda: ClosedLine([(0, 0), (1, 0)]), "three or more points"),
+        (lambda: ClosedLine([(0, 0), (1, 0)]), "at least three points"),
         (lambda: ClosedLine([(0, 0), (1, 0), (np.nan, 1)]), "finite"),
         (lambda: ClosedLine([(0, 0), (0, 0), (1, 1)]), "different"),
         (lambda: ClosedLine.of("circle", 1, 1), "rectangle, ellipse, points"),

@@ -88,10 +88,10 @@ def test_what_describes_no_commands():
         Commands((one, one))
     with pytest.raises(ValueError, match="'time' cannot be the name"):
         Commands((Number("time", "s", 0, 1),))
-    with pytest.raises(ValueError, match="not those of the body car"):
+    with pytest.raises(ValueError, match="the body car does not have these numbers"):
         Commands((one,), "car")
     unknown = Commands((Number("throttle", "%", -100, 100),))
     assert not unknown.moves_as_known
-    with pytest.raises(UserError, match="does not say how it moves"):
+    with pytest.raises(UserError, match="does not give its body"):
         unknown.twist((3,))
     assert Commands.of(None) == WHEELS

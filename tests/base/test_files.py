@@ -54,7 +54,7 @@ def test_a_folder_with_something_in_it_is_refused(tmp_path):
 
 def test_a_place_in_a_file_is_refused(tmp_path):
     (tmp_path / "file").touch()
-    with pytest.raises(UserError, match="file is a file; name a folder, or a place in one"):
+    with pytest.raises(UserError, match="file is a file; name a folder"):
         files.write_text(tmp_path / "file" / "deeper" / "x", "x")
     with (
         pytest.raises(UserError, match="file is a file"),
@@ -303,7 +303,9 @@ def holder(folder):
 def test_a_folder_is_one_process_own(tmp_path):
     child = holder(tmp_path)
     try:
-        says = rf"is being recorded into by process {child.pid} on .+: wait for that, or end it$"
+        says = (
+            rf"is being recorded into by process {child.pid} on .+: wait until it ends, or end it$"
+        )
         with pytest.raises(UserError, match=says), files.locked(tmp_path, "recorded into"):
             pass
     finally:
@@ -330,12 +332,12 @@ def test_the_lock_of_a_process_that_is_no_more_does_not_count(tmp_path):
     [
         ('{"x": ' + "9" * 5000 + "}", "of 5000 digits is too large"),
         ('{"x": ' + "9" * 25 + "}", "of 25 digits is too large"),
-        ('{"x": 1e999}', "1e999 is no number that a file can hold"),
-        ('{"x": NaN}', "NaN is no number"),
-        ('{"x": -Infinity}', "-Infinity is no number"),
+        ('{"x": 1e999}', "1e999 cannot be written as a number"),
+        ('{"x": NaN}', "NaN cannot be written as a number"),
+        ('{"x": -Infinity}', "-Infinity cannot be written as a number"),
         ('{"x": ' + "[" * 100_000, "is nested too deeply; expected a thing file"),
         ('{"x": ' + '{"y": ' * 100_000, "is nested too deeply; expected a thing file"),
-        ('{"x": 1, "x": 2}', "the key 'x' stands twice"),
+        ('{"x": 1, "x": 2}', "the key 'x' appears twice"),
     ],
 )
 def test_json_of_what_no_program_writes_is_refused(tmp_path, text, says):

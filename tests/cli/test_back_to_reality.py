@@ -117,7 +117,7 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
     assert code == 130, said
     code, _, said = neurosim("back-to-reality", "-o", "found", "--resume")
     assert code == 1
-    assert "this was begun with --reality mine: give that and its options again" in said
+    assert "this was started with --reality mine: give it and its options again" in said
     Robot.__init__ = lambda self, controller: setattr(self, "left", 100)
     words = ("--resume", "--reality", "mine", "--json")
     code, out, said = neurosim("back-to-reality", "-o", "found", *words)
@@ -129,7 +129,7 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
     ("words", "said"),
     [
         (["--place", "moon"], "there is no place 'moon' in the lab"),
-        (["--task", "go-to"], "judged by how fast it walks, not by go-to"),
+        (["--task", "go-to"], "does the task walking only, not go-to"),
         (["--budget", "5"], "a budget of 5 leaves nothing to try"),
         (["--settings", "best"], "paper and better"),
         (["--controller", "network", "--inputs", "time"], "gives it no angles of its joints"),
@@ -178,9 +178,11 @@ def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch
     ]  # fmt: skip
     code, _, said = neurosim(*words, "--reality", "mine")
     assert code == 1
-    assert "the robot is gone; the best controller so far is in plan, go on with --resume" in said
+    assert (
+        "the robot is gone; the best controller so far is in plan, continue with --resume" in said
+    )
     code, _, said = neurosim("evolve", "sim", "-o", "plan", "--resume")
-    assert "this was begun with --reality mine: give that and its options again" in said
+    assert "this was started with --reality mine: give it and its options again" in said
     Robot.left = 1000
     code, out, said = neurosim(
         "evolve", "sim", "-o", "plan", "--resume", "--reality", "mine", "--json"

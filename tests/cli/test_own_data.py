@@ -182,15 +182,18 @@ def test_files_that_are_none(refused, text, says):
     [
         (("--columns", "time=t"), "field 't': there is no such column (time); found time, x"),
         (("--columns", "v=speed"), "field 'speed': there is no such column (v)"),
-        (("--columns", "v,w,time,dx=x"), "dx is no column of a file that is a log"),
-        (("--columns", "v,prev_v=w"), "a log says itself what came before a command"),
+        (("--columns", "v,w,time,dx=x"), "dx is not a column of a file that is a log"),
+        (("--columns", "v,prev_v=w"), "a log contains the command before each command"),
         (("--columns", "command=v"), "a command cannot be called command"),
-        (("--units", "u=m/s"), "a unit is given for u, which is no command; commands are v, w"),
-        (("--from-rest",), "a log says itself what came before"),
+        (("--units", "u=m/s"), "a unit is given for u, which is not a command; commands are v, w"),
+        (("--from-rest",), "a log contains the command before"),
         (("--frame", "world"), "--frame world is for files of rows with dx, dy"),
         (("--shortest", 4), "the shortest piece (4 s) is longer than the longest one (3 s)"),
         (("--time", "ms"), "no command is held for 0.5 s"),
-        (("--shortest", 1.5), "no command is held for 1.5 s: name the columns of what was sent"),
+        (
+            ("--shortest", 1.5),
+            "no command is held for 1.5 s: name the columns of the sent commands",
+        ),
         (
             ("--longest-gap", 0.05),
             "samples are 0.1 s apart, and no more than 0.05 s may be missing",
@@ -211,10 +214,15 @@ def test_options_that_do_not_fit_a_log(refused, words, says):
         ("3,1,", "3,-1,", (), "line 5, field 'duration': expected a number above 0"),
         ("duration", "lasted", (), "field 'duration': there is no such column; found a, lasted"),
         ("dtheta", "turn", (), "field 'dtheta': there is no such column"),
-        ("a,d", "a,d", ("--columns", "a,prev_b=dx"), "prev_b is the command before of none"),
+        ("a,d", "a,d", ("--columns", "a,prev_b=dx"), "prev_b has no column of its command"),
         ("a,d", "a,d", ("--columns", "a,prev_a=dx", "--from-rest"), "leave out --from-rest"),
         ("a,d", "a,d", ("--frame", "world"), "field 'heading0': there is no such column"),
-        ("a,d", "a,d", ("--columns", "a,time=duration,dx=dx"), "time is no column of a file with"),
+        (
+            "a,d",
+            "a,d",
+            ("--columns", "a,time=duration,dx=dx"),
+            "time is not a column of a file with",
+        ),
     ],
 )
 def test_what_is_wrong_in_rows_is_named(refused, old, new, words, says):

@@ -131,7 +131,7 @@ def test_where_samples_are_from_goes_with_them(folder, tmp_path, virtual):
         (
             "obstacle-avoidance",
             ["--lab-seed", 2],
-            "is the reality of --robot-generations",
+            "--reality needs --robot-generations",
         ),
         ("nine-rectangles", ["--steps", 10], "or choose --task obstacle-avoidance"),
     ],
@@ -149,7 +149,7 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
     ]  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(OnFloor, "trial", lost)
-        with pytest.raises(LinkLost, match="go on with --resume"):
+        with pytest.raises(LinkLost, match="continue with --resume"):
             call(*begun)
     with pytest.raises(UserError, match="begun with generations = 2, not 3"):
         call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--generations", 3)
@@ -348,11 +348,11 @@ def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path,
                 "--robot-generations",
                 1,
             ],
-            "obstacle-avoidance can only be judged where the robot's poses are known: use a camera",
+            "obstacle-avoidance needs the robot's poses: use a camera",
         ),
         (
             ["build-tables", "wall.sample", "-o", "x", "--motors", "m.csv", "--wheel-base", 50],
-            "the wheel base is that of an ideal robot",
+            "the wheel base is for an ideal robot",
         ),
         (
             ["lab", "khepera", "--port", 5, "--seconds", 0.1],
@@ -363,7 +363,7 @@ def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path,
             "--port is the port of a socket: add --socket",
         ),
         (["evolve", "sim", "--task", "flying", "-o", "x"], "there is no task 'flying'"),
-        (["evaluate", "sim", "dataset"], "is no motion network"),
+        (["evaluate", "sim", "dataset"], "is not a motion network"),
     ],
 )
 @pytest.mark.slow

@@ -189,8 +189,8 @@ def test_a_plan_is_planned_again_in_a_simulator_only(refused, copy, tmp_path):
     assert "name one with --simulator" in refused(*words, "--replan")
     plan["task"] = {"name": "go-to", "settings": {}}
     file.write_text(json.dumps(plan))
-    assert "with --no-replan" in refused(*words)
-    assert "options of --replan" in refused(*words, "--no-replan", "--think", "0.2")
+    assert "(--no-replan)" in refused(*words)
+    assert "need --replan" in refused(*words, "--no-replan", "--think", "0.2")
     copy("simulator")
     for option, value in (("--replan-generations", "0"), ("--push", "3")):
         found = CliRunner().invoke(cli, [*words, "--simulator", "simulator", option, value])
@@ -329,7 +329,7 @@ def test_a_folder_that_is_not_empty(refused, tmp_path):
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "precious").write_text("x")
     assert "mine is not empty" in refused("record", "mine", "--commands", 5)
-    assert "no such" in refused("track", "nothing")
+    assert "no recording or video file" in refused("track", "nothing")
 
 
 def make_video(path, frames):
@@ -487,20 +487,20 @@ def test_points_that_fix_no_board(refused, copy, tmp_path):
     assert "points" in said
     done = CliRunner().invoke(cli, ["calibrate", "photographs", "--point", "1,2,3"])
     assert (done.exit_code, "'1,2,3': expected U,V,X,Y" in done.stderr) == (2, True)
-    assert "--board goes with --corners" in refused("calibrate", "photographs", "--board", "1x1")
+    assert "--board needs --corners" in refused("calibrate", "photographs", "--board", "1x1")
 
 
 def test_a_demo_that_is_a_file_or_was_begun_otherwise(refused, tmp_path):
     (tmp_path / "FILE").touch()
     assert "FILE is a file; name a folder" in refused("demo", "FILE")
     write_json(tmp_path / "d" / "demo.json", "neurosim-demo", 2, {"commands": 400, "seed": 0})
-    assert "was begun with --commands 400, not 60" in refused("demo", "d", "--commands", 60)
-    assert "was begun with --seed 0, not 1" in refused("demo", "d", "--seed", 1)
+    assert "was started with --commands 400, not 60" in refused("demo", "d", "--commands", 60)
+    assert "was started with --seed 0, not 1" in refused("demo", "d", "--seed", 1)
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "precious").touch()
     assert "mine is not empty" in refused("demo", "mine")
     (tmp_path / "e" / "recording").mkdir(parents=True)
-    assert "not what a demo was begun with" in refused("demo", "e")
+    assert "is not the folder of a demo" in refused("demo", "e")
 
 
 def test_a_report_of_a_simulator_whose_weights_are_damaged(refused, copy):
@@ -535,7 +535,7 @@ def test_ctrl_c_within_compiled_code_is_an_interruption_however_often_it_is_wrap
     said = capsys.readouterr().err
     assert stop.value.code == 130
     assert said.count("\n") == 1
-    assert "re-run with --resume to continue" in said
+    assert "run the command again with --resume" in said
 
 
 def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):

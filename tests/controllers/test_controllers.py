@@ -194,7 +194,7 @@ def test_a_plan_that_gives_no_command_stays_where_it_is(slots, simulator, tmp_pa
     assert not judged.success[0, 0]
     found = check(plan, simulator(), task, draws=20)
     assert (found.probability, found.after) == (0.0, (1,))
-    with pytest.raises(UserError, match="gives no command cannot be written"):
+    with pytest.raises(UserError, match="without any command cannot be written"):
         plan.write(tmp_path / "plan")
 
 

@@ -94,7 +94,7 @@ def test_no_place_is_like_the_simulator():
 
 
 def test_what_cannot_be_is_refused():
-    with pytest.raises(UserError, match="there is no place 'moon' in the lab; there is main"):
+    with pytest.raises(UserError, match="there is no place 'moon' in the lab; choose from main"):
         VirtualWalker(Gait(), "moon")
-    with pytest.raises(UserError, match="the walking robot of the lab does gaits"):
+    with pytest.raises(UserError, match="the walking robot of the lab needs a gait"):
         VirtualWalker(Network(("time",)))

@@ -118,7 +118,7 @@ def test_a_push_moves_a_robot_that_drives_aside():
     assert aside[-1] == pytest.approx([0.0, 0.1, 0.0], abs=1e-9)
     times = np.array([2.5, 2.65, 2.8])
     assert np.interp(times, left.times, aside[:, 1]) == pytest.approx([0.0, 0.05, 0.1], abs=1e-3)
-    with pytest.raises(ValueError, match="a push has"):
+    with pytest.raises(ValueError, match="a push needs"):
         Push(math.nan, 0.5, 0.0)
 
 

@@ -220,7 +220,7 @@ def test_a_plan_that_gives_no_command_is_not_written(tmp_path, interrupting):
             )
 
     interrupting(3)
-    empty("so far no plan .*; continue with --resume")
+    empty("no plan has a command yet; continue with --resume")
     interrupting(0)
     empty("use more generations", resume=True)
     assert list(tmp_path.iterdir()) == []

@@ -18,7 +18,7 @@ from neurosim.tasks.nine_rectangles import NineRectangles
 
 
 def test_refusals(monkeypatch):
-    with pytest.raises(UserError, match="there are local and ray"):
+    with pytest.raises(UserError, match="choose local or ray"):
         workers_named("spark")
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(UserError, match=r"neurosim\[ray\]"):

@@ -120,7 +120,7 @@ def test_a_camera_that_freezes_stops_the_robot_in_the_middle_of_a_command(tmp_pa
         _, said = child.communicate(timeout=PATIENCE)
     assert child.returncode == 1, said
     assert re.search(r"the camera delivered no frame for 0\.5 s or more, and the robot was", said)
-    assert "go on with --resume" in said
+    assert "continue with --resume" in said
     assert "Fatal" not in said
     recording = Recording(tmp_path / "r")
     assert recording.meta["complete"] is False
@@ -205,7 +205,7 @@ ON = FixedCommands([Command((50, 40), 3.0), Command((-40, 40), 3.0), Command((40
 def test_pictures_that_stay_the_same_stop_a_robot_that_drives(tmp_path, fps, noise):
     with pytest.raises(SeenToStand, match="commanded to move and is seen to stand") as error:
         filmed(tmp_path, ON, 3, since=7.0, noise=noise, fps=fps)
-    assert "on with --resume" in str(error.value)
+    assert "continue with --resume" in str(error.value)
     recording = Recording(tmp_path / "r")
     assert recording.meta["complete"] is False
     # The first picture that stays comes up to a frame later than that.

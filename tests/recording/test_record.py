@@ -213,7 +213,7 @@ def test_a_robot_that_does_not_find_back_asks_for_help(tmp_path):
 
 def test_a_lost_link_leaves_a_recording_that_resumes(tmp_path):
     source = RandomCommands(seed=3)
-    with pytest.raises(LinkLost, match=r"stopped answering; .* go on with --resume"):
+    with pytest.raises(LinkLost, match=r"stopped answering; .* continue with --resume"):
         run(tmp_path / "r", FakeRobot(dies_after=7), 15, source)
     broken = Recording(tmp_path / "r")
     assert broken.meta["complete"] is False

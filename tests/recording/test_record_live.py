@@ -236,7 +236,7 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
     assert recording.meta["complete"] is True
     assert not recording.is_tracked
     assert len(said) == 1
-    assert "the recording is whole, but its poses are not" in said[0]
+    assert "the recording is complete, but its poses are not" in said[0]
     assert "neurosim track" in said[0]
 
 

@@ -84,12 +84,12 @@ def test_wheels_that_are_wrong_in_one_way(monkeypatch, change, what, says):
 
 def test_a_robot_that_does_not_stop_by_itself_is_found(monkeypatch):
     monkeypatch.setattr(LinesFirmware, "end", lambda self: setattr(self, "ends", float("inf")))
-    assert "goes on driving after its command" in wrong(lines())["self-stopping"]
+    assert "continues to drive after the end of its command" in wrong(lines())["self-stopping"]
 
 
 def test_a_slow_line_is_found():
     found = lines(baud=2400)
-    assert "too slow for a controller" in wrong(found)["latency"]
+    assert "too slow for a closed-loop controller" in wrong(found)["latency"]
     assert found["latency"].measured["latency_ms"] > 100
 
 

@@ -211,7 +211,7 @@ def test_a_command_that_was_lost_stops_the_robot(lost, seconds):
     with Rig() as rig:
         rig.robot.drive_for((30, 30), seconds)
         rig.lose(lost)
-        with pytest.raises(RobotError, match=r"motor port . is at .* it was told to stop"):
+        with pytest.raises(RobotError, match=r"motor port . is at .* it was commanded to stop"):
             for _ in range(2 if seconds < 0.5 else 1):
                 rig.radio.patience = 0.01
                 rig.robot.drive_for((60, -60), seconds)

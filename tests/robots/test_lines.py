@@ -89,7 +89,7 @@ def test_a_greeting_is_read_as_it_is_written():
         ("robot neurosim-lines 2 car 1.0", "speaks version 2, this program version 1"),
         ("robot karel 1 car 1.0", "another protocol"),
         ("command left % 100 -100 speed", "a least and a greatest value"),
-        ("command left % -100 nan speed", "nan is no number"),
+        ("command left % -100 nan speed", "nan is not a number"),
         ("command left % -100 100", "it has other words"),
         ("command left % -100 100 wish", "is speed or angle"),
         ("body wheels track=0.1", "lacks full="),
@@ -150,7 +150,7 @@ def test_what_the_robot_does_not_take_is_refused_before_it_is_sent():
         for command in ((101, 0), (0, -100.5), (math.nan, 0)):
             with pytest.raises(UserError, match="is beyond its limits"):
                 robot.drive(command)
-        with pytest.raises(UserError, match="they last up to 60 s"):
+        with pytest.raises(UserError, match="a command lasts up to 60 s"):
             robot.drive_for((1, 1), 61)
         with pytest.raises(UserError, match="right: -200 is beyond its limits; use -100 to 100 %"):
             robot.drive_for((0, -200), 1)
@@ -272,7 +272,7 @@ def answering(answer):
                 if line.strip()
                 else b""
             ),
-            "greets in a wrong way: .*it speaks version 7",
+            "describes itself in a wrong way: .*it speaks version 7",
         ),
     ],
 )

@@ -219,13 +219,13 @@ def test_description(one):
     ("options", "words"),
     [
         ({"left": "D"}, "left: 'D' is not a motor port"),
-        ({"left": "C"}, "motor port C is given to two"),
-        ({"lamp": "b"}, "motor port B is given to two"),
-        ({"lamp": "color:1"}, "sensor port 1 is given to two"),
+        ({"left": "C"}, "motor port C is used twice"),
+        ({"lamp": "b"}, "motor port B is used twice"),
+        ({"lamp": "color:1"}, "sensor port 1 is used twice"),
         ({"lamp": "color:5"}, "lamp: '5' is not a sensor port"),
         ({"lamp": "5"}, "lamp: '5' is neither"),
         ({"light_right": 0}, "light_right: 0 is not a sensor port"),
-        ({"light_right": 1}, "sensor port 1 is given to two"),
+        ({"light_right": 1}, "sensor port 1 is used twice"),
     ],
 )
 def test_wrong_ports_are_named(options, words):
@@ -303,7 +303,7 @@ def test_a_line_that_closes_is_lost(rig):
 def test_replies_that_are_none_lose_the_link(rig, reply):
     with rig.robot() as robot:
         rig.radio.deliver = lambda telegram: reply
-        with pytest.raises(LinkLost, match="not LEGO's protocol") as error:
+        with pytest.raises(LinkLost, match="not send LEGO's protocol") as error:
             robot.battery()
         one_sentence(error)
 
@@ -351,9 +351,9 @@ def test_files_that_are_no_brick(tmp_path):
     [
         (None, "no reply within 0.3 s"),
         (lambda data: data, "own input"),
-        (lambda data: b"login: ", "not LEGO's protocol"),
+        (lambda data: b"login: ", "not send LEGO's protocol"),
         (lambda data: b"\x05\x00\x02\x9b", "no reply within 0.3 s"),
-        (lambda data: b"\x03\x00\x02\x88\x00", "not LEGO's protocol"),
+        (lambda data: b"\x03\x00\x02\x88\x00", "not send LEGO's protocol"),
     ],
 )
 def test_lines_that_are_no_brick(answer, words):

@@ -27,7 +27,9 @@ def samples(folder, sensors):
 
 def test_the_radius_of_a_robot_that_is_no_khepera_must_be_said(tmp_path):
     paths = samples(tmp_path, 24)
-    with pytest.raises(UserError, match=r"with 24 sensors it is no Khepera: give its radius \(--r"):
+    with pytest.raises(
+        UserError, match=r"with 24 sensors it is not a Khepera: give its radius \(--r"
+    ):
         build_tables(paths)
     assert build_tables(paths, radius=0.085).radius == 0.085
     with pytest.raises(UserError, match="radius: expected a number"):

@@ -108,7 +108,7 @@ def test_a_robot_out_of_view_is_reported(tmp_path):
     ("changes", "said"),
     [
         ({"rotation": None, "translation": None}, "--points"),
-        ({"image_size": (1280, 720)}, "1280x720, but the camera's are 640x480"),
+        ({"image_size": (1280, 720)}, "1280x720, but the camera gives 640x480"),
     ],
 )
 def test_a_calibration_that_does_not_fit_is_refused(changes, said):
@@ -134,8 +134,8 @@ def said_by(*words):
     ("words", "said"),
     [
         (["--camera", "lab"], "--camera needs --calibration"),
-        (["--calibration", "calibration.json"], "--calibration is that of a camera"),
-        (["--markers", "red,green"], "--markers is that of a camera"),
+        (["--calibration", "calibration.json"], "--calibration needs --camera"),
+        (["--markers", "red,green"], "--markers needs --camera"),
         (["--camera", "0", "--calibration", "calibration.json"], "does not see the virtual robot"),
         (["--camera", "lab", "--calibration", "none.json"], "none.json"),
         (
@@ -153,7 +153,7 @@ def said_by(*words):
                 "--port",
                 "COM3",
             ],
-            "--camera lab is the virtual robot's",
+            "--camera lab is for virtual robots",
         ),
     ],
 )

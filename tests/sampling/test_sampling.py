@@ -78,7 +78,7 @@ def test_counters_of_another_number_of_pulses_are_refused(tmp_path, nominal):
             placed.append(where)
             rig.lab.place(*poses[where])
 
-        with robot, pytest.raises(UserError, match=r"another number of pulses.*--pulses-per-metre"):
+        with robot, pytest.raises(UserError, match=r"the number of pulses.*--pulses-per-metre"):
             sample(tmp_path / "out", robot, SETTINGS, place, progress=False)
     assert placed == ["wall"]
 
@@ -308,7 +308,7 @@ def test_a_robot_that_is_held_is_reported(tmp_path):
         (["--robot", "khepera"], "--robot khepera needs --port: serial port, such as /dev/tty"),
         (["--port", "COM3"], "--port: leave it out, or choose --robot khepera"),
         (["--dialect", "epuck"], "--dialect: leave it out, or choose --robot khepera"),
-        (["--robot", "virtual"], "this robot cannot sample itself: that takes a ring"),
+        (["--robot", "virtual"], "this robot cannot sample itself: it needs a ring"),
     ],
 )
 def test_refusals(tmp_path, words, message):

@@ -196,7 +196,7 @@ def test_bounds_and_what_cannot_be_corrected():
     with pytest.raises(UserError, match="outside"):
         SIMULATOR.adjusted(np.array([1.0, np.nan, 0.0, 0.0, 0.0]))
     bare = random_motion_network(drives=False)
-    with pytest.raises(UserError, match="no drive model that could be corrected"):
+    with pytest.raises(UserError, match="no drive model to correct"):
         bare.adjusted(np.ones(5))
     for values in ((0.0, 1.0), (1.0, -1.0), (math.inf, 1.0), (1.0, 1.0, math.nan)):
         with pytest.raises(UserError, match=r"(forward|turn|yaw): .* found"):

@@ -106,13 +106,13 @@ def test_written_and_read(tmp_path):
         ),
         (
             {"moving": False, "swing": 0.03},
-            "'derived.moving': is no field here",
+            "'derived.moving': is not a field here",
         ),
         (
             {"swing": 2.0},
             "'derived.swing': expected a number above -1, up to 0.999999999999, found 2.0",
         ),
-        ({"more": 1}, "'derived.more': is no field here"),
+        ({"more": 1}, "'derived.more': is not a field here"),
         (0.03, "'derived': expected an object, found 0.03"),
     ],
 )

@@ -465,9 +465,9 @@ def test_what_is_no_drive_model_is_refused():
     sim = random_motion_network(noise=False)
     parts = sim.inputs, sim.network, sim.genes, sim.input_scale, sim.output_scale
     how = {"central": True, "derived": sim.derived}
-    with pytest.raises(ValueError, match="beside a drive model"):
+    with pytest.raises(ValueError, match="needs a drive model"):
         MotionNetwork(*parts, "displacement", **how, drive=sim.drive)
-    with pytest.raises(ValueError, match="beside a drive model"):
+    with pytest.raises(ValueError, match="needs a drive model"):
         MotionNetwork(*parts, "residual-twist", **how)
     with pytest.raises(ValueError, match="needs a duration, and every input's command before"):
         MotionNetwork(*parts, "residual-twist", **how, drive=drive_model(0, 3))
@@ -535,7 +535,7 @@ def test_numbers_that_cannot_be_are_refused(folder, name):
     tensors = load_file(path)
     tensors[name][0] = -1.0
     save_file(tensors, path)
-    with pytest.raises(FileError, match=r"is no motion network .*above 0"):
+    with pytest.raises(FileError, match=r"is not a motion network .*above 0"):
         read_simulator(folder)
 
 
@@ -794,5 +794,7 @@ def test_the_order_of_inputs_does_not_matter(members):
 def test_a_drive_model_of_a_former_version_is_refused(folder):
     path = folder / "simulator.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 3}))
-    with pytest.raises(FileError, match=r"'version': is of a former version.*train the simulator"):
+    with pytest.raises(
+        FileError, match=r"'version': is of an earlier version.*train the simulator"
+    ):
         read_simulator(folder)

@@ -250,7 +250,7 @@ def test_a_noise_model_of_another_kind_is_refused(tmp_path):
     content = json.loads(path.read_text())
     content["noise"]["kind"] = "lasting-cholesky-lognormal"
     path.write_text(json.dumps(content))
-    said = r"'noise': is no noise model.*train the simulator anew"
+    said = r"'noise': is not a noise model.*train the simulator again"
     with pytest.raises(FileError, match=said):
         read_simulator(tmp_path)
 

@@ -88,7 +88,7 @@ def test_round_trip(values, first, step, tmp_path_factory):
         (TEXT.replace("2 4 2", "2 5 2"), "is cut short: expected 14 lines"),
         (TEXT.replace("2 4 2", "1000 99999 99999"), "is cut short: expected 9999900002 lines"),
         (TEXT.replace("2 4 2", "2 3 2"), "line 1: expected a header"),
-        (TEXT + "more\r\n", "line 13: goes on after END"),
+        (TEXT + "more\r\n", "line 13: continues after END"),
     ],
 )
 def test_what_is_wrong_is_named(text, message, tmp_path):

@@ -149,7 +149,7 @@ def test_files_keep_sensors(tmp_path):
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"sensors.place": np.array([0, 0, 2])}, "a map that is not there"),
+        ({"sensors.place": np.array([0, 0, 2])}, "a map that does not exist"),
         ({"sensors.noise": -np.ones((3, 2))}, "must not be negative"),
         ({"sensors.maps": np.zeros((2, 1, 5))}, "at least 2 by 2"),
         ({"sensors.mount": np.zeros((2, 2))}, "expected shape"),
@@ -170,7 +170,7 @@ def test_damaged_sensors_are_refused(tmp_path, change, words):
     ("said", "words"),
     [
         ({"names": ["a", "a", "b"], "cell": 0.1}, "names that differ"),
-        ({"names": ["time", "a", "b"], "cell": 0.1}, "no name of a sensor"),
+        ({"names": ["time", "a", "b"], "cell": 0.1}, "not the name of a sensor"),
         ({"names": ["a", "b", "c"], "cell": 0.0}, "above 0"),
         ({"names": "abc", "cell": 0.1}, "names"),
     ],

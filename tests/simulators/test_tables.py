@@ -374,7 +374,7 @@ def test_motor_table_of_samples(tmp_path):
         holed = np.delete(table, [2, 3], 0)
         MotorTable.from_samples(*holed[:, :3].T, holed[:, 3:])
     racing = table[:, 3:] * [1e9, 1, 1]
-    with pytest.raises(UserError, match=r"a speed of .* no robot that this is for"):
+    with pytest.raises(UserError, match=r"a speed of .* the limit is"):
         MotorTable.from_samples(*table[:, :3].T, racing)
     text = "left,right,duration,dx,dy,dtheta\n"
     (tmp_path / "motors.csv").write_text(

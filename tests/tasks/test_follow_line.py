@@ -81,7 +81,7 @@ def test_points_make_a_line_and_the_task_says_so():
         ({"direction": "left"}, "direction: expected one of 'both'"),
         ({"laps": 0}, "laps: expected a number from 0.001"),
         ({"seconds": math.inf}, "seconds: .* found inf"),
-        ({"shape": "points"}, "three or more"),
+        ({"shape": "points"}, "at least three"),
         ({"shape": "points", "points": [[0, 0, 0]] * 3}, r"points\[0\]: expected a list of 2"),
         ({"shape": "points", "points": [1, 2, 3]}, r"points\[0\]: expected a list of 2"),
         ({"within": 2.0}, "too short to be lost"),

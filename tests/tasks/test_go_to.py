@@ -92,7 +92,7 @@ def test_leading_axes_and_poses_that_are_no_numbers():
     assert judged.fitness.shape == (2, 3)
     assert np.isfinite(judged.fitness).all()
     assert judged.detail["passed"].tolist() == [[1, 1, 1], [0, 0, 0]]
-    with pytest.raises(UserError, match="where the robot's poses are known"):
+    with pytest.raises(UserError, match="needs the robot's poses"):
         TASK.judge(Trajectory(None, np.zeros((2, 2)), 1.0))
 
 
@@ -133,8 +133,8 @@ def test_starts_anywhere_on_a_board_are_seen_from_a_goal_anywhere_on_it():
         ({"radius": -1.0}, "radius: expected a number from 0"),
         ({"area": (1.0, 0.0)}, r"area\[1\]: .* found 0"),
         ({"area": (1.0, math.inf)}, r"area\[1\]: .* found inf"),
-        ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "for a single goal"),
-        ({"area": (1.0, 1.0), "walls": ((0.0, 1.0, 2.0, 3.0),)}, "for a single goal"),
+        ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "need a single goal"),
+        ({"area": (1.0, 1.0), "walls": ((0.0, 1.0, 2.0, 3.0),)}, "need a single goal"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

@@ -74,7 +74,7 @@ def test_the_start_faces_rectangle_1_and_the_name_finds_the_task():
     assert make_task(task.describe(), penalty=5.0) == NineRectangles(penalty=5.0)
     written = json.loads(json.dumps(task.describe()))
     assert make_task(written["name"], **written["settings"]) == task
-    with pytest.raises(UserError, match="no task 'ten-rectangles'; there is nine-rectangles"):
+    with pytest.raises(UserError, match="no task 'ten-rectangles'; choose from nine-rectangles"):
         make_task("ten-rectangles")
     with pytest.raises(UserError, match=r"does not take these settings \('size'\)"):
         make_task("nine-rectangles", size=1)
@@ -181,7 +181,7 @@ def test_a_dense_track_counts_what_happened_between_the_boundaries():
 
 
 def test_a_trajectory_without_poses_is_refused():
-    with pytest.raises(UserError, match="where the robot's poses are known"):
+    with pytest.raises(UserError, match="needs the robot's poses"):
         TASK.judge(Trajectory(None, np.zeros((2, 3)), 1.0))
 
 

@@ -46,7 +46,7 @@ def test_equation_1_by_hand():
     # A step that lasts for so many counts so often.
     uneven = Trajectory(None, commands, np.array([0.2, 0.4, 0.1]), readings)
     assert avoidance(uneven, 0.1) == pytest.approx(2 + 4 * (expected_ - 1))
-    with pytest.raises(UserError, match="where the sensors were read"):
+    with pytest.raises(UserError, match="needs the sensors' readings"):
         avoidance(Trajectory(None, commands, 0.1))
 
 
@@ -71,7 +71,7 @@ def test_cells_visited_by_hand():
     still = np.zeros((4, 3))
     trajectory = Trajectory(np.stack([poses, still]), np.zeros((2, 3, 2)), 0.1)
     assert cells_visited(trajectory).tolist() == [3, 1]
-    with pytest.raises(UserError, match="where the robot's poses are known"):
+    with pytest.raises(UserError, match="needs the robot's poses"):
         cells_visited(Trajectory(None, np.zeros((3, 2)), 0.1))
 
 

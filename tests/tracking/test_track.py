@@ -261,9 +261,9 @@ def test_a_lens_alone_gives_pixels_without_its_distortion(frames, tmp_path):
     found = np.transpose([poses["u"], poses["v"]])
     np.testing.assert_allclose(found, middle, atol=1e-3)
     assert np.abs(found - np.mean(ends, axis=0)).max() > 0.5
-    with pytest.raises(UserError, match="a height over the board is of use only with"):
+    with pytest.raises(UserError, match="a height over the board needs"):
         track_video(path, "pink", "blue", calibration=lens, height=HEIGHT)
-    with pytest.raises(UserError, match="a height over the board is of use only with"):
+    with pytest.raises(UserError, match="a height over the board needs"):
         track_video(path, "pink", "blue", height=HEIGHT)
 
 
@@ -358,7 +358,7 @@ def test_clicks_on_two_robots_take_no_third_pair(shared_data, tmp_path, clicks):
         verb, [str(video), "-o", str(tmp_path / "out"), "--click", front, "--click", rear]
     )
     assert isinstance(done.exception, UserError)
-    assert "where was clicked" in str(done.exception)
+    assert "at the clicks" in str(done.exception)
     assert not (tmp_path / "out").exists()
 
 
@@ -467,7 +467,7 @@ def test_bare_video_that_will_not_do(tmp_path, frames):
     with pytest.raises(UserError, match="not a number"):
         track_video(tmp_path / "bare.avi", "pink", "blue", height=math.nan)
     done = CliRunner().invoke(verb, [str(tmp_path / "absent.mp4"), "-o", str(tmp_path / "out")])
-    assert "no such video file" in str(done.exception)
+    assert "no recording or video file" in str(done.exception)
     assert not (tmp_path / "out").exists()
     assert sorted(Path(tmp_path).iterdir()) == [tmp_path / "bare.avi", tmp_path / "none.avi"]
 

@@ -132,7 +132,7 @@ def test_a_network_goes_to_goals_that_the_camera_shows_it(tmp_path):
     again = compare(folder, tmp_path / "t")
     assert {**again, "created": ""} == {**report, "created": ""}
     other = saved(tmp_path / "other", family, np.add(weights, 0.1), task)
-    with pytest.raises(UserError, match="driven by another controller"):
+    with pytest.raises(UserError, match="another controller drove it"):
         compare(other, tmp_path / "t")
 
 
@@ -179,7 +179,7 @@ def test_a_plan_is_planned_again_where_the_camera_sees_that_the_robot_was_pushed
     with pytest.raises(UserError, match=r"foreseen.json.*probability"):
         compare(folder, tmp_path / "t")
     network = saved(tmp_path / "n", Network(("goal_x",)), np.zeros((2, 2)), task)
-    with pytest.raises(UserError, match="a network cannot be planned again"):
+    with pytest.raises(UserError, match="a network cannot be replanned"):
         run_trial(
             network, tmp_path / "no", Rig.of_lab(rig), calibration=calibration,
             replan=(SlippingWheels(), how),
@@ -261,7 +261,7 @@ def test_what_is_missing_is_said_before_anything_moves(tmp_path):
         (legs,) = lacks(Network(("line_left",), outputs=("hip", "knee")), task)
         assert "commands hip, knee, and this robot (nxt) is driven by left, right" in legs
         (judged,) = lacks(Network(("line_left",)), GoTo())
-        assert "go-to can only be judged where the robot's poses are known" in judged
+        assert "go-to needs the robot's poses" in judged
     with VirtualKheperaRig(1) as rig:
         one = SavedController(Network(("x", "sensor_0")), np.zeros(6), GoTo().describe())
         assert missing(one, rig.robot, None, GoTo()) == []

@@ -101,5 +101,5 @@ def test_the_trial_of_another_plan_is_refused(tmp_path):
     plan, trial = make(tmp_path)
     text = (plan / "controller.json").read_text()
     (plan / "controller.json").write_text(text.replace("-40.0", "-41.0"))
-    with pytest.raises(UserError, match="command 2 is not the plan's"):
+    with pytest.raises(UserError, match="command 2 is not that of the plan"):
         compare(plan, trial)

@@ -136,7 +136,7 @@ def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):
     (tmp_path / "words.mp4").write_text("no video")
     assert "words.mp4" in refused(monkeypatch, capsys, "--camera", "words.mp4")
     assert "mauve" in refused(monkeypatch, capsys, "--camera", video, "--markers", "mauve,blue")
-    assert "film already" in refused(monkeypatch, capsys, "--camera", video, "--film", "a.avi")
+    assert "is a video file" in refused(monkeypatch, capsys, "--camera", video, "--film", "a.avi")
     (tmp_path / "c.json").write_text("{}")
     assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--calibration", "c.json")
     (tmp_path / "m.json").write_text('{"format": "neurosim-markers", "version": 1, "front": {}}')

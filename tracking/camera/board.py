@@ -50,7 +50,7 @@ def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
     rays = model.undistort(pixels)
     homography, _ = cv2.findHomography(board, rays)
     if homography is None:
-        raise UserError("the marked points do not fix the board's place; mark others")
+        raise UserError("the marked points do not determine the board's place; mark others")
     rotation, translation = _pose_of(homography)
     above = np.column_stack([board, np.zeros(len(board))])
     turn, translation = cv2.solvePnPRefineLM(
@@ -65,8 +65,8 @@ def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
     model = replace(model, rotation=cv2.Rodrigues(turn)[0], translation=translation.ravel())
     if model.position[2] <= 0:
         raise UserError(
-            "by the marked points the camera would look at the board from below: one axis is "
-            "mirrored; with x to the right in the image, y on the board goes up"
+            "the marked points have one axis mirrored; with x to the right in the image, y on "
+            "the board goes up"
         )
     misses = model.to_board(pixels) - board
     return replace(model, board_rms_m=float(np.sqrt((misses**2).sum(1).mean())))
@@ -95,8 +95,7 @@ def corner_points(
     turns = sides[:, 0] * np.roll(sides[:, 1], -1) - sides[:, 1] * np.roll(sides[:, 0], -1)
     if not (turns > 0).all():
         raise UserError(
-            "the four corners do not go round the board: name them clockwise as seen, from the "
-            "top left one"
+            "the four corners are in a wrong order: give them clockwise, from the top left one"
         )
     x, y = board[0] / 2, board[1] / 2
     return np.column_stack([pixels, [(-x, y), (x, y), (x, -y), (-x, -y)]])

@@ -81,7 +81,7 @@ class Charuco:
             )
         number = getattr(cv2.aruco, f"DICT_{dictionary.upper()}", None)
         if number is None:
-            raise UserError(f"there is no ArUco dictionary {dictionary!r}; 4X4_50 is one")
+            raise UserError(f"there is no ArUco dictionary {dictionary!r}; use one such as 4X4_50")
         self.name = f"ChArUco board of {pattern[0]} x {pattern[1]} inner corners ({dictionary})"
         squares = (pattern[0] + 1, pattern[1] + 1)
         own = cv2.aruco.getPredefinedDictionary(number)

@@ -187,8 +187,8 @@ def _what_instead(path: Path) -> str:
         )
     if head[4:8] == b"ftyp":
         return (
-            "cannot be opened as a video: it is an MP4 or MOV whose index, at its end, is missing, "
-            "so it was cut short; copy it anew, or repair it (untrunc does)"
+            "cannot be opened as a video: it is an MP4 or MOV whose index, at its end, is "
+            "missing, so it was cut short; copy it again, or repair it (untrunc does)"
         )
     return (
         "cannot be opened as a video; it may be empty or cut short, or of a kind that OpenCV does "

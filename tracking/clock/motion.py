@@ -60,7 +60,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
     if len(times) < 10 or len(changes) < LEAST_CHANGES:
         raise UserError(
             f"the clock cannot be found from the motion: {len(changes)} commands and {len(times)} "
-            "frames in which the robot was found are too few"
+            "frames with the robot are too few"
         )
     shift, drift = _place(times, signals, lines), 0.0
     offsets: list[tuple[float, float, float]] = []  # robot time, shift, its standard deviation

@@ -111,14 +111,20 @@ def import_csv(
     commands = _commands(tables[0], shape)
     for name in units:
         if name not in commands:
-            raise UserError(f"a unit is given for {name}, which is no command; {_listed(commands)}")
+            raise UserError(
+                f"a unit is given for {name}, which is not a command; {_listed(commands)}"
+            )
     units = {name: units.get(name, _USUAL_UNITS.get(name, "")) for name in commands}
     if shape == "log" and from_rest:
-        raise UserError("a log says itself what came before a command; leave out --from-rest")
+        raise UserError("a log contains the command before each command; leave out --from-rest")
     if shape == "rows" and session is not None:
-        raise UserError("--session is for logs; in a file of rows prev_ says what came before")
+        raise UserError(
+            "--session is for logs; in a file of rows the columns prev_... have the command before"
+        )
     if conventions.frame == "world" and (shape == "log" or not tables[0].has_any(MOVED)):
-        raise UserError("--frame world is for files of rows with dx, dy; poses are in it anyway")
+        raise UserError(
+            "--frame world is for files of rows with dx, dy; poses are in the world frame anyway"
+        )
     left_out: dict[str, int] = Counter()
     made: list[dict[str, Any]] = []
     windows = False
@@ -226,14 +232,14 @@ def _commands(table: _Table, shape: str) -> list[str]:
     for name in table.columns:
         if name in other:
             what = "with a line for each command" if shape == "rows" else "that is a log"
-            raise UserError(f"{name} is no column of a file {what}; leave it out of --columns")
+            raise UserError(f"{name} is not a column of a file {what}; leave it out of --columns")
         if name in _TAKEN:
             raise UserError(f"a command cannot be called {name}; give it another name")
     for name in before:
         if shape == "log":
-            raise UserError(f"a log says itself what came before a command; leave out {name}")
+            raise UserError(f"a log contains the command before each command; leave out {name}")
         if names and name.removeprefix("prev_") not in names:
-            raise UserError(f"{name} is the command before of none; {_listed(names)}")
+            raise UserError(f"{name} has no column of its command; {_listed(names)}")
     if names:
         return names
     for usual in _USUAL:
@@ -299,9 +305,8 @@ def _explain(
         )
     if left_out["too short"] > sum(left_out.values()) / 2:
         raise UserError(
-            f"{path}: no command is held for {settings.shortest:g} s: name the columns of what "
-            "was sent, not of speeds that were measured, look whether --time is right, or give a "
-            "lower --shortest"
+            f"{path}: no command is held for {settings.shortest:g} s: name the columns of the "
+            "sent commands, not of measured speeds; check --time, or give a lower --shortest"
         )
 
 
@@ -339,7 +344,7 @@ def _before(table: _Table, commands: Sequence[str], values: NDArray, from_rest: 
     if table.has_any(names):
         if from_rest:
             raise UserError(
-                f"{table.path} says what came before each command ({', '.join(names)}); leave "
+                f"{table.path} has the command before each command ({', '.join(names)}); leave "
                 "out --from-rest"
             )
         return table.array(names)

@@ -96,7 +96,7 @@ class Dataset:
             UserError: if either part would be empty.
         """
         if not 0 < held_out < 1:
-            raise UserError(f"the share to hold out must be between 0 and 1, not {held_out:g}")
+            raise UserError(f"the fraction to hold out must be between 0 and 1, not {held_out:g}")
         rows = self.once()
         # The small amount keeps 0.8 * 5 from being 3.9999.
         earlier = int(len(rows) * (1 - held_out) + 1e-9)
@@ -372,7 +372,7 @@ def _check_one_robot(recordings: Sequence[Path]) -> None:
             if value != first[key]:
                 raise UserError(
                     f"{recordings[0]} and {path} are of different robots ({key}: {first[key]!r} "
-                    f"and {value!r}): make a dataset of each, or mix them knowingly with --mixed"
+                    f"and {value!r}): make a dataset of each, or mix them with --mixed"
                 )
 
 

@@ -34,7 +34,7 @@ REASONS = {
     "clock": "the motors held the command longer or shorter than planned",
     "lost track": "the robot was not seen near the start or the end, or for too long in between",
     "jump": "the track moves faster than the robot can",
-    "doubtful": "what was tracked may not be the robot",
+    "doubtful": "the tracked pair may not be the robot",
 }
 
 

@@ -295,7 +295,7 @@ def always_changing(logs: Sequence[Log], names: Sequence[str]) -> list[str]:
         return []
     return [
         f"{' and '.join(busy)} change with every sample, as measured speeds do: name the columns "
-        "of what was sent in --columns, if there are any"
+        "of the sent commands in --columns, if they exist"
     ]
 
 

@@ -72,7 +72,7 @@ def parse_colour(text: str) -> Colour:
         red, green, blue = (int(word[i : i + 2], 16) for i in (1, 3, 5))
         alpha, beta = chroma_plane(np.array([blue, green, red], np.float32))
         if math.hypot(alpha, beta) < 25:
-            raise UserError(f"colour {text!r} is a grey; markers are found by their hue")
+            raise UserError(f"colour {text!r} is a grey; a marker needs a hue")
         return Colour(word, math.atan2(beta, alpha), math.radians(GIVEN_TOLERANCE))
     numbers = re.fullmatch(r"hsv[:(]([\d.]+),\s*([\d.]+),\s*([\d.]+)\)?", word)
     if numbers:
@@ -80,7 +80,7 @@ def parse_colour(text: str) -> Colour:
         if hue > 360 or saturation > 100 or value > 100:
             raise UserError(f"colour {text!r}: expected hsv:0-360,0-100,0-100")
         if saturation < 15 or value < 10:
-            raise UserError(f"colour {text!r} is a grey; markers are found by their hue")
+            raise UserError(f"colour {text!r} is a grey; a marker needs a hue")
         return Colour(word, math.radians(hue), math.radians(GIVEN_TOLERANCE))
     raise UserError(
         f"colour {text!r} is not known; name one of {', '.join(NAMED)}, or give #rrggbb "

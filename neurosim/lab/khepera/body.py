@@ -207,7 +207,7 @@ class KheperaLab(LabTime):
         with self.lock:
             if self.body.depth(x, y) > 0.0:
                 raise UserError(
-                    f"the robot cannot be put down at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it "
+                    f"the robot cannot be placed at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it "
                     "would stand in a wall or an obstacle"
                 )
             for _ in range(100):

@@ -56,7 +56,7 @@ class Push:
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres) and self.after >= 0 and self.seconds > 0):
-            raise ValueError(f"a push has a length, a time and a duration, not {self}")
+            raise ValueError(f"a push needs a length, a time and a duration, not {self}")
 
 
 class Program(Protocol):

@@ -189,15 +189,17 @@ class VirtualWalker:
                 another one, or the seed is negative.
         """
         if place not in PLACES:
-            raise UserError(f"there is no place {place!r} in the lab; there is {', '.join(PLACES)}")
+            raise UserError(
+                f"there is no place {place!r} in the lab; choose from {', '.join(PLACES)}"
+            )
         if not isinstance(controller, OfTime) or tuple(controller.outputs) != JOINTS:
             raise UserError(
-                f"the walking robot of the lab does gaits; a controller of the kind "
+                "the walking robot of the lab needs a gait; a controller of the kind "
                 f"{controller.kind} gives it no angles of its joints"
             )
         if task is not None and task.name != "walking":
             raise UserError(
-                f"the walking robot of the lab is judged by how fast it walks, not by {task.name}"
+                f"the walking robot of the lab does the task walking only, not {task.name}"
             )
         self.controller, self.place, self._seed = controller, place, seed
         self._place = PLACES[place]

@@ -263,10 +263,12 @@ class Khepera:
                 "and set to this speed, or does another program hold the line?"
             )
         if letter in heard:
-            raise RobotError(f"{where} sends back its own input, as a terminal does: no robot")
+            raise RobotError(
+                f"{where} sends back its own input like a terminal, so it is not a robot"
+            )
         raise RobotError(
-            f"what answers on {where} is no {self.dialect.robot} ({heard[-1][:40]!r}): is this its "
-            "dialect, and its speed?"
+            f"the device on {where} does not answer as a {self.dialect.robot} "
+            f"({heard[-1][:40]!r}): check the dialect and the speed"
         )
 
     def _ask(self, command: str, count: int) -> list[int]:

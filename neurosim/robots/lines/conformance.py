@@ -210,7 +210,9 @@ class _Check:
         before = self._counts()
         self._sleep(0.2)
         after = self._counts()
-        _require(before == after, f"{what} is over, but its counters go on: {before}, then {after}")
+        _require(
+            before == after, f"{what} is over, but its counters continue: {before}, then {after}"
+        )
 
     def _drive(self, milliseconds: int) -> None:
         answer = self._ask(f"drive {milliseconds} {self._gentle}")

@@ -114,7 +114,7 @@ class Lines:
         longest = self._known().longest
         if not 0 < seconds <= longest:
             raise UserError(
-                f"a command of {seconds:g} s is not one of this robot's: they last up to "
+                f"a command of {seconds:g} s is too long for this robot: a command lasts up to "
                 f"{longest:g} s"
             )
         self._send_command(command, min(seconds + LATE, longest))
@@ -263,7 +263,7 @@ class Lines:
         while (line := self._line.read_line(seconds)) is not None:
             words = decode(line)
             if self._notice_reboot(words):
-                return None, "it started anew"
+                return None, "it restarted"
             if words and len(words) > 1 and words[1] == "error" and words[0] in (number, "0"):
                 if words[2:] == ["checksum"]:  # it heard something else than was sent
                     return None, ""
@@ -305,7 +305,7 @@ class Lines:
                     return Greeting.read(lines)
                 except GreetingError as error:
                     raise RobotError(
-                        f"the robot on {self._line.port} greets in a wrong way: {error}"
+                        f"the robot on {self._line.port} describes itself in a wrong way: {error}"
                     ) from None
         where = f"{self._line.port} at {self._line.baud} baud"
         if not heard:
@@ -315,8 +315,8 @@ class Lines:
             )
         last = heard[-1].decode("ascii", "replace")[:40]
         raise RobotError(
-            f"what answers on {where} does not speak neurosim's lines ({last!r}): is this its "
-            "port and its speed, and the program in it?"
+            f"the device on {where} does not speak neurosim's lines ({last!r}): check the port, "
+            "the speed and the robot's program"
         )
 
     def _greeting(self, number: str, heard: list[bytes]) -> list[list[str]] | None:

@@ -199,7 +199,7 @@ class _Found:
         if not 1 <= len(self.commands) <= MOST:
             raise GreetingError(f"a command has 1 to {MOST} numbers, not {len(self.commands)}")
         if self.longest <= 0:
-            raise GreetingError("it does not say how long a command may last (longest)")
+            raise GreetingError("it does not give the longest duration of a command (longest)")
         return Greeting(
             self.first[0],
             self.first[1],
@@ -225,5 +225,5 @@ def _measures(words: list[str]) -> dict[str, float]:
 def _number(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise GreetingError(f"{text} is no number")
+        raise GreetingError(f"{text} is not a number")
     return value

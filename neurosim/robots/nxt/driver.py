@@ -386,7 +386,7 @@ class NXT:
                 wrong = f"is at {state[1]} % instead of {power} %"
                 if state[1] == power:
                     wrong = f"stops after {state[6]} degrees instead of {limit}"
-                raise self._refused(f"motor port {port.name} {wrong}; it was told to stop")
+                raise self._refused(f"motor port {port.name} {wrong}; it was commanded to stop")
 
     def _set_sensor(self, port: SensorPort, type_: SensorType) -> None:
         self._ask(self._connected().set_input_mode, port, type_, SensorMode.RAW)
@@ -485,7 +485,7 @@ def _all_different(ports: list[MotorPort | SensorPort | None]) -> None:
         if used.count(port) > 1:
             kind = "motor" if isinstance(port, MotorPort) else "sensor"
             label = port.name if kind == "motor" else port.value + 1
-            raise UserError(f"{kind} port {label} is given to two things; give each its own")
+            raise UserError(f"{kind} port {label} is used twice; give each device its own port")
 
 
 def _percent(value: float, side: str) -> int:

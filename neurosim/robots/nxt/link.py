@@ -31,7 +31,7 @@ OPEN_WITHIN = 30.0
 #: Seconds that the sending of a telegram may take over a line that was given up.
 POST_WITHIN = 0.25
 #: Why a line is given up whose bytes make no sense.
-GARBAGE = "what it sends is not LEGO's protocol"
+GARBAGE = "it does not send LEGO's protocol"
 _REPLY, _NO_REPLY = 0x02, 0x80
 
 _WAYS = (
@@ -324,7 +324,7 @@ def _open_server(host: str, port: int, deadline: float) -> nxt.brick.Brick:
         raise RobotError(f"no nxt-server reached at {host}:{port}: {why}") from None
     if kind not in (b"usb", b"bluetooth"):
         _quietly_close(sock)
-        raise RobotError(f"what answers at {host}:{port} is not nxt-server; {_WAYS}")
+        raise RobotError(f"the server at {host}:{port} is not nxt-server; {_WAYS}")
     sock.type = "ip" + kind.decode("ascii")
     return nxt.brick.Brick(sock)
 

@@ -120,7 +120,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     if noisy and content["noise"] != NOISE:
         raise FileError(
             path,
-            "is no noise model that this version reads: train the simulator anew",
+            "is not a noise model that this version reads: train the simulator again",
             field="noise",
         )
     central = content.get("central", False)
@@ -133,14 +133,14 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
         if content["version"] < _QUEUES:
             raise FileError(
                 path,
-                "is of a former version, which forgot commands that had not yet acted: train the "
-                "simulator anew",
+                "is of an earlier version, which ignored commands that had not yet acted: train "
+                "the simulator again",
                 field="version",
             )
         if content.get("drive") != list(DriveModel.NAMES):
             raise FileError(
                 path,
-                "is no drive model that this version reads: train the simulator anew",
+                "is not a drive model that this version reads: train the simulator again",
                 field="drive",
             )
         expected |= {f"drive.{k}": v for k, v in DriveModel.shapes(actuators).items()}
@@ -186,7 +186,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             _sensors(path, content, loaded),
         )
     except ValueError as error:
-        raise FileError(path, f"is no motion network ({error})") from None
+        raise FileError(path, f"is not a motion network ({error})") from None
 
 
 def _sensors(
@@ -197,7 +197,9 @@ def _sensors(
         return None
     for name in said["names"]:
         if not name or name in NOT_READINGS:
-            raise FileError(path, f"{name!r:.60} is no name of a sensor", field="sensors.names")
+            raise FileError(
+                path, f"{name!r:.60} is not the name of a sensor", field="sensors.names"
+            )
     try:
         return Sensors(tuple(said["names"]), cell=float(said["cell"]), **_part(loaded, "sensors."))
     except ValueError as error:
@@ -216,7 +218,9 @@ def _domain(path: Path, said: Any, inputs: list[dict[str, Any]], seen: NDArray[n
         ends = np.array([ranges[name] for name in names], np.float64).reshape(len(names), 2)
         return Domain(names, ends[:, 0], ends[:, 1], rows, float(said["reach"]), seen)
     except (KeyError, TypeError, ValueError) as error:
-        raise FileError(path, f"is no domain of these commands ({error})", field="domain") from None
+        raise FileError(
+            path, f"is not a domain of these commands ({error})", field="domain"
+        ) from None
 
 
 def _part(tensors: Mapping[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:

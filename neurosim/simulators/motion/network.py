@@ -152,16 +152,16 @@ class MotionNetwork(Simulator):
             raise ValueError("inputs, network and genes do not fit each other")
         columns = CommandFeatures.of(names)
         if known is not None and known.names != self.command_names:
-            raise ValueError("the domain is one of other commands")
+            raise ValueError("the domain has other commands")
         if (drive is not None) != (coordinates == "residual-twist"):
-            raise ValueError("a residual twist is one beside a drive model")
+            raise ValueError("a residual twist needs a drive model")
         correction = correction or Correction()
         if drive is None and correction != Correction():
             raise ValueError("without a drive model there is nothing to correct")
         if drive is not None and not can_drive(names, len(drive.lag)):
             raise ValueError("a drive model needs a duration, and every input's command before")
         if derived.swing is not None and not can_swing(columns):
-            raise ValueError("a swing takes two remembered inputs")
+            raise ValueError("a swing needs two inputs with their previous values")
         if kernel_units is not None and (
             kernel_units.weights.shape[:2] != shape[:2]
             or len(kernel_units.lengths) != network.inputs
@@ -543,8 +543,7 @@ class MotionNetwork(Simulator):
         """
         if self.drive is None:
             raise UserError(
-                "this simulator has no drive model that could be corrected: train it with the "
-                "default trainer"
+                "this simulator has no drive model to correct: train it with the default trainer"
             )
         return self.correction.parameters
 
@@ -591,8 +590,8 @@ class MotionNetwork(Simulator):
         """
         if self.sensors is not None:
             raise UserError(
-                f"this simulator has sensors ({', '.join(self.sensors.names)}), and a program of "
-                "its step would be without them: export one that was trained with --no-sensors"
+                f"this simulator has sensors ({', '.join(self.sensors.names)}), which cannot be "
+                "exported: export a simulator that was trained with --no-sensors"
             )
         return _in(dtype, self)
 

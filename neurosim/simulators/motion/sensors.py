@@ -52,7 +52,7 @@ class Sensors:
         if self.maps.ndim != 3 or min(self.maps.shape) < 1 or min(self.maps.shape[1:]) < 2:
             raise ValueError("sensors' maps must be at least 2 by 2 points")
         if (self.place < 0).any() or (self.place >= len(self.maps)).any():
-            raise ValueError("a sensor reads a map that is not there")
+            raise ValueError("a sensor reads a map that does not exist")
         if (self.noise < 0).any() or not self.cell > 0:
             raise ValueError("sensors' noise must not be negative, and their cells above 0")
 

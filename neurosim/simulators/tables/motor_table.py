@@ -62,8 +62,7 @@ class MotorTable:
         fastest = np.abs(self.twist).max()
         if fastest > FASTEST:
             raise UserError(
-                f"the motor table has a speed of {fastest:g} m/s or rad/s; no robot that this "
-                f"is for is faster than {FASTEST:g}"
+                f"the motor table has a speed of {fastest:g} m/s or rad/s; the limit is {FASTEST:g}"
             )
 
     @property
@@ -134,7 +133,7 @@ class MotorTable:
                 if not np.isfinite(twist[i, j]).all():
                     raise UserError(
                         f"the samples at left {at_left:g} %, right {at_right:g} % give no speed: "
-                        "they go further in their time than a number can say"
+                        "their displacement is too large for a number"
                     )
                 if here.sum() > 1:
                     off = integral[here] - twist[i, j] * duration[here, None]

@@ -71,7 +71,7 @@ class Samples:
                 rows[distance * angles + row - 1] = _row(path, lines[number - 1], sensors, number)
         _expect(path, lines[expected - 1], "END", expected)
         if any(line.strip() for line in lines[expected:]):
-            raise FileError(path, "goes on after END", line=expected + 1)
+            raise FileError(path, "continues after END", line=expected + 1)
         turns = rows.reshape(distances, angles, sensors)
         return cls(turns, first / 1000, step / 1000, line_end)
 

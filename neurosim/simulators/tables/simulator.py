@@ -531,7 +531,7 @@ class TableSimulator(Simulator):
         except FileError:
             raise
         except (UserError, ValueError) as error:
-            raise FileError(path, f"is no table simulator ({error})") from None
+            raise FileError(path, f"is not a table simulator ({error})") from None
 
 
 def _joined(first: Tensor, second: Tensor) -> Tensor:

@@ -68,7 +68,7 @@ class CombinedSettings(PursuitSettings):
     """Settings of the trainer.
 
     Attributes:
-        members: Networks of each output in the ensemble; with 1 there is none.
+        members: Networks of each output in the ensemble; 1: no ensemble.
         noise: Fit a noise model.
         hidden: product units of a network at most; one is added in each generation.
         floor: the smallest magnitude of an input in a product unit.
@@ -80,14 +80,14 @@ class CombinedSettings(PursuitSettings):
         centres: units of the Gaussian process at first. They are doubled for as long as that
             lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each;
         most_centres: never beyond this number.
-        part_weight: of a part of a command, beside a whole command.
+        part_weight: weight of a part of a command, relative to a whole command.
         most_parts: poses within commands that are learned from.
         noise_rows: rows that the noise is learned from.
         lean: how far members lean to product units or to the Gaussian process.
         whole_commands: learn from whole commands alone, not from parts of them.
-        without: mechanisms that are left out, to see what they are good for: ``laws`` (all of a
-            drive model but its kinematics), ``dead_zone``, ``swing``,
-            ``product_units``, ``process``, ``row_weights``.
+        without: mechanisms that are left out, to measure their effect: ``laws`` (all of a drive
+            model but its kinematics), ``dead_zone``, ``swing``, ``product_units``, ``process``,
+            ``row_weights``.
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
@@ -150,7 +150,7 @@ class CombinedTrainer:
         names = tuple(entry["name"] for entry in data.inputs)
         if not can_drive(names):
             raise ValueError(
-                "it needs a duration and, of each input, the value before; use the trainer ga"
+                "it needs a duration and the previous value of each input; use the trainer ga"
             )
         self._data, self._settings, self._seed = data.once(), settings, seed
         self.generations = settings.hidden

@@ -1,0 +1,80 @@
+"""Messages and help are plain English: some words and patterns do not come back."""
+
+import ast
+from pathlib import Path
+
+import click
+import pytest
+from plain_words import NOT_IN_MESSAGES
+
+from neurosim.cli.main import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+FILES = sorted(path for name in ("neurosim", "tracking") for path in (ROOT / name).rglob("*.py"))
+DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+def texts(source):
+    """Give the strings of three words or more that are no docstrings, with their lines."""
+    tree = ast.parse(source)
+    passed_over = set()
+    for node in ast.walk(tree):
+        if isinstance(node, DOCUMENTED) and node.body and isinstance(node.body[0], ast.Expr):
+            passed_over.add(id(node.body[0].value))
+        if isinstance(node, ast.JoinedStr):
+            passed_over |= {id(part) for part in ast.walk(node) if part is not node}
+    for node in ast.walk(tree):
+        if id(node) in passed_over:
+            continue
+        text = ""
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            text = node.value
+        elif isinstance(node, ast.JoinedStr):
+            text = "".join(getattr(part, "value", "X") if isinstance(part, ast.Constant) else "X"
+                           for part in node.values)  # fmt: skip
+        if len(text.split()) >= 3:
+            yield node.lineno, " ".join(text.split())
+
+
+def helps(name, command):
+    """Give the help of a command, of its options and of the commands below it."""
+    context = click.Context(command)
+    yield name, " ".join((command.help or "").split())
+    for option in command.get_params(context):
+        yield f"{name} {option.opts[0]}", " ".join((getattr(option, "help", None) or "").split())
+    if isinstance(command, click.Group):
+        for below in command.list_commands(context):
+            yield from helps(f"{name} {below}", command.get_command(context, below))
+
+
+def test_messages():
+    hits = [
+        f"{path.relative_to(ROOT)}:{line}: {hit.group()!r} in {text[:100]}"
+        for path in FILES
+        for line, text in texts(path.read_text(encoding="utf-8"))
+        if (hit := NOT_IN_MESSAGES.search(text))
+    ]
+    assert not hits
+
+
+def test_help():
+    hits = [
+        f"{name}: {hit.group()!r} in {text[:100]}"
+        for name, text in helps("neurosim", cli)
+        if (hit := NOT_IN_MESSAGES.search(text))
+    ]
+    assert not hits
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a line of 0 m is none",
+        "as the wheels were told",
+        "x: what was sent is kept",
+        "it is no file",
+    ],
+)
+def test_patterns(text):
+    assert NOT_IN_MESSAGES.search(text)
+    assert not NOT_IN_MESSAGES.search("there is no controller of this name: what did you give?")
