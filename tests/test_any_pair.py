@@ -150,7 +150,7 @@ def test_a_task_of_ones_own_is_made_robust():
 
 def test_what_does_not_fit_is_refused():
     walker, goal = Walker(), TASKS["go-to"]()
-    with pytest.raises(ns.UserError, match="needs sensor_3, which the simulator does not offer"):
+    with pytest.raises(ns.UserError, match="needs sensor_3, and the simulator does not have it"):
         ns.evaluate(walker, goal, Network(("sensor_3",)))
     with pytest.raises(ns.UserError, match="the task gives no goals"):
         ns.evaluate(walker, Far(), Network(("goal_x",)))

@@ -16,7 +16,7 @@ class UserError(Exception):
         ...     ns.load("nowhere")
         ... except ns.UserError as error:
         ...     print(error)
-        nowhere: is no simulator, controller or dataset: no such folder
+        nowhere: is not a simulator, controller or dataset: no such folder
     """
 
 

@@ -56,6 +56,13 @@ class Column(Format):
     unit: str | None = None
 
 
+class CommandColumn(Format):
+    """A number of a command."""
+
+    name: str
+    unit: str
+
+
 class Robot(Format):
     """Which robot it was."""
 
@@ -685,7 +692,7 @@ class Trial(Format):
     virtual: bool
     controller: Source
     task: Named
-    columns: list[Column]
+    columns: list[CommandColumn]
     commands: list[CommandRow]
     predicted: Outcome
     actual: Actual

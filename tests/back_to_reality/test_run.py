@@ -116,7 +116,7 @@ def test_a_controller_that_could_not_be_read_again_is_refused_before_any_trial(
 ):
     monkeypatch.delitem(CONTROLLERS._registered, "push")
     reality = Real()
-    with pytest.raises(UserError, match="'push' cannot be read again: register its family first"):
+    with pytest.raises(UserError, match="so it cannot be read again: register its family first"):
         run(tmp_path / "out", reality)
     assert reality.made == 0
     assert list(tmp_path.iterdir()) == []

@@ -70,7 +70,9 @@ def test_what_is_made_takes_settings(shapes):
 
 
 def test_an_unknown_name_is_named_beside_those_that_there_are(shapes):
-    with pytest.raises(UserError, match="there is no shape 'oval'; there is half, base, broken, "):
+    with pytest.raises(
+        UserError, match="there is no shape 'oval'; choose from half, base, broken, "
+    ):
         shapes.get("oval")
     with pytest.raises(UserError, match="there is none"):
         Registry("shape", "no.shapes", {}).get("oval")

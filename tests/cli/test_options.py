@@ -151,7 +151,7 @@ def test_only_the_options_of_what_is_chosen_are_there():
     [
         (["--slow"], "--task walk has no option --slow: leave it out, or choose --task swim"),
         (["--task", "swim"], "--task swim needs --depth: how deep, m"),
-        (["--task", "fly"], "there is no task 'fly'; there is swim, walk"),
+        (["--task", "fly"], "there is no task 'fly'; choose from swim, walk"),
     ],
 )
 def test_what_does_not_go_together_is_said_in_a_sentence(words, message):

@@ -71,7 +71,7 @@ def test_failures_are_counted_where_they_happen():
     assert shares.pop((3, "did not end in the last rectangle")) == pytest.approx(0.5, abs=0.03)
     assert not shares
     words = _in_words(found)
-    assert "probability of 0.0 % (4000 outcomes drawn: 0.0 % to 0.1 %)" in words
+    assert "probability of 0.0 % (4000 random samples: 0.0 % to 0.1 %)" in words
     assert "command 1: left the grid" in words
     assert "running down: did not end in the last rectangle" in words
 

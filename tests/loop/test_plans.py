@@ -167,7 +167,7 @@ def test_interruption_returns_the_best_so_far(monkeypatch, generation):
 @pytest.mark.parametrize(
     ("make", "setting", "message"),
     [
-        (EvolveSettings, {"objective": "luck"}, "no objective 'luck'; there is fitness, "),
+        (EvolveSettings, {"objective": "luck"}, "no objective 'luck'; choose from fitness, "),
         (Plan, {"durations": (2.0, 1.0)}, "2 s, is above the longest, 1 s"),
     ],
 )

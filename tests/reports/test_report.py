@@ -226,7 +226,7 @@ def test_real_robot_is_not_called_virtual(tmp_path):
     summary = write_report(folders, tmp_path / "page.html")
     assert summary["virtual"] is False
     assert summary["verdict"].startswith(
-        "The robot did not complete the task, though the simulator said that it would."
+        "The robot did not complete the task, although the simulator predicted it."
     )
     assert "Virtual lab" not in Page(tmp_path / "page.html").text
 

@@ -60,7 +60,7 @@ def test_ours():
 
 def test_what_can_be_wrong(others):
     with pytest.raises(
-        UserError, match="no driver of a robot 'roomba'; there is nxt, khepera, lines, b"
+        UserError, match="no driver of a robot 'roomba'; choose from nxt, khepera, lines, b"
     ):
         robot_factory("roomba")
     with pytest.raises(UserError, match=r"'broken' \(no_such_package.robot:Robot\)"):

@@ -140,7 +140,7 @@ def test_without_sensors_it_is_another_simulator(made, tmp_path):
 def test_what_cannot_guard_is_refused(tmp_path):
     with VirtualRig(2, camera=False) as rig:
         args = (tmp_path / "r", Rig(rig.robot), RandomCommands())
-        with pytest.raises(UserError, match="by its position"):
+        with pytest.raises(UserError, match="needs the robot's position"):
             record(*args, RecordSettings(3, POSITION))
     assert not (tmp_path / "r").exists()
 
