@@ -77,9 +77,9 @@ class Registry:
             return attrgetter(attribute)(import_module(module))
         point = self._points().get(name)
         if point is None:
-            raise UserError(
-                f"there is no {self.what} {name!r}; choose from {', '.join(self.names()) or 'none'}"
-            )
+            names = ", ".join(self.names())
+            others = f"choose from {names}" if names else "none is registered"
+            raise UserError(f"there is no {self.what} {name!r}; {others}")
         try:
             return point.load()
         except Exception as error:

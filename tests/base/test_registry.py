@@ -74,7 +74,7 @@ def test_an_unknown_name_is_named_beside_those_that_there_are(shapes):
         UserError, match="there is no shape 'oval'; choose from half, base, broken, "
     ):
         shapes.get("oval")
-    with pytest.raises(UserError, match="there is none"):
+    with pytest.raises(UserError, match="none is registered"):
         Registry("shape", "no.shapes", {}).get("oval")
 
 

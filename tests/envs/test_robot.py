@@ -72,5 +72,5 @@ def test_an_nxt_is_where_the_camera_sees_it(tmp_path):
 def test_what_a_robot_lacks_is_said():
     with pytest.raises(ns.UserError, match="the position of the robot virtual is unknown"):
         gymnasium.make("neurosim/GoTo-v0", simulator=random_motion_network(), robot="virtual")
-    with pytest.raises(ns.UserError, match="has not sensor_0"):
+    with pytest.raises(ns.UserError, match="has no sensor_0"):
         gymnasium.make("neurosim/ObstacleAvoidance-v0", simulator=tables(), robot="virtual")
