@@ -198,7 +198,7 @@ class NineRectangles(Task):
         ends: bool,
         begins: bool,
     ) -> None:
-        given = np.ascontiguousarray(np.broadcast_to(active, len(record)))
+        given = np.array(np.broadcast_to(active, len(record)))
         course = self._grid, self._goals, float(self.longest_arc)
         poses = np.ascontiguousarray(poses)
 
