@@ -13,10 +13,11 @@ import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.evolution.optimisers import OPTIMISERS
-from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig
+from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig, VirtualThymioRig
 from neurosim.robots.khepera.driver import Khepera
 from neurosim.robots.lines.driver import Lines
 from neurosim.robots.nxt.driver import NXT
+from neurosim.robots.thymio.driver import Thymio
 from neurosim.tasks.registry import TASKS
 from neurosim.testing import (
     check_controller,
@@ -47,6 +48,8 @@ def test_our_robots():
     for kind in ("wheels", "car", "omni"):
         with VirtualLinesRig(1, kind=kind, camera=False) as rig:
             check_robot(lambda: Lines(rig.address, clock=rig.lab.clock, timeout=10.0))
+    with VirtualThymioRig(1, camera=False) as rig:
+        check_robot(lambda: Thymio(rig.address, clock=rig.lab.clock, timeout=10.0))
 
 
 @pytest.mark.parametrize("make", [motion_network, tables, Walker])

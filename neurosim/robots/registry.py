@@ -18,6 +18,7 @@ ROBOTS = Registry(
         "nxt": "neurosim.robots.nxt.driver:NXT",
         "khepera": "neurosim.robots.khepera.driver:Khepera",
         "lines": "neurosim.robots.lines.driver:Lines",
+        "thymio": "neurosim.robots.thymio.driver:Thymio",
     },
 )
 

@@ -54,13 +54,16 @@ class SerialLine:
         stop_bits: 1 or 2.
         farewell: what is sent when the line is given up, several times, since what is lost on the
             way once need not be lost each time; no answer is waited for.
+
+    Attributes:
+        farewell: as given; what a robot is known by only once it has answered is set then.
     """
 
     def __init__(self, port: str, *, baud: int, stop_bits: int = 1, farewell: bytes = b""):
         self.port = port
         self.baud = baud
         self._stop_bits = stop_bits
-        self._farewell = farewell
+        self.farewell = farewell
         self._serial: serial.SerialBase | None = None
         self._gone: str | None = None
         self._buffer = b""
@@ -187,6 +190,26 @@ class SerialLine:
             self._buffer += data.replace(b"\r", b"\n")
         return line
 
+    def read_some(self, seconds: float) -> bytes:
+        """Return bytes as they come, of what has no lines: none, if none comes in time.
+
+        Args:
+            seconds: wall-clock time that the first may take; 0: what has come already.
+
+        Raises:
+            LinkLost: if the line is gone.
+        """
+        port, end = self._connected(), time.monotonic() + seconds
+        try:
+            while True:
+                count = port.in_waiting
+                if data := port.read(count or 1) if count or seconds > 0 else b"":
+                    return bytes(data)
+                if time.monotonic() >= end:
+                    return b""
+        except (OSError, TypeError, ValueError) as error:
+            raise self._lost(error) from None
+
     def _cut(self) -> bytes | None:
         """Take the next non-empty line off what was received."""
         while self._buffer:
@@ -214,11 +237,11 @@ class SerialLine:
     def say_farewell(self) -> None:
         """Send the farewell, several times, if the line is open; never raises."""
         port = self._serial
-        if port is not None and self._farewell:
+        if port is not None and self.farewell:
             with suppress(Exception):
                 port.write_timeout = FAREWELL_EVERY
                 for _ in range(FAREWELLS):
-                    port.write(self._farewell)
+                    port.write(self.farewell)
                     time.sleep(FAREWELL_EVERY)
 
     def lose(self, why: str) -> LinkLost:

@@ -24,6 +24,7 @@ from neurosim.lab import (
     VirtualKheperaRig,
     VirtualLinesRig,
     VirtualRig,
+    VirtualThymioRig,
 )
 from neurosim.lab.khepera.rig import START
 from neurosim.recording.settings import Rig
@@ -207,8 +208,8 @@ def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's cars.
     """
-    with _lines("car", setup, lab_seed) as rig:
-        yield rig
+    with VirtualLinesRig(lab_seed, kind="car", **_common(setup)) as rig:
+        yield _connected(rig)
 
 
 @contextmanager
@@ -222,23 +223,40 @@ def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's bases.
     """
-    with _lines("omni", setup, lab_seed) as rig:
-        yield rig
+    with VirtualLinesRig(lab_seed, kind="omni", **_common(setup)) as rig:
+        yield _connected(rig)
 
 
 @contextmanager
-def _lines(kind: str, setup: Setup, lab_seed: int) -> Iterator[Rig]:
-    with VirtualLinesRig(
-        lab_seed,
-        kind=kind,
-        noise_seed=setup.seed,
-        start=setup.start or (0.0, 0.0, 0.0),
-        camera=_has_camera(setup),
-        camera_size=setup.size or (640, 480),
-        fps=setup.fps or 30.0,
-    ) as rig:
-        rig.robot.connect()  # what it takes is known from now on
-        yield Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+@checks
+def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+    """Open the virtual lab's Thymio II under its roof camera.
+
+    Nothing stands near it, so its proximity sensors read 0.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's Thymios.
+    """
+    with VirtualThymioRig(lab_seed, **_common(setup)) as rig:
+        yield _connected(rig)
+
+
+def _common(setup: Setup) -> dict[str, Any]:
+    """Return what rigs on the board have in common."""
+    return {
+        "noise_seed": setup.seed,
+        "start": setup.start or (0.0, 0.0, 0.0),
+        "camera": _has_camera(setup),
+        "camera_size": setup.size or (640, 480),
+        "fps": setup.fps or 30.0,
+    }
+
+
+def _connected(rig: VirtualLinesRig | VirtualThymioRig) -> Rig:
+    """Return the robot and its camera; what it takes and has is known from now on."""
+    rig.robot.connect()
+    return Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
 
 
 def _has_camera(setup: Setup) -> bool:
@@ -256,6 +274,7 @@ _VIRTUAL: dict[str, Callable[..., AbstractContextManager[Rig]]] = {
     "virtual-khepera": virtual_khepera,
     "virtual-car": virtual_car,
     "virtual-omni": virtual_omni,
+    "virtual-thymio": virtual_thymio,
 }
 
 

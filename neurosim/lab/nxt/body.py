@@ -61,6 +61,25 @@ class InputValues(NamedTuple):
     mode: int
 
 
+def ground_light(x: float, y: float, spot: float, printed: PrintedLine | None = None) -> float:
+    """Return the light (0..1) that the ground at (x, y) throws back to a sensor close to it.
+
+    Edges are blurred by the round spot that the sensor sees, as a linear ramp.
+
+    Args:
+        x, y: m, board frame.
+        spot: its radius, m.
+        printed: on the board, or None.
+    """
+    inside = min(BOARD.length / 2 - abs(x), BOARD.width / 2 - abs(y))
+    from_line = abs(inside - BOARD.line_inset)
+    line = _share((BOARD.line_width / 2 - from_line) / spot)
+    light = BOARD.light + (BOARD.line_light - BOARD.light) * line
+    if printed is not None:
+        light += (printed.light - light) * printed.share(x, y, spot)
+    return BOARD.floor_light + (light - BOARD.floor_light) * _share(inside / spot)
+
+
 class NxtBody:
     """Motors B and C under the wheels, a lamp on A, light sensors on inputs 1 and 2.
 
@@ -238,23 +257,12 @@ class NxtBody:
         return InputValues(True, round(1023 * min(max(1.0 - value, 0.0), 1.0)), type, mode)
 
     def reflected_light(self, side: int) -> float:
-        """Return the light (0..1) that the ground throws back to the left (0) or right (1) sensor.
-
-        Edges are blurred by the round spot that the sensor sees, as a linear ramp.
-        """
+        """Return the light (0..1) that the left (0) or the right (1) sensor sees."""
         ahead, aside = self.params.light_ahead, (1 - 2 * side) * self.params.light_aside
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
         x, y = x + cos * ahead - sin * aside, y + sin * ahead + cos * aside
-        spot = self.params.light_spot
-        inside = min(BOARD.length / 2 - abs(x), BOARD.width / 2 - abs(y))
-        from_line = abs(inside - BOARD.line_inset)
-        line = _share((BOARD.line_width / 2 - from_line) / spot)
-        board = _share(inside / spot)
-        light = BOARD.light + (BOARD.line_light - BOARD.light) * line
-        if self.line is not None:
-            light += (self.line.light - light) * self.line.share(x, y, spot)
-        return BOARD.floor_light + (light - BOARD.floor_light) * board
+        return ground_light(x, y, self.params.light_spot, self.line)
 
     def battery_millivolts(self) -> int:
         """Return the battery's voltage as the brick measures it."""

@@ -1,0 +1,1 @@
+"""A virtual Thymio II: its firmware, its body, and the line to it."""

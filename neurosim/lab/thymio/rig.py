@@ -1,0 +1,145 @@
+"""A virtual Thymio II behind its line, with the roof camera over it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.lab.cable import SerialCable, address_of, serve_cable
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.lines.planar import PlanarBody
+from neurosim.lab.nxt.body import ground_light
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.rig import PLACING
+from neurosim.lab.nxt.world import Lab
+from neurosim.lab.server import Served
+from neurosim.lab.thymio.firmware import ThymioFirmware
+from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, Thymio
+
+#: Time of a byte, s: an answer takes a few milliseconds, as one over USB does.
+BYTE = 10 / 115_200
+#: Radius of what a ground sensor sees, m, and the standard deviation of its noise, of 1000.
+SPOT, NOISE = 0.008, 5.0
+
+
+class ThymioBody(PlanarBody):
+    """Two wheels and what looks at the ground; nothing stands near it on the board.
+
+    Its drives are those of the lab's planar bodies: one forward, one for turning.
+
+    Args:
+        robot_seed: which robot: the same number is the same one.
+        seed: of its slip and noise.
+    """
+
+    def __init__(self, robot_seed: int, seed: int):
+        super().__init__("omni", robot_seed, seed)
+        self._noise = np.random.default_rng([seed, 0x7471])
+        self._targets = (0, 0)
+
+    def drive(self, left: int, right: int) -> None:
+        """Regulate both wheels' speeds, 500 at full speed."""
+        if (left, right) == self._targets:
+            return
+        self._targets = (left, right)
+        slow, fast = (min(max(value, -FULL), FULL) * FULL_SPEED / FULL for value in (left, right))
+        self.move(((slow + fast) / 2, 0.0, (fast - slow) / BODY.wheel_base))
+
+    def speeds(self) -> tuple[int, int]:
+        """Return both wheels' speeds as they are measured."""
+        forward, aside = self._state[4], self._state[6] * BODY.wheel_base / 2
+        noise = 4.0 * self._noise.standard_normal(2) if forward or aside else np.zeros(2)
+        left, right = np.array([forward - aside, forward + aside]) * FULL / FULL_SPEED + noise
+        return round(left), round(right)
+
+    def proximity(self) -> list[int]:
+        """Return what the seven sensors read."""
+        return [0] * 7
+
+    def ground(self) -> list[int]:
+        """Return what the two ground sensors read, of 1000."""
+        x, y, theta = self.pose
+        cos, sin = math.cos(theta), math.sin(theta)
+        lights = [
+            1000 * ground_light(x + cos * ahead - sin * aside, y + sin * ahead + cos * aside, SPOT)
+            for ahead, aside in GROUND.values()
+        ]
+        noisy = np.array(lights) + NOISE * self._noise.standard_normal(2)
+        return np.clip(np.rint(noisy), 0, 1023).astype(int).tolist()
+
+
+class VirtualThymioRig(Served):
+    """A Thymio II of the virtual lab, behind its line.
+
+    Args:
+        robot_seed: which robot and which board; the same number is the same robot.
+        noise_seed: of everything that differs from one session to the next.
+        start: where a person tries to put the robot (m, m, rad, board frame).
+        camera: whether there is a camera.
+        camera_size: its frames, (width, height) in pixels.
+        fps: frames per second.
+        device: ``pty``, ``socket``, or None for whichever the system has.
+        port: of the socket; 0 for any free one.
+        real_time: the lab's time will be the wall clock's (see
+            :class:`neurosim.lab.nxt.world.Pacer`).
+
+    Attributes:
+        lab: the lab itself; no learner looks into it.
+        robot: the driver, not connected yet, in the lab's own time.
+        camera: the roof camera, or None.
+        address: what the driver takes as port.
+    """
+
+    def __init__(
+        self,
+        robot_seed: int,
+        *,
+        noise_seed: int = 0,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        camera: bool = True,
+        camera_size: tuple[int, int] = (640, 480),
+        fps: float = 30.0,
+        device: str | None = None,
+        port: int = 0,
+        real_time: bool = False,
+    ):
+        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": "thymio"}
+        rng = np.random.default_rng([noise_seed, robot_seed, 0x7470])
+        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
+        seed = int(rng.integers(2**31))
+        body = ThymioBody(robot_seed, seed)
+        self.lab = Lab(
+            seed,
+            body=body,
+            params=LabParams.drawn(robot_seed),
+            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            start=(float(x), float(y), float(theta)),
+        )
+        self.firmware = ThymioFirmware(body, self.lab.lock)
+        self.lab.program = self.firmware
+        self.cable = SerialCable(self.firmware, self.lab.clock, BYTE)
+        self._server = serve_cable(self.cable, device, port)
+        self.address = address_of(self._server)
+        timeout = 2.0 if real_time else 10.0
+        self.robot = Thymio(self.address, timeout=timeout, clock=self.lab.clock)
+        self.camera: RoofCamera | None = self.lab.camera
+
+    @property
+    def standing(self) -> bool:
+        """Whether the robot is commanded to stand."""
+        return not any(self.firmware.targets)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the same lab again."""
+        return dict(self._seeds)
+
+    def write_truth(self, folder: Path, session: int) -> None:
+        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
+        self.lab.write_truth(folder, session)
+
+    def switch_off(self) -> None:
+        """Switch the radio off: nothing answers any more; a command ends by itself."""
+        self.cable.silent = True

@@ -1,0 +1,1 @@
+"""A Thymio II on its USB cable or its dongle."""
