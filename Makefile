@@ -1,12 +1,13 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
 # make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
+# make dist: a wheel, which needs no clone.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-fast test-extras format clean
+.PHONY: demo test test-fast test-extras dist format clean
 
 demo: .venv/installed
 	$(BIN)/neurosim demo demo
@@ -23,6 +24,10 @@ test-fast: test
 # What benchmarks/ and examples/ use, Ray and onnxruntime, which are large: 3.5 GB in all.
 test-extras: .venv/installed-extras
 	NEUROSIM_EXTRAS=1 $(BIN)/pytest tests/extras $(PYTEST_ARGS)
+
+dist: .venv/installed-dev
+	rm -rf dist
+	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .

@@ -2,15 +2,60 @@
 
 import importlib.util
 import os
+import re
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
+HOSTED = sorted((ROOT / ".github").rglob("*.yml"))
+
+
+@pytest.mark.skipif(not HOSTED, reason="needs the source folder")
+def test_workflows_run_commands_that_there_are():
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = extras["optional-dependencies"]
+    commands = []
+    for path in HOSTED:
+        if path.parent.name != "workflows":
+            continue
+        found = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert {"name", "permissions", "jobs", True} == set(found) - {"concurrency"}  # True: "on"
+        for name, job in found["jobs"].items():
+            assert set(job.get("needs", "").split()) <= set(found["jobs"]), name
+            assert job["timeout-minutes"] <= 90
+            commands += [step["run"] for step in job["steps"] if "run" in step]
+    made = [command.split()[1] for command in commands if command.startswith("make ")]
+    assert sorted(made) == ["dist", "test", "test-extras"]
+    assert set(made) <= targets
+    named = re.findall(r"\.\[([a-z,]+)\]", " ".join(commands))
+    assert named
+    assert all(set(one.split(",")) <= set(extras) for one in named)
+
+
+@pytest.mark.skipif(not HOSTED, reason="needs the source folder")
+def test_the_citation_and_the_changelog_are_of_this_version():
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert yaml.safe_load((ROOT / "CITATION.cff").read_text())["version"] == version
+    newest = re.search(r"^## (.+)$", (ROOT / "CHANGELOG.md").read_text(), re.MULTILINE)
+    assert newest is not None
+    assert newest.group(1).split()[0] == version
+
+
+def test_forms_for_issues_have_what_a_host_asks_for():
+    forms = [path for path in HOSTED if path.parent.name == "ISSUE_TEMPLATE"]
+    assert forms or not HOSTED
+    for path in forms:
+        form = yaml.safe_load(path.read_text(encoding="utf-8"))
+        assert {"name", "description", "body"} <= set(form)
+        assert all(one["attributes"]["label"] for one in form["body"])
 
 
 @pytest.mark.slow
