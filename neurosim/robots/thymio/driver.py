@@ -233,7 +233,8 @@ class Thymio:
         self._known = self._describe()
         if self._known.name != "thymio-II":
             raise RobotError(
-                f"the robot on {self._line.port} is not a Thymio II; its name is {self._known.name[:40]!r}"
+                f"the robot on {self._line.port} is not a Thymio II; "
+                f"its name is {self._known.name[:40]!r}"
             )
         missing = [name for name in _NEEDED if name not in self._known.addresses]
         if missing or "motor" not in self._known.events or "leds.top" not in self._known.natives:
