@@ -829,6 +829,29 @@ class Demo(Format):
     seed: int
 
 
+class StageInput(Format):
+    """A file or folder that a stage of a pipeline reads."""
+
+    path: str
+    sha256: str
+
+
+class StageRow(Format):
+    """A line of pipeline.jsonl: a stage that began, or that ended; then it has seconds."""
+
+    stage: str
+    key: str
+    command: str
+    options: dict[str, Any]
+    inputs: dict[str, list[StageInput]]
+    neurosim: str
+    time: str
+    out: str | None = None
+    seconds: float | None = None
+    sha256: str | None = None
+    result: dict[str, Any] | None = None
+
+
 class Kind(Format):
     """Of which kind a simulator is."""
 

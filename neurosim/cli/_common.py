@@ -74,7 +74,14 @@ def is_given(name: str) -> bool:
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
-    """Print a verb's result: JSON for machines, or text for people."""
+    """Print a verb's result: JSON for machines, or text for people.
+
+    A dict that the command line was started with, as its ``obj``, gets the result, too.
+    """
+    context = click.get_current_context(silent=True)
+    kept = None if context is None else context.find_object(dict)
+    if kept is not None:
+        kept.update(result)
     if as_json:
         click.echo(json.dumps(result, indent=2, default=plain))
     else:

@@ -25,6 +25,8 @@ class _Path(click.Path):
 
 #: A path as a pathlib.Path; whether it exists is for the reader to say, in its own sentence.
 PATH = _Path(path_type=Path)
+#: A path that is written in addition to a command's output.
+NEW = _Path(path_type=Path)
 
 
 class _Named(click.ParamType):
@@ -148,15 +150,13 @@ class Numbers(_Named):
     """
 
     def __init__(self, name: str, between: str, hint: Any, example: str):
-        self.name, self._between, self._example = name, between, example
+        self.name, self.between, self._example = name, between, example
         self.part = ranged(hint)
 
     def convert(self, value: Any, param: Any, ctx: Any) -> tuple[Any, ...]:
         """Return the numbers; those of a resumed run's file are numbers already."""
-        parts = value.lower().split(self._between) if isinstance(value, str) else value
-        if not isinstance(parts, list | tuple) or (
-            len(parts) != self.name.count(self._between) + 1
-        ):
+        parts = value.lower().split(self.between) if isinstance(value, str) else value
+        if not isinstance(parts, list | tuple) or (len(parts) != self.name.count(self.between) + 1):
             self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
         try:
             return tuple(self.part.convert(part, param, ctx) for part in parts)
@@ -166,7 +166,7 @@ class Numbers(_Named):
 
     def shown(self, value: tuple[Any, ...]) -> str:
         """Return numbers as they are typed."""
-        return self._between.join(f"{part:g}" for part in value)
+        return self.between.join(f"{part:g}" for part in value)
 
 
 def low_high(hint: Any) -> Numbers:

@@ -33,6 +33,7 @@ from neurosim.cli.demo import demo
 from neurosim.cli.evolve import evolve
 from neurosim.cli.export import export
 from neurosim.cli.lab import lab
+from neurosim.cli.pipeline import pipeline
 from neurosim.cli.plan_check import plan_check
 from neurosim.cli.print_page import print_page
 from neurosim.cli.record import record
@@ -128,6 +129,7 @@ for verb in (
     back_to_reality,
     export,
     report,
+    pipeline,
     lab,
     demo,
 ):

@@ -16,7 +16,7 @@ from neurosim.cli._common import (
     json_option,
     next_step,
 )
-from neurosim.cli._types import PATH, PIXEL, Option, ranged
+from neurosim.cli._types import NEW, PATH, PIXEL, Option, ranged
 
 
 @click.command()
@@ -30,7 +30,7 @@ from neurosim.cli._types import PATH, PIXEL, Option, ranged
 )
 @calibration_option("The camera's calibration.json.  [default: the one kept with the recording]")
 @click.option(
-    "--overlay", type=PATH, help="Also write a video with the tracked markers drawn over it."
+    "--overlay", type=NEW, help="Also write a video with the tracked markers drawn over it."
 )
 @click.option(
     "--video",

@@ -109,7 +109,7 @@ def typed(option, value):
     """Return a value as it comes from the command line, in every place of the option."""
     kind = option.type
     if isinstance(kind, Numbers):
-        value = kind._between.join([value] * (kind.name.count(kind._between) + 1))
+        value = kind.between.join([value] * (kind.name.count(kind.between) + 1))
     if isinstance(kind, click.Tuple):
         value = (value,) * len(kind.types)
     elif option.nargs > 1:
