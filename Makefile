@@ -1,13 +1,13 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
 # make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
-# make dist: a wheel, which needs no clone.
+# make dist: a wheel, which needs no clone.  make docs: the site, in site/.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test test-fast test-extras dist format clean
+.PHONY: demo test test-fast test-extras dist docs format clean
 
 demo: .venv/installed
 	$(BIN)/neurosim demo demo
@@ -28,6 +28,9 @@ test-extras: .venv/installed-extras
 dist: .venv/installed-dev
 	rm -rf dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+
+docs: .venv/installed-dev
+	$(BIN)/python docs/make_site.py
 
 format: .venv/installed-dev
 	$(BIN)/ruff check --fix .
@@ -51,4 +54,4 @@ format: .venv/installed-dev
 	touch $@ .venv/installed-dev .venv/installed
 
 clean:
-	rm -rf .venv build dist *.egg-info demo
+	rm -rf .venv build dist *.egg-info demo site

@@ -197,10 +197,12 @@ def test_words_that_do_not_come_back(page):
     assert not hits
 
 
-def test_pages_are_linked_from_the_readme():
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
-    missing = [page.name for page in PAGES[2:] if f"(docs/{page.name})" not in readme]
-    assert not missing
+def test_pages_are_linked_from_the_index_and_the_index_from_the_readme():
+    index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    others = [page.name for page in PAGES[2:] if page.name != "index.md"]
+    others += [f"../notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")]
+    assert not [name for name in others if f"]({name})" not in index]
+    assert "](docs/index.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_links_lead_somewhere():

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
 from operator import attrgetter
@@ -105,4 +106,10 @@ class Registry:
             ) from None
 
     def _points(self) -> dict[str, EntryPoint]:
-        return {point.name: point for point in entry_points(group=self.group)}
+        return _points_of(self.group, entry_points)
+
+
+@cache
+def _points_of(group: str, finder: Callable[..., Iterable[EntryPoint]]) -> dict[str, EntryPoint]:
+    """Return the entry points of a group; finding them reads a file of every package."""
+    return {point.name: point for point in finder(group=group)}

@@ -79,7 +79,7 @@ def parameters(source: Any) -> list[Parameter]:
         signature = inspect.signature(source)
     except (TypeError, ValueError):
         return []
-    annotations, helps = hints_of(source), _documented(source)
+    annotations, helps = hints_of(source), documented(source)
     found = []
     for name, each in signature.parameters.items():
         if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL, each.VAR_KEYWORD):
@@ -142,7 +142,7 @@ def _is_float(hint: Any) -> bool:
 _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
 
 
-def _documented(source: Callable[..., Any]) -> dict[str, str]:
+def documented(source: Callable[..., Any]) -> dict[str, str]:
     """Return the first sentence that the docstrings have of each parameter."""
     found: dict[str, str] = {}
     for title in ("Attributes:", "Args:"):  # what is said of an argument counts first
@@ -369,6 +369,11 @@ class SettingsCommand(click.Command):
         self._groups = [part for part in self._parts if isinstance(part, Group)]
 
     # Which options there are
+
+    def choices(self) -> dict[str, list[str]]:
+        """Return the names that each option can choose, such as those of ``--task``."""
+        named = [group for group in self._groups if group.option is not None]
+        return {str(group.option): group.choices().names() for group in named}
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
         """Return the parameters, with the options of what is chosen."""

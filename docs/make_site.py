@@ -1,0 +1,201 @@
+"""Build the site: python docs/make_site.py, or make docs.
+
+The pages stay where they are. This script copies them to build/docs, with links that work in the
+site, and adds the notebooks and the reference. Zensical makes site/ of these. The navigation is
+that of docs/index.md. A broken link is an error.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib.util
+import json
+import posixpath
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))
+import reference
+
+ROOT = Path(__file__).resolve().parents[1]
+LINK = re.compile(r"(?<=\]\()(?!https?:|mailto:|#)([^)#\s]+)((?:#[^)\s]*)?)(?=\))")
+FENCE = re.compile(r"(^```.*?^```[^\n]*\n)", flags=re.DOTALL | re.MULTILINE)
+
+
+class Pages:
+    """The pages of the site, written below a folder."""
+
+    def __init__(self, out: Path):
+        self.out = out
+        self._added: set[str] = set()
+        self._waiting: list[str] = []
+
+    def add(self, path: str) -> str:
+        """Take a file or folder of the repository into the site; return its path there."""
+        if path not in self._added:
+            self._added.add(path)
+            self._waiting.append(path)
+        return place(path)
+
+    def write(self) -> None:
+        """Write everything that was added, and all that it links to."""
+        while self._waiting:
+            path = self._waiting.pop()
+            source, target = ROOT / path, self.out / place(path)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            if source.is_dir():
+                target.write_text(self._listing(path), encoding="utf-8")
+            elif source.suffix == ".md":
+                self.page(target, self.linked(source.read_text(encoding="utf-8"), path))
+            elif source.suffix == ".ipynb":
+                self.page(target, self.linked(notebook(source, target), path))
+            elif target.suffix == ".md":
+                self.page(target, hidden(path) + fenced(source.read_text(encoding="utf-8"), path))
+            else:
+                shutil.copyfile(source, target)
+
+    def page(self, target: Path, text: str) -> None:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(text, encoding="utf-8")
+
+    def linked(self, text: str, path: str) -> str:
+        """Return a page of the repository with links to places in the site."""
+        parts = FENCE.split(text)
+        parts[::2] = [
+            LINK.sub(lambda link: self._to(link[1], path) + link[2], part) for part in parts[::2]
+        ]
+        return "".join(parts)
+
+    def _to(self, link: str, path: str) -> str:
+        target = posixpath.normpath(PurePosixPath(path).parent / link)
+        if not (ROOT / target).exists():
+            raise SystemExit(f"{path}: the link {link} leads nowhere")
+        return posixpath.relpath(self.add(target), PurePosixPath(place(path)).parent)
+
+    def _listing(self, path: str) -> str:
+        here, lines = PurePosixPath(place(path)).parent, []
+        for each in sorted((ROOT / path).rglob("*")):
+            if each.is_file() and "__pycache__" not in each.parts:
+                to = self.add(each.relative_to(ROOT).as_posix())
+                name = each.relative_to(ROOT / path).as_posix()
+                lines.append(f"- [{name}]({posixpath.relpath(to, here)})\n")
+        return hidden(path) + "".join(lines)
+
+
+def place(path: str) -> str:
+    """Return where a file or folder of the repository is in the site."""
+    folder, name = posixpath.split(path)
+    if folder == "docs":
+        return name
+    if name.endswith(".ipynb"):
+        return f"tutorials/{name.removesuffix('.ipynb')}.md"
+    if (ROOT / path).is_dir():
+        return f"source/{path}/index.md"
+    return f"source/{path}" if name.endswith((".md", ".png", ".svg")) else f"source/{path}.md"
+
+
+def hidden(title: str) -> str:
+    """Return the head of a page that the search leaves out."""
+    return f"---\nsearch:\n  exclude: true\n---\n\n# {title}\n\n"
+
+
+def fenced(text: str, name: str = "") -> str:
+    """Return a text as a block of code."""
+    fence = "`" * max([3, *(len(ticks) + 1 for ticks in re.findall("`{3,}", text))])
+    language = {".py": "python", ".ino": "cpp", ".json": "json", ".toml": "toml"}
+    return f"{fence}{language.get(Path(name).suffix, 'text')}\n{text.rstrip()}\n{fence}\n"
+
+
+def notebook(source: Path, target: Path) -> str:
+    """Return a notebook as Markdown, with its outputs; write its pictures next to the page."""
+    text, pictures = "", 0
+    for cell in json.loads(source.read_text(encoding="utf-8"))["cells"]:
+        content = "".join(cell["source"])
+        if cell["cell_type"] == "markdown":
+            text += content + "\n\n"
+            continue
+        text += fenced(content, "cell.py") + "\n"
+        for output in cell["outputs"]:
+            data = output.get("data", {})
+            if "image/png" in data:
+                pictures += 1
+                picture = target.with_name(f"{target.stem}-{pictures}.png")
+                picture.write_bytes(base64.b64decode(data["image/png"]))
+                text += f"![output {pictures}]({picture.name})\n\n"
+            else:
+                shown = output.get("text", data.get("text/plain", ""))
+                text += fenced("".join(shown)) + "\n"
+    return text
+
+
+def navigation(pages: Pages) -> list[dict[str, Any]]:
+    """Return the sections and pages that docs/index.md lists, for Zensical."""
+    sections: list[dict[str, Any]] = [{"Home": pages.add("docs/index.md")}]
+    text = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
+    for section in re.split(r"^## ", text, flags=re.MULTILINE)[1:]:
+        title, _, items = section.partition("\n")
+        links = re.findall(r"^- \[([^\]]+)\]\(([^)]+)\)", items, flags=re.MULTILINE)
+        listed = [
+            {name: pages.add(posixpath.normpath(PurePosixPath("docs") / to))} for name, to in links
+        ]
+        if title == "Reference":
+            listed += generated(pages)
+        sections.append({title: listed if len(listed) > 1 else next(iter(listed[0].values()))})
+    return sections
+
+
+def generated(pages: Pages) -> list[dict[str, Any]]:
+    """Write the pages of the reference; return their navigation."""
+    listed: list[dict[str, Any]] = []
+    for title, made in (
+        ("Keys of the JSON files", reference.files()),
+        ("Commands", reference.commands()),
+        ("Python", reference.python()),
+    ):
+        for path, text in made.items():
+            pages.page(pages.out / path, text)
+        below = [{text.partition("\n")[0].removeprefix("# "): path} for path, text in made.items()]
+        listed.append(below[0] if len(below) == 1 else {title: below})
+    return listed
+
+
+def main(site: Path = ROOT / "site", build: Path = ROOT / "build" / "docs") -> None:
+    """Build the site, whole or not at all.
+
+    Args:
+        site: its folder, which is replaced.
+        build: folder for the pages that it is made of.
+    """
+    missing = [name for name in ("zensical", "mkdocstrings") if not importlib.util.find_spec(name)]
+    if missing:
+        raise SystemExit(f"the site needs {' and '.join(missing)}: pip install 'neurosim[docs]'")
+    shutil.rmtree(build, ignore_errors=True)
+    pages = Pages(build / "pages")
+    nav = navigation(pages)
+    pages.write()
+    python = {
+        "paths": [str(ROOT)],
+        "options": {"extensions": [str(ROOT / "docs" / "docstrings.py")]},
+    }
+    settings = {
+        "INHERIT": str(ROOT / "docs" / "site.yml"),
+        "docs_dir": pages.out.name,
+        "nav": nav,
+        "plugins": {"mkdocstrings": {"handlers": {"python": python}}},
+    }
+    config = build / "site.yml"
+    config.write_text(json.dumps(settings, indent=1), encoding="utf-8")
+    command = [sys.executable, "-m", "zensical", "build", "--strict", "--clean", "-f", str(config)]
+    if subprocess.run(command, cwd=ROOT).returncode:
+        raise SystemExit("the site was not built: see the messages above")
+    shutil.rmtree(site, ignore_errors=True)
+    shutil.move(build / "site", site)
+    print(f"{site / 'index.html'}")
+
+
+if __name__ == "__main__":
+    main()
