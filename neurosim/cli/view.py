@@ -1,4 +1,4 @@
-"""``neurosim view``: a picture of a simulator, and of what a controller does in it."""
+"""``neurosim view``: a picture of a simulator and a drive in it, or the video of a trial."""
 
 from __future__ import annotations
 
@@ -8,14 +8,20 @@ from typing import Annotated
 import click
 from msgspec import Meta
 
-from neurosim.cli._common import emit, json_option, seed_option
-from neurosim.cli._types import PATH, POSE, Option, ranged
+from neurosim.base.errors import UserError
+from neurosim.cli._common import emit, is_given, json_option, seed_option
+from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
 
 
 @click.command()
 @click.argument("place", type=PATH)
-@click.option("-o", "--out", type=PATH, required=True, help="The picture: .png, .svg or .pdf.")
-@click.option("--simulator", type=PATH, help="Simulator to drive in, if PLACE is only an arena.")
+@click.option("-o", "--out", type=PATH, help="The picture: .png, .svg or .pdf.")
+@click.option("--video", type=NEW, help="A video instead of a picture, of a trial: .mp4.")
+@click.option(
+    "--simulator",
+    type=PATH,
+    help="Simulator to drive in, if PLACE is only an arena; of a trial, the one that samples it.",
+)
 @click.option("--controller", type=PATH, help="Controller of any kind; its path is drawn.")
 @click.option(
     "--pose",
@@ -32,12 +38,13 @@ from neurosim.cli._types import PATH, POSE, Option, ranged
     help="Time that a closed-loop controller drives, s.  [as long as its trial]",
 )
 @click.option("--noise/--no-noise", default=False, show_default=True)
-@click.option("--overwrite", is_flag=True, help="Replace an existing picture.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing picture or video.")
 @seed_option
 @json_option
 def view(
     place: Path,
-    out: Path,
+    out: Path | None,
+    video: Path | None,
     simulator: Path | None,
     controller: Path | None,
     pose: tuple[float, float, float] | None,
@@ -51,7 +58,24 @@ def view(
 
     With a controller, the robot drives its task in the simulator. It is drawn at the end of its
     path, with its sensors' readings.
+
+    With --video, PLACE is the folder of a trial. The video shows the robot, its prediction and its
+    sensors. With the trial's --simulator and --controller it shows random samples, too.
     """
+    if video is not None:
+        from neurosim.reports.film import write_film
+
+        for name in ("out", "pose", "seconds", "noise"):
+            if is_given(name):
+                raise UserError(f"--video shows a trial as it was: leave out --{name}")
+        made = write_film(
+            place, video, simulator=simulator, controller=controller, seed=seed, overwrite=overwrite
+        )
+        text = f"{video}: {made['seconds']:.1f} s, {made['samples']} samples"
+        emit({"video": str(video), **made}, as_json, text)
+        return
+    if out is None:
+        raise UserError("name the picture with -o, or the video of a trial with --video")
     from neurosim.reports.view import contacts_in_words, draw_view
 
     result = draw_view(

@@ -110,7 +110,22 @@ def planned_path(poses: ArrayLike, spacing: float = 0.02, longest: float = LONGE
     return np.concatenate(pieces)
 
 
-def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool = False) -> str:
+@dataclass(frozen=True)
+class Drawn:
+    """A drawing of a course.
+
+    Attributes:
+        svg: the drawing.
+        origin: where x = y = 0 is in it; its y points down.
+        scale: units of it to a metre.
+    """
+
+    svg: str
+    origin: tuple[float, float]
+    scale: float
+
+
+def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool = False) -> Drawn:
     """Draw both paths over a scene.
 
     Args:
@@ -127,7 +142,10 @@ def course(scene: Scene, paths: Paths, label: str, prefix: str, *, small: bool =
         draw_course(axes, scene, paths)
         if small:
             axes.set_axis_off()
-        return to_svg(figure, label, prefix)
+        svg = to_svg(figure, label, prefix)
+        metre = unit_of(low, high)[0]
+        (x, y), (one, _) = axes.transData.transform([[0, 0], [metre, 0]]) * 72 / figure.dpi
+        return Drawn(svg, (float(x), 72 * float(figure.get_size_inches()[1]) - float(y)), one - x)
 
 
 def draw_course(axes: Axes, scene: Scene, paths: Paths) -> None:

@@ -10,11 +10,16 @@ from typing import Any
 
 @dataclass
 class Picture:
-    """A figure: an SVG, and a caption that says what is seen."""
+    """A figure: an SVG, and a caption that says what is seen.
+
+    Attributes:
+        film: JSON of what moves over it (:mod:`neurosim.reports.film`), or None.
+    """
 
     svg: str
     caption: str
     wide: bool = False
+    film: str | None = None
     kind: str = field(default="picture", init=False)
 
 
@@ -90,7 +95,7 @@ class Page:
     footer: str
 
     def html(self) -> str:
-        """Return the page, with its style inside and nothing outside."""
+        """Return the page, with its style and script inside and nothing outside."""
         import jinja2
 
         here = resources.files(__package__)
@@ -99,5 +104,6 @@ class Page:
         )
         template = environment.from_string((here / "page.html").read_text(encoding="utf-8"))
         style = (here / "page.css").read_text(encoding="utf-8")
-        context: dict[str, Any] = {"page": self, "style": style}
+        script = (here / "film.js").read_text(encoding="utf-8")
+        context: dict[str, Any] = {"page": self, "style": style, "script": script}
         return template.render(context)

@@ -14,6 +14,7 @@ from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
 from neurosim.reports.controllers import unknown_tasks
 from neurosim.reports.course import Paths, Scene, course
+from neurosim.reports.film import film
 from neurosim.reports.page import Block, Picture, Row, Section, Table, Text
 
 #: More trials than this are drawn no longer one by one.
@@ -29,7 +30,7 @@ def courses(artefacts: Artefacts) -> Section:
         blocks.append(Text(text + "Add the folder of a trial to see it.", missing=True))
     else:
         pictures = [
-            _course(trial, artefacts.place_of(trial), f"c{place}", len(trials) > 1)
+            _course(trial, artefacts, f"c{place}", len(trials) > 1)
             for place, trial in enumerate(trials[:MOST_DRAWN])
         ]
         blocks += unknown_tasks(trials)
@@ -104,7 +105,7 @@ def label(trial: Trial) -> str:
     return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
 
 
-def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
+def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Picture:
     meta, actual = trial.meta, trial.meta["actual"]
     sides = {"predicted": len(trial.predicted), "actual": len(actual.get("path") or [])}
     which = " and ".join(name for name, count in sides.items() if count) or "no known"
@@ -115,8 +116,8 @@ def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
         actual.get("poses") or [], actual.get("path") or [],
         _stopped(meta),
     )  # fmt: skip
-    scene = Scene.of(trial.task, place, trial.board)
-    svg = course(scene, paths, words, prefix, small=small)
+    scene = Scene.of(trial.task, artefacts.place_of(trial), trial.board)
+    drawn, moving = course(scene, paths, words, prefix, small=small), film(artefacts, trial)
     caption = (
         f"{words}. Fitness {_figure(meta['predicted'].get('fitness'))} predicted, "
         f"{_figure(meta['actual'].get('fitness'))} actual."
@@ -147,7 +148,10 @@ def _course(trial: Trial, place: Any, prefix: str, small: bool) -> Picture:
         )
     if meta["virtual"]:
         caption += " Virtual lab."
-    return Picture(svg, caption)
+    if moving is not None and len(moving.samples):
+        caption += f" Grey: {len(moving.samples)} samples of the drive in the simulator."
+    played = None if moving is None else moving.as_json(*drawn.origin, drawn.scale)
+    return Picture(drawn.svg, caption, film=played)
 
 
 def _stopped(meta: Any) -> Any:
