@@ -37,6 +37,7 @@ MAKES = {
 TAKES = {
     "recordings": ("recording",),
     "place": ("simulator",),
+    "source": ("simulator",),
     "folders": ("dataset", "simulator", "controller", "trial", "alternation"),
 }
 #: Keys of the file that are not stages, and keys of a stage that are not options.

@@ -50,7 +50,7 @@ class Scene:
 
     def corners(self) -> NDArray[np.float64]:
         """Return points [N, 2] between which all of it lies."""
-        points = [_corners(shape) for shape in (*self.place, *self.task)]
+        points = [shape_corners(shape) for shape in (*self.place, *self.task)]
         if self.board is not None:
             points.append(_box(self.board))
         return np.concatenate([np.empty((0, 2)), *points])
@@ -210,7 +210,7 @@ def draw_scene(axes: Axes, scene: Scene, scale: float = 1.0) -> None:
 def _draw(axes: Axes, shape: Shape, scale: float, edge: Mapping[str, Any]) -> None:
     """Draw one shape; free polygons have the given edge."""
     forbidden = bool(shape.get("forbidden"))
-    points = scale * _corners(shape)
+    points = scale * shape_corners(shape)
     if "text" in shape:
         _text(axes, points[0], str(shape["text"]), forbidden)
     elif "circle" in shape:
@@ -246,7 +246,7 @@ def _polygon(axes: Axes, corners: NDArray, **style: Any) -> None:
     axes.autoscale_view()
 
 
-def _corners(shape: Shape) -> NDArray[np.float64]:
+def shape_corners(shape: Shape) -> NDArray[np.float64]:
     """Return points [N, 2] of a shape; of a circle the corners of the square around it."""
     try:
         if "polygon" in shape:

@@ -10,7 +10,7 @@ import pytest
 from click.testing import CliRunner
 from devtools import browser_tab
 from ideal_simulator import IdealWheels, SlippingWheels
-from report_artefacts import LEGS, make_controller, make_trial, predicted_poses
+from report_artefacts import LEGS, predicted_poses
 
 from neurosim.base import files, se2
 from neurosim.base.errors import UserError
@@ -19,25 +19,7 @@ from neurosim.reports import write_report
 from neurosim.reports.artefacts import gather
 from neurosim.reports.course import Paths, Scene, course
 from neurosim.reports.film import along, film, write_film
-from neurosim.simulators.registry import SIMULATORS
 from tracking.datasets.recordings import Recording
-
-
-@pytest.fixture
-def folders(tmp_path, monkeypatch):
-    """A trial, its controller and its simulator, whose wheels slip."""
-    monkeypatch.setitem(SIMULATORS._registered, "slipping", lambda folder, device: SlippingWheels())
-    simulator = tmp_path / "simulator"
-    simulator.mkdir()
-    kind = {"kind": "slipping"}
-    files.write_json(simulator / "simulator.json", "neurosim-simulator", 2, kind)
-    controller = make_controller(tmp_path / "controller")
-    trial = make_trial(tmp_path / "trial", seed=3, unseen=(4,))
-    content = files.read_json(trial / "trial.json", "neurosim-trial", 1)
-    for name in ("simulator", "controller"):
-        content[name]["sha256"] = files.sha256(tmp_path / name / f"{name}.json")
-    files.write_json(trial / "trial.json", "neurosim-trial", 1, content)
-    return trial, controller, simulator
 
 
 def test_poses_are_those_of_the_trial_at_their_times(folders):
