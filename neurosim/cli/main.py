@@ -30,6 +30,7 @@ from neurosim.cli.calibrate import calibrate
 from neurosim.cli.check_robot import check_robot
 from neurosim.cli.dataset import dataset
 from neurosim.cli.demo import demo
+from neurosim.cli.docs import docs
 from neurosim.cli.evolve import evolve
 from neurosim.cli.export import export
 from neurosim.cli.lab import lab
@@ -132,6 +133,7 @@ for verb in (
     pipeline,
     lab,
     demo,
+    docs,
 ):
     cli.add_command(verb)
 
