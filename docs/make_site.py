@@ -15,6 +15,8 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
@@ -52,7 +54,7 @@ class Pages:
             elif source.suffix == ".md":
                 self.page(target, self.linked(source.read_text(encoding="utf-8"), path))
             elif source.suffix == ".ipynb":
-                self.page(target, self.linked(notebook(source, target), path))
+                self.page(target, notebook(source, target, partial(self.linked, path=path)))
             elif target.suffix == ".md":
                 self.page(target, hidden(path) + fenced(source.read_text(encoding="utf-8"), path))
             else:
@@ -110,22 +112,32 @@ def fenced(text: str, name: str = "") -> str:
     return f"{fence}{language.get(Path(name).suffix, 'text')}\n{text.rstrip()}\n{fence}\n"
 
 
-def notebook(source: Path, target: Path) -> str:
-    """Return a notebook as Markdown, with its outputs; write its pictures next to the page."""
+def notebook(source: Path, target: Path, linked: Callable[[str], str] = str) -> str:
+    """Return a notebook as Markdown, with its outputs; write its pictures next to the page.
+
+    Args:
+        source: the notebook.
+        target: its page.
+        linked: function that gives a text with links that work in the site.
+    """
     text, pictures = "", 0
     for cell in json.loads(source.read_text(encoding="utf-8"))["cells"]:
         content = "".join(cell["source"])
         if cell["cell_type"] == "markdown":
-            text += content + "\n\n"
+            text += linked(content) + "\n\n"
             continue
         text += fenced(content, "cell.py") + "\n"
         for output in cell["outputs"]:
             data = output.get("data", {})
-            if "image/png" in data:
+            kind = next((each for each in ("png", "jpeg") if f"image/{each}" in data), None)
+            if kind is not None:
                 pictures += 1
-                picture = target.with_name(f"{target.stem}-{pictures}.png")
-                picture.write_bytes(base64.b64decode(data["image/png"]))
+                picture = target.with_name(f"{target.stem}-{pictures}.{kind}")
+                picture.write_bytes(base64.b64decode(data[f"image/{kind}"]))
                 text += f"![output {pictures}]({picture.name})\n\n"
+            elif "text/html" in data:
+                table = re.search(r"<table.*</table>", "".join(data["text/html"]), re.DOTALL)
+                text += f"{table.group() if table else ''}\n\n"
             else:
                 shown = output.get("text", data.get("text/plain", ""))
                 text += fenced("".join(shown)) + "\n"

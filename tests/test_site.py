@@ -141,6 +141,7 @@ def test_files_have_their_keys():
         assert f'"format": "{format}", "version": {version}' in shown[name]
         for key in msgspec.structs.fields(struct):
             assert f"<code>{key.encode_name}</code>" in shown[name]
+    assert "|  |\n" not in text  # each has a meaning
     assert "<code>from</code>" in shown["SentOfDuration"]
     assert "number, 0 to 1" in shown["Prediction"]
 
@@ -192,6 +193,10 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path):
                 {"output_type": "stream", "text": ["seen\n"]},
                 {"output_type": "display_data", "data": {"image/png": picture}},
                 {"output_type": "execute_result", "data": {"text/plain": ["42"]}},
+                {
+                    "output_type": "execute_result",
+                    "data": {"text/html": ["<style>\n\n</style>\n", "<table>\n", "</table>"]},
+                },
             ],
         },
     ]
@@ -199,6 +204,6 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path):
     text = make_site.notebook(tmp_path / "a.ipynb", tmp_path / "b.md")
     assert text == (
         "# Title\n\n````python\nprint('```')\n````\n\n```text\nseen\n```\n\n"
-        "![output 1](b-1.png)\n\n```text\n42\n```\n\n"
+        "![output 1](b-1.png)\n\n```text\n42\n```\n\n<table>\n</table>\n\n"
     )
     assert (tmp_path / "b-1.png").read_bytes().startswith(b"\x89PNG")

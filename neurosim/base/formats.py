@@ -50,28 +50,52 @@ Matrix = tuple[Triple, Triple, Triple]
 
 
 class Column(Format):
-    """An input or output."""
+    """An input or output.
+
+    Attributes:
+        name: its name.
+        unit: its unit.
+    """
 
     name: str
     unit: str | None = None
 
 
 class CommandColumn(Format):
-    """A number of a command."""
+    """A number of a command.
+
+    Attributes:
+        name: its name.
+        unit: its unit.
+    """
 
     name: str
     unit: str
 
 
 class Robot(Format):
-    """Which robot it was."""
+    """Which robot it was.
+
+    Attributes:
+        kind: name of its driver.
+        virtual: whether it is the virtual lab's.
+    """
 
     kind: str | None = None
     virtual: bool | None = None
 
 
 class Source(Format):
-    """What something was made of."""
+    """The origin of something.
+
+    Attributes:
+        path: its file or folder.
+        name: its name.
+        dataset: name of the dataset.
+        sha256: SHA-256 of its main file.
+        virtual: whether it is from the virtual lab.
+        perimeter: limits at which drives ended.
+    """
 
     path: str | None = None
     name: str | None = None
@@ -82,7 +106,14 @@ class Source(Format):
 
 
 class Board(Format):
-    """Sides of a board, m."""
+    """Sides of a board, m.
+
+    Attributes:
+        length: side along x.
+        width: side along y.
+        line_inset: distance from the edge to the middle of the line.
+        line_width: width of the line.
+    """
 
     length: float
     width: float
@@ -91,7 +122,13 @@ class Board(Format):
 
 
 class Perimeter(Format):
-    """Where a guard ends drives: the board, the robot's light sensors, the margin, m."""
+    """The limits at which a guard ends drives.
+
+    Attributes:
+        board: the board.
+        sensors: places of the light sensors on the robot, m.
+        margin: distance inside the edge, m.
+    """
 
     board: Board
     sensors: Annotated[list[tuple[Coordinate, Coordinate]], Meta(max_length=100)]
@@ -99,7 +136,17 @@ class Perimeter(Format):
 
 
 class Stopped(Format):
-    """What made the guard stop the robot."""
+    """The reason why the guard stopped the robot.
+
+    Attributes:
+        code: 1 a line, 2 the edge, 3 the robot was not seen.
+        time: time on the robot's clock, s.
+        command: number of the command, from 0.
+        into: time since the start of the command, s.
+        sensor: the light sensor that met the line.
+        pose: pose of the robot.
+        unseen_since: time of the last sighting, s.
+    """
 
     code: Annotated[int, Meta(ge=1, le=3)]
     time: float
@@ -111,7 +158,12 @@ class Stopped(Format):
 
 
 class Named(Format):
-    """A task by its name."""
+    """A task by its name.
+
+    Attributes:
+        name: name of the task.
+        settings: settings of the task.
+    """
 
     name: str
     settings: dict[str, Any] | None = None
@@ -121,19 +173,40 @@ class Named(Format):
 
 
 class Drives(Format):
-    """What drove the robot."""
+    """The source of a recording's commands.
+
+    Attributes:
+        controller: the controller that drove.
+    """
 
     controller: dict[str, Any] | None = None
 
 
 class RecordedWith(Format):
-    """Settings of a recording."""
+    """Settings of a recording.
+
+    Attributes:
+        source: source of the commands.
+    """
 
     source: Drives | None = None
 
 
 class Recording(Format):
-    """recording.json."""
+    """A drive that was recorded.
+
+    Attributes:
+        robot: the robot, as its driver describes it.
+        sessions: sessions, one for each time the robot was started.
+        videos: file of each session; null without a camera.
+        markers: markers on the robot.
+        board: board under the robot.
+        camera: the camera.
+        settings: settings of the recording.
+        commands: names, units and limits of a command's numbers.
+        complete: whether it came to its end.
+        stopped: reason why the guard ended the drive, if it did.
+    """
 
     robot: Robot
     sessions: list[dict[str, Any]]
@@ -148,7 +221,14 @@ class Recording(Format):
 
 
 class Clock(Format):
-    """The camera's clock against the robot's: s, and s per s."""
+    """The camera's clock, relative to the robot's.
+
+    Attributes:
+        flashes: times of the lamp's flashes.
+        drift: drift of the camera's clock, s per s.
+        sd: standard deviation of the offset, s.
+        drift_sd: standard deviation of the drift.
+    """
 
     flashes: list[float]
     drift: float
@@ -157,7 +237,13 @@ class Clock(Format):
 
 
 class MarkerSeen(Format):
-    """How a marker's colour was found."""
+    """How a marker's colour was found.
+
+    Attributes:
+        colour: colour, as #rrggbb or by name.
+        sure: confidence, 0 to 1.
+        doubt: the reason of a low confidence.
+    """
 
     colour: str | None = None
     sure: float | None = None
@@ -165,14 +251,25 @@ class MarkerSeen(Format):
 
 
 class MarkersSeen(Format):
-    """Those of a session."""
+    """The markers of a session.
+
+    Attributes:
+        front: front marker.
+        rear: rear marker.
+    """
 
     front: MarkerSeen | None = None
     rear: MarkerSeen | None = None
 
 
 class TrackedSession(Format):
-    """A session that was tracked."""
+    """A session that was tracked.
+
+    Attributes:
+        session: its number, from 1.
+        clock: clock of the camera.
+        markers: colours of the markers.
+    """
 
     session: int
     clock: Clock | None = None
@@ -180,26 +277,47 @@ class TrackedSession(Format):
 
 
 class Tracking(Format):
-    """tracking.json."""
+    """The result of tracking a recording.
+
+    Attributes:
+        sessions: sessions of the recording.
+    """
 
     sessions: list[TrackedSession]
 
 
 class Place(Format):
-    """A place on the robot, m: x ahead, y to the left of the middle of the axle."""
+    """A place on the robot, m: x ahead, y to the left of the middle of the axle.
+
+    Attributes:
+        x: distance forward.
+        y: distance to the left.
+    """
 
     x: Coordinate
     y: Coordinate
 
 
 class Marker(Place):
-    """A marker on the robot."""
+    """A marker on the robot.
+
+    Attributes:
+        colour: colour, by name or as #rrggbb.
+    """
 
     colour: str
 
 
 class Markers(Format):
-    """markers.json, and a recording's markers: lengths in m."""
+    """The markers on a robot.
+
+    Attributes:
+        front: front marker.
+        rear: rear marker.
+        lamp: place of the lamp.
+        height: height of the markers above the board.
+        diameter: diameter of a marker.
+    """
 
     front: Marker
     rear: Marker
@@ -209,14 +327,28 @@ class Markers(Format):
 
 
 class SessionClock(Clock, kw_only=True):
-    """The clock of a session."""
+    """The clock of a session.
+
+    Attributes:
+        recording: name of the recording.
+        session: its number, from 1.
+    """
 
     recording: str
     session: int
 
 
 class MotorDelay(Format):
-    """How late the motors answered in a session, s."""
+    """The delay of the motors in a session, s.
+
+    Attributes:
+        recording: name of the recording.
+        session: its number, from 1.
+        delay: delay from a command to its effect.
+        sd: standard deviation of the delay.
+        lag: time constant of the motors.
+        corrected: whether the rows are corrected for the delay.
+    """
 
     recording: str
     session: int
@@ -227,14 +359,25 @@ class MotorDelay(Format):
 
 
 class SessionMarkers(MarkersSeen, kw_only=True):
-    """The markers of a session."""
+    """The markers of a session.
+
+    Attributes:
+        recording: name of the recording.
+        session: its number, from 1.
+    """
 
     recording: str
     session: int
 
 
 class Sent(Format):
-    """Counts of commands by what became of them."""
+    """Counts of commands.
+
+    Attributes:
+        sent: all commands.
+        cut: commands that were stopped early.
+        completed: commands that were not stopped.
+    """
 
     sent: int
     cut: int
@@ -242,21 +385,37 @@ class Sent(Format):
 
 
 class SentOfDuration(Sent, kw_only=True, rename={"from_": "from"}):
-    """Those of some durations, s; the name of ``from_`` has no underscore in the file."""
+    """Counts of the commands with a range of durations, s.
+
+    Attributes:
+        from_: shortest duration.
+        to: longest duration.
+    """
 
     from_: float
     to: float
 
 
 class EqualReach(Format):
-    """How far commands that were cut would have led."""
+    """Distances of the commands with equal speeds, relative to those that were chosen.
+
+    Attributes:
+        ratio: ratio of all completed commands; 1 if cutting has no effect.
+        ratio_first: ratio without the commands that were sent again.
+    """
 
     ratio: float | None = None
     ratio_first: float | None = None
 
 
 class Cutting(Format):
-    """Which commands were cut."""
+    """Counts of commands that were cut at a line or an edge.
+
+    Attributes:
+        by_class: counts of random commands, of commands with equal speeds, and of stops.
+        by_duration: counts by planned duration.
+        equal_reach: effect on the distances.
+    """
 
     by_class: dict[str, Sent]
     by_duration: list[SentOfDuration] | None = None
@@ -264,7 +423,28 @@ class Cutting(Format):
 
 
 class Dataset(Format):
-    """dataset.json."""
+    """Rows of commands and displacements.
+
+    Attributes:
+        inputs: columns of a command.
+        outputs: columns of a displacement.
+        rows: number of rows.
+        sources: recordings or files.
+        left_out: number of commands without a row, by reason.
+        within: number of rows of within.csv.
+        readings: number of rows of readings.csv.
+        reasons: explanation of each reason.
+        warnings: warnings about columns that look wrong.
+        windows: whether each row begins where the row before ended.
+        robots: robots of the recordings.
+        virtual: whether it is from the virtual lab.
+        clocks: clocks of the sessions.
+        motor_delays: delays of the motors in the sessions.
+        markers: markers of the sessions.
+        cutting: counts of commands that were cut.
+        perimeter: limits at which drives ended.
+        settings: settings of the import.
+    """
 
     inputs: list[Column]
     outputs: list[Column]
@@ -287,7 +467,19 @@ class Dataset(Format):
 
 
 class Calibration(Format):
-    """calibration.json: lengths in m."""
+    """A camera: its lens, and its pose above the board.
+
+    Attributes:
+        image_size: width and height.
+        camera_matrix: camera matrix of the lens, pixels.
+        distortion: coefficients k1, k2, p1, p2, k3 of the lens.
+        rotation: rotation from the board's frame to the camera's.
+        translation: translation from the board's frame to the camera's, m.
+        rms_px: error at the chessboard's corners, pixels.
+        photographs: number of photographs that were used.
+        board_rms_m: error at the points on the board, m.
+        uncertainty: standard deviations of the lens and of positions.
+    """
 
     image_size: tuple[Pixels, Pixels]
     camera_matrix: Matrix
@@ -304,27 +496,47 @@ class Calibration(Format):
 
 
 class Training(Format):
-    """How a simulator was trained."""
+    """How a simulator was trained.
+
+    Attributes:
+        held_out: fraction of the rows that was held out.
+    """
 
     held_out: float | None = None
 
 
 class Generation(Format):
-    """The errors of a generation, one for each output."""
+    """The errors of a generation, one for each output.
+
+    Attributes:
+        generation: its number.
+        mse: mean squared errors.
+    """
 
     generation: float
     mse: list[float]
 
 
 class Error(Format):
-    """The errors of an output in the held-out rows."""
+    """The errors of an output in the held-out rows.
+
+    Attributes:
+        mse: mean squared error.
+        mean_absolute_error: mean absolute error.
+    """
 
     mse: float
     mean_absolute_error: float
 
 
 class Outputs(Format):
-    """Something of each output."""
+    """A value for each output.
+
+    Attributes:
+        dx: errors forward, cm.
+        dy: errors to the left, cm.
+        dtheta: errors of the turn, degrees.
+    """
 
     dx: Error
     dy: Error
@@ -332,20 +544,35 @@ class Outputs(Format):
 
 
 class WallClock(Format):
-    """How long it took, s."""
+    """Durations, s.
+
+    Attributes:
+        training_seconds: duration of the training.
+    """
 
     training_seconds: float | None = None
 
 
 class Share(Format):
-    """How much the parts of a simulator count for an output."""
+    """Weights of the parts of a simulator in an output, 0 to 1.
+
+    Attributes:
+        product_units: weight of the product units.
+        process: weight of the Gaussian process.
+    """
 
     product_units: float
     process: float
 
 
 class Shares(Format):
-    """Those of each output."""
+    """Weights for each output.
+
+    Attributes:
+        dx: weights forward.
+        dy: weights to the left.
+        dtheta: weights in the turn.
+    """
 
     dx: Share
     dy: Share
@@ -353,7 +580,15 @@ class Shares(Format):
 
 
 class Composition(Format):
-    """The parts that a simulator was made of."""
+    """The parts of a simulator.
+
+    Attributes:
+        actuators: laws of each actuator.
+        delay: delay of all actuators, s.
+        product_units: number of product units of each output.
+        kernel_units: number of units of the Gaussian process.
+        shares: weights of product units and Gaussian process.
+    """
 
     actuators: dict[str, dict[str, float]]
     delay: float
@@ -363,7 +598,19 @@ class Composition(Format):
 
 
 class SensorLearned(Format):
-    """A sensor: m, and readings from 0 to 1."""
+    """A sensor: m, and readings from 0 to 1.
+
+    Attributes:
+        name: its name.
+        ahead: distance forward of the middle of the axle.
+        aside: distance to the left of it.
+        after: delay, s.
+        noise: standard deviation of a reading.
+        place_noise: standard deviation of its place.
+        rms_error: root mean square error on held-out readings.
+        rms: standard deviation of these readings.
+        map: number of its map.
+    """
 
     name: str
     ahead: float
@@ -377,7 +624,13 @@ class SensorLearned(Format):
 
 
 class ReadingsLearned(Format):
-    """What sensors were learned from."""
+    """The data from which sensors were learned.
+
+    Attributes:
+        rows: number of readings.
+        held_out: number of readings that were held out.
+        sensors: each sensor.
+    """
 
     rows: int
     held_out: int
@@ -385,7 +638,24 @@ class ReadingsLearned(Format):
 
 
 class Simulator(Format):
-    """simulator.json of any kind: where it is from, and how good it is."""
+    """Any simulator: its origin and its quality.
+
+    Attributes:
+        kind: name of the kind, motion-network, tables, legged or a registered one.
+        inputs: columns of a command.
+        outputs: columns of a displacement.
+        training: settings of the training.
+        history: errors during training.
+        test_errors: errors on the held-out rows.
+        source: its dataset, or its samples.
+        sources: recordings of the dataset.
+        wall_clock: duration of the training.
+        composition: parts of the simulator.
+        readings: data from which its sensors were learned.
+        robots: robots of the data.
+        virtual: whether it is from the virtual lab.
+        perimeter: limits at which drives end.
+    """
 
     kind: str
     inputs: list[Column] | None = None
@@ -404,13 +674,23 @@ class Simulator(Format):
 
 
 class Swing(Format, forbid_unknown_fields=True):
-    """Inputs that are computed of others; one that is not known would be of consequence."""
+    """Inputs that are computed from others.
+
+    Attributes:
+        swing: phase of the input for a change of direction.
+    """
 
     swing: Annotated[float, Meta(gt=-1, le=1 - 1e-12)] | None = None
 
 
 class Commands(Format):
-    """The commands that a simulator learned from: ends of each."""
+    """The commands from which a simulator learned.
+
+    Attributes:
+        commands: lowest and highest value of each number.
+        rows: number of rows.
+        reach: distance at which a command counts as like a row's.
+    """
 
     commands: dict[str, tuple[float, float]]
     rows: Whole
@@ -418,14 +698,27 @@ class Commands(Format):
 
 
 class Mounted(Format):
-    """The sensors of a motion network; the size of a cell of their maps, m."""
+    """The sensors of a motion network.
+
+    Attributes:
+        names: names of the sensors.
+        cell: distance between points of their maps, m.
+    """
 
     names: list[str]
     cell: Annotated[float, Meta(gt=0, le=1000)]
 
 
 class Corrections(Format, forbid_unknown_fields=True):
-    """What adapted the motion to a robot."""
+    """A correction of the motion, adapted to a robot.
+
+    Attributes:
+        forward: factor of the distance forward.
+        turn: factor of the turn.
+        yaw: additional left turn, rad/m.
+        drift: additional distance forward, m/rad.
+        slip: slip to the left, s.
+    """
 
     forward: float
     turn: float
@@ -435,7 +728,24 @@ class Corrections(Format, forbid_unknown_fields=True):
 
 
 class MotionNetwork(Simulator, kw_only=True):
-    """simulator.json of a motion network."""
+    """A simulator that was learned from a dataset.
+
+    Attributes:
+        kind: its kind.
+        inputs: columns of a command.
+        network: shape of the networks.
+        coordinates: outputs of the networks: the displacement, or the deviation from the drive
+            model's twist.
+        members: number of ensemble members.
+        derived: computed inputs.
+        drive: names of the drive model's laws.
+        kernel_units: number of units of the Gaussian process.
+        central: whether a network of the mean precedes the members.
+        noise: kind of the noise model.
+        domain: commands from which it learned.
+        sensors: sensors that it predicts.
+        correction: correction of the motion, adapted to a robot.
+    """
 
     kind: Literal["motion-network"]
     inputs: list[Column]
@@ -453,7 +763,14 @@ class MotionNetwork(Simulator, kw_only=True):
 
 
 class SensorTables(Format):
-    """Tables of readings by distance (m) and angle."""
+    """Tables of readings by distance (m) and angle.
+
+    Attributes:
+        objects: objects in front of the sensors, wall and cylinder.
+        first_distance: first distance of the tables, m.
+        distance_step: difference of two distances, m.
+        repeated: whether samples were repeated.
+    """
 
     objects: list[str]
     first_distance: Size
@@ -462,21 +779,37 @@ class SensorTables(Format):
 
 
 class MotorTables(Format):
-    """Tables of motion by speeds."""
+    """Tables of motion by speeds.
+
+    Attributes:
+        resolution: difference of two speeds, %.
+        repeated: whether samples were repeated.
+    """
 
     resolution: Amount
     repeated: bool | None = None
 
 
 class TableNoise(Format):
-    """Noise of sensors and motors."""
+    """Noise of sensors and motors.
+
+    Attributes:
+        kind: kind of noise, none, uniform, or that of repeated samples.
+        level: level of uniform noise, as a fraction.
+    """
 
     kind: Literal["none", "uniform", "samples"]
     level: Amount
 
 
 class Reaction(Format):
-    """How late a robot answers, s."""
+    """How late a robot answers, s.
+
+    Attributes:
+        hold: delay from a reading to its command.
+        answer: delay from a command to its effect.
+        lag: time constants of the left and the right wheel.
+    """
 
     hold: Delay
     answer: Delay
@@ -484,7 +817,14 @@ class Reaction(Format):
 
 
 class Arena(Format):
-    """arena.json: walls x1, y1, x2, y2, obstacles x, y, radius, m."""
+    """Walls (x1, y1, x2, y2) and obstacles (x, y, radius), m.
+
+    Attributes:
+        outline: outer walls.
+        obstacles: round obstacles.
+        inner: inner walls.
+        start: pose of the robot.
+    """
 
     outline: Walls
     obstacles: Annotated[
@@ -495,7 +835,17 @@ class Arena(Format):
 
 
 class Tables(Simulator, kw_only=True):
-    """simulator.json of tables."""
+    """A simulator of look-up tables.
+
+    Attributes:
+        kind: its kind.
+        sensors: tables of readings.
+        motors: tables of motion.
+        radius: radius of the robot, m.
+        noise: noise of sensors and motors.
+        arena: arena around the robot.
+        reaction: delays of the robot.
+    """
 
     kind: Literal["tables"]
     sensors: SensorTables
@@ -507,7 +857,13 @@ class Tables(Simulator, kw_only=True):
 
 
 class SampledRobot(Robot):
-    """The robot that sampled itself."""
+    """The robot that sampled itself.
+
+    Attributes:
+        dialect: dialect of its protocol.
+        baud: bits per second of the serial line.
+        full_speed: the robot's number for 100 %.
+    """
 
     dialect: str | None = None
     baud: Annotated[int, Meta(ge=1, le=10**8)] | None = None
@@ -515,13 +871,25 @@ class SampledRobot(Robot):
 
 
 class SampleResult(Format):
-    """What came of a sampling."""
+    """The result of a sampling.
+
+    Attributes:
+        reaction: delays of the robot.
+    """
 
     reaction: Reaction
 
 
 class Sampling(Format):
-    """sampling.json."""
+    """A sampling: a robot that samples its sensors and motors.
+
+    Attributes:
+        robot: robot that sampled itself.
+        virtual_lab: the virtual robot.
+        motors: source of the motion.
+        options: options for --resume.
+        result: result at its end.
+    """
 
     robot: SampledRobot
     virtual_lab: dict[str, Any] | None = None
@@ -531,7 +899,12 @@ class Sampling(Format):
 
 
 class BegunSampling(Sampling, kw_only=True):
-    """sampling.json of one that can be resumed."""
+    """A sampling that can be resumed.
+
+    Attributes:
+        settings: settings of the sampling.
+        seed: random seed.
+    """
 
     settings: dict[str, Any]
     seed: int
@@ -541,7 +914,14 @@ class BegunSampling(Sampling, kw_only=True):
 
 
 class Unmet(Format):
-    """Drives in arenas that a controller was not evolved in."""
+    """Drives in arenas that a controller was not evolved in.
+
+    Attributes:
+        drives: number of drives.
+        touched: drives in which the robot touched something.
+        fitness: mean fitness.
+        vehicle: drives in which a hand-written controller touched something.
+    """
 
     drives: Annotated[int, Meta(ge=1, le=10**9)]
     touched: Annotated[int, Meta(ge=0, le=10**9)]
@@ -550,7 +930,20 @@ class Unmet(Format):
 
 
 class Outcome(Format):
-    """What is predicted of a controller, or came of a trial."""
+    """The prediction or the result of a drive.
+
+    Attributes:
+        poses: poses at the boundaries of commands; null if not seen.
+        rest: last pose.
+        fitness: fitness of the drive.
+        spread: standard deviation of the fitness over samples.
+        expected_fitness: mean fitness over samples.
+        draws: number of samples.
+        probability: probability of success.
+        completes: whether the task is done.
+        unsupported: fraction of the time in commands unlike any in the simulator's data.
+        unmet: drives in new arenas.
+    """
 
     poses: list[FarPose | None] | None = None
     rest: FarPose | None = None
@@ -565,21 +958,36 @@ class Outcome(Format):
 
 
 class Prediction(Outcome):
-    """An outcome of which every pose is known."""
+    """A prediction in which every pose is known.
+
+    Attributes:
+        poses: poses at the boundaries of commands.
+    """
 
     poses: list[FarPose] | None = None  # type: ignore[assignment]
 
 
 class Run(Format):
-    """The fitness of each generation."""
+    """The fitness of each generation.
+
+    Attributes:
+        best: best fitness.
+        mean: mean fitness.
+    """
 
     best: list[float]
     mean: list[float]
 
 
 class History(Format):
-    """Of an evolution, and of the robust one after it; from generation ``transfer`` on, on the
-    robot.
+    """Fitness of an evolution, of the robust one after it, and on the robot.
+
+    Attributes:
+        best: best fitness of each generation.
+        mean: mean fitness of each generation.
+        robust_best: best of each robust generation.
+        robust_mean: mean of each robust generation.
+        transfer: number of the generation from which on the robot drives.
     """
 
     best: list[float] | None = None
@@ -590,7 +998,13 @@ class History(Format):
 
 
 class RobotFitness(Format):
-    """Fitness on the robot."""
+    """Fitness on the robot.
+
+    Attributes:
+        mean: mean over the trials.
+        spread: standard deviation over the trials.
+        trials: number of trials.
+    """
 
     mean: float
     spread: float
@@ -598,14 +1012,29 @@ class RobotFitness(Format):
 
 
 class Pair(Format):
-    """Where a controller drove in the simulator and on the robot."""
+    """Paths of a controller in the simulator and on the robot.
+
+    Attributes:
+        simulated: path in the simulator.
+        robot: path on the robot.
+    """
 
     simulated: list[FarPose]
     robot: list[FarPose]
 
 
 class Evolution(Format):
-    """How a controller was evolved."""
+    """How a controller was evolved.
+
+    Attributes:
+        settings: settings of the search.
+        interrupted: whether it was interrupted.
+        history: fitness of each generation.
+        robot_fitness: fitness of the controller on the robot.
+        trajectories: paths of the controller.
+        robot: robot of the trials.
+        arena: arena around the robot.
+    """
 
     settings: dict[str, Any] | None = None
     interrupted: bool | None = None
@@ -617,7 +1046,19 @@ class Evolution(Format):
 
 
 class Controller(Format):
-    """controller.json of any kind."""
+    """A controller of any kind.
+
+    Attributes:
+        kind: name of the kind, plan, network, recurrent, gait or a registered one.
+        inputs: observations; of a plan, columns of a command.
+        task: its task.
+        predicted: its drive in the simulator.
+        simulator: simulator in which it evolved.
+        evolution: settings and history of its evolution.
+        start: pose of the robot.
+        settings: settings of the kind.
+        commands: commands of a plan; null for one that is not given.
+    """
 
     kind: str
     inputs: list[Column]
@@ -631,7 +1072,16 @@ class Controller(Format):
 
 
 class Known(Format):
-    """What was known as a command was given."""
+    """The prediction of a command at the time when it was sent.
+
+    Attributes:
+        pose: pose at the start of the command.
+        after: pose at its end.
+        rest: pose at the end of the plan.
+        probability: probability of success.
+        generations: generations of the search.
+        seconds: duration of the search.
+    """
 
     pose: FarPose
     after: FarPose
@@ -642,20 +1092,37 @@ class Known(Format):
 
 
 class Foreseen(Format):
-    """foreseen.json: what was known at each command of a plan that was replanned."""
+    """The predictions of a replanned plan, one for each command.
+
+    Attributes:
+        commands: predictions, one for each command.
+    """
 
     commands: list[Known]
 
 
 class Start(Format):
-    """Where a trial was to start, and where it did."""
+    """The start of a trial.
+
+    Attributes:
+        planned: the pose of the controller.
+        actual: the tracked pose.
+    """
 
     planned: FarPose | None = None
     actual: FarPose | None = None
 
 
 class Actual(Outcome):
-    """What came of a trial."""
+    """The result of a trial.
+
+    Attributes:
+        path: path: time (s), x, y and heading.
+        cut: pose at which the guard ended the drive.
+        cut_error: error of the prediction there.
+        reason: reason why the task was not done.
+        seen_by: source of the poses: camera, counters, or null.
+    """
 
     path: list[tuple[Far, Far, Far, Far]] | None = None
     cut: FarPose | None = None
@@ -665,14 +1132,25 @@ class Actual(Outcome):
 
 
 class TrialError(Format):
-    """Distance (m) and difference of heading (rad) from the prediction."""
+    """Distance (m) and difference of heading (rad) from the prediction.
+
+    Attributes:
+        position: distance.
+        heading: difference.
+    """
 
     position: float
     heading: float
 
 
 class Deadlines(Format):
-    """Steps that were late."""
+    """Late steps of a closed-loop drive.
+
+    Attributes:
+        steps: number of steps.
+        missed: number of steps later than a tenth of their duration.
+        worst_late_s: greatest delay, s.
+    """
 
     steps: int
     missed: int
@@ -680,14 +1158,38 @@ class Deadlines(Format):
 
 
 class Guarded(Format):
-    """Whether a guard ended drives where the trial was predicted, and where it was driven."""
+    """Whether a guard ended drives.
+
+    Attributes:
+        predicted: whether it did in the prediction.
+        driven: whether it did on the robot.
+    """
 
     predicted: bool
     driven: bool
 
 
 class Trial(Format):
-    """trial.json."""
+    """A drive of a controller on a robot, next to its prediction.
+
+    Attributes:
+        virtual: whether it is from the virtual lab.
+        controller: controller that drove.
+        task: its task.
+        columns: numbers of a command.
+        commands: commands that were sent.
+        predicted: prediction.
+        actual: result.
+        errors: errors after each command of a plan.
+        kind: kind of the controller.
+        simulator: simulator of the prediction.
+        plan_length: number of commands in the plan.
+        start: start of the drive.
+        ended_early: whether commands are missing.
+        stopped: reason why the guard ended the drive, if it did.
+        guard: whether a guard ends drives.
+        deadlines: late steps of a closed-loop controller.
+    """
 
     virtual: bool
     controller: Source
@@ -708,7 +1210,15 @@ class Trial(Format):
 
 
 class TrialRecording(Format):
-    """What is read of a recording by itself."""
+    """The keys of a recording that a report reads.
+
+    Attributes:
+        robot: the robot.
+        sessions: sessions of the recording.
+        complete: whether it came to its end.
+        board: board under the robot.
+        settings: settings of the recording.
+    """
 
     robot: Robot
     sessions: list[dict[str, Any]]
@@ -721,7 +1231,15 @@ class TrialRecording(Format):
 
 
 class Adjusted(Format):
-    """A parameter of the simulator."""
+    """A parameter of the simulator.
+
+    Attributes:
+        name: its name.
+        unit: its unit.
+        low: least value.
+        high: greatest value.
+        before: value before the run.
+    """
 
     name: str
     unit: str
@@ -731,7 +1249,14 @@ class Adjusted(Format):
 
 
 class Differences(Format):
-    """How far a simulator's fitness is from reality's."""
+    """Differences between the fitness in the simulator and in reality.
+
+    Attributes:
+        norm: Euclidean norm.
+        median: median, without sign.
+        rank: Spearman's rank correlation.
+        poses: root mean square distance of poses, m.
+    """
 
     norm: float
     median: float
@@ -740,7 +1265,13 @@ class Differences(Format):
 
 
 class Compared(Format):
-    """Differences before and after an adaptation."""
+    """Differences before and after an adaptation.
+
+    Attributes:
+        individuals: number of controllers.
+        before: differences before the adaptation.
+        after: differences after it.
+    """
 
     individuals: int
     before: Differences
@@ -748,7 +1279,16 @@ class Compared(Format):
 
 
 class Adaptation(Format):
-    """What L3 did."""
+    """The result of L3.
+
+    Attributes:
+        history: fitness during the search.
+        parameters: values of each parameter set.
+        compared: differences for the controllers that L3 used.
+        held_out: differences for trials that were held out.
+        left_out: differences for trials that L3 did not use.
+        neighbours: differences for the controllers of L2.
+    """
 
     history: Run
     parameters: list[dict[str, float]]
@@ -759,7 +1299,13 @@ class Adaptation(Format):
 
 
 class Cycle(Format):
-    """A round of the alternation."""
+    """A round of the alternation.
+
+    Attributes:
+        L1: evolution in the simulator.
+        L2: learning in reality.
+        L3: adaptation of the simulator.
+    """
 
     L1: Run | None = None
     L2: Run | None = None
@@ -767,26 +1313,52 @@ class Cycle(Format):
 
 
 class NamedGenes(Format):
-    """The parameters of a controller by name."""
+    """The parameters of a controller by name.
+
+    Attributes:
+        named: values by name.
+    """
 
     named: dict[str, float] | None = None
 
 
 class Trials(Format):
-    """How many trials an evaluation has."""
+    """The number of trials of an evaluation.
+
+    Attributes:
+        trials: number of trials.
+    """
 
     trials: int | None = None
 
 
 class Best(Format):
-    """A fitness in reality, and how many times that of the start it is."""
+    """A fitness in reality.
+
+    Attributes:
+        fitness: mean fitness.
+        times_start: fitness relative to the start's.
+    """
 
     fitness: float
     times_start: float | None = None
 
 
 class BackToReality(Format):
-    """back-to-reality.json."""
+    """A run of back to reality.
+
+    Attributes:
+        controller: the best controller.
+        reality: reality of the trials.
+        settings: settings of the run.
+        parameters: parameters of the simulator that L3 can change.
+        start: the first controller.
+        best: the best controller.
+        trials: number of trials in reality.
+        real: fitness of each evaluation in reality.
+        believed: fitness of the best confirmed controller after each evaluation.
+        cycles: results of L1, L2 and L3 in each cycle.
+    """
 
     controller: NamedGenes
     reality: dict[str, Any]
@@ -801,7 +1373,13 @@ class BackToReality(Format):
 
 
 class TrialRow(Format):
-    """A line of a file of trials."""
+    """A trial in reality.
+
+    Attributes:
+        genes: genes of the controller.
+        fitness: fitness in reality.
+        poses: poses of the robot, if it was tracked.
+    """
 
     genes: list[float]
     fitness: float
@@ -809,35 +1387,69 @@ class TrialRow(Format):
 
 
 class Genes(Format):
-    """The genes of a controller, or its parameters by name."""
+    """The genes of a controller, or its parameters by name.
+
+    Attributes:
+        genes: all genes, in order.
+        parameters: values by name.
+    """
 
     genes: list[float] | None = None
     parameters: dict[str, float] | None = None
 
 
 class Task(Format):
-    """The file that ``--task`` takes."""
+    """A task, as ``--task`` takes it.
+
+    Attributes:
+        name: name of the task.
+        settings: settings of the task.
+    """
 
     name: str
     settings: dict[str, Any]
 
 
 class Demo(Format):
-    """demo.json: what a demo was begun with."""
+    """The options of a demo.
+
+    Attributes:
+        commands: number of recorded commands.
+        seed: random seed.
+    """
 
     commands: int
     seed: int
 
 
 class StageInput(Format):
-    """A file or folder that a stage of a pipeline reads."""
+    """A file or folder that a stage of a pipeline reads.
+
+    Attributes:
+        path: its path.
+        sha256: SHA-256 of its content.
+    """
 
     path: str
     sha256: str
 
 
 class StageRow(Format):
-    """A line of pipeline.jsonl: a stage that began, or that ended; then it has seconds."""
+    """The start of a stage of a pipeline, or its end; the end has ``seconds``.
+
+    Attributes:
+        stage: name of the stage.
+        key: hash of everything that the result depends on.
+        command: command of neurosim.
+        options: options of the command.
+        inputs: files and folders that it reads.
+        neurosim: version of neurosim.
+        time: time of the line.
+        out: its folder.
+        seconds: duration.
+        sha256: SHA-256 of the result.
+        result: result, as --json prints it.
+    """
 
     stage: str
     key: str
@@ -853,19 +1465,32 @@ class StageRow(Format):
 
 
 class Kind(Format):
-    """Of which kind a simulator is."""
+    """The kind of a simulator.
+
+    Attributes:
+        kind: name of the kind, motion-network, tables, legged or a registered one.
+    """
 
     kind: str
 
 
 class Checkpoint(Format):
-    """What a search was begun with."""
+    """The start of a search that can be resumed.
+
+    Attributes:
+        settings: settings of the search.
+        options: options for --resume.
+    """
 
     settings: dict[str, Any]
     options: dict[str, Any] | None = None
 
 
 class Legged(Simulator, kw_only=True):
-    """simulator.json of the walking robot."""
+    """The simulator of the walking robot.
+
+    Attributes:
+        parameters: parameters of the robot and of the floor.
+    """
 
     parameters: dict[str, Any]
