@@ -151,7 +151,8 @@ def _check_counters(robot: Any) -> None:
     robot.set_counts(100, -100)
     counts = tuple(robot.read_counts())
     _require(counts == (100, -100), f"set_counts(100, -100) and then read_counts() gave {counts}")
-    robot.drive([0.2 * one.high for one in robot.commands.numbers])
+    takes = robot.commands
+    robot.drive(takes.straight([0.2 * one.high if one.speed else 0.0 for one in takes.numbers]))
     robot.clock.sleep_until(robot.clock.now() + 0.5)
     after = tuple(robot.read_counts())
     robot.stop()

@@ -13,10 +13,17 @@ import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
 from neurosim.evolution.optimisers import OPTIMISERS
-from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig, VirtualThymioRig
+from neurosim.lab import (
+    VirtualKheperaRig,
+    VirtualLinesRig,
+    VirtualRig,
+    VirtualRosRig,
+    VirtualThymioRig,
+)
 from neurosim.robots.khepera.driver import Khepera
 from neurosim.robots.lines.driver import Lines
 from neurosim.robots.nxt.driver import NXT
+from neurosim.robots.ros.driver import Ros
 from neurosim.robots.thymio.driver import Thymio
 from neurosim.tasks.registry import TASKS
 from neurosim.testing import (
@@ -50,6 +57,10 @@ def test_our_robots():
             check_robot(lambda: Lines(rig.address, clock=rig.lab.clock, timeout=10.0))
     with VirtualThymioRig(1, camera=False) as rig:
         check_robot(lambda: Thymio(rig.address, clock=rig.lab.clock, timeout=10.0))
+    with VirtualRosRig(1, camera=False) as rig:
+        check_robot(lambda: Ros(url=rig.address, clock=rig.lab.clock, timeout=10.0))
+        options = {"odom": "none", "stops_after": 0.5, "timeout": 10.0}
+        check_robot(lambda: Ros(url=rig.address, clock=rig.lab.clock, **options))
 
 
 @pytest.mark.parametrize("make", [motion_network, tables, Walker])

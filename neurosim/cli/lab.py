@@ -167,6 +167,29 @@ def lines(
         _stay(rig, seconds)
 
 
+@lab.command()
+@_port_option
+@_seconds_option
+@seed_option
+@json_option
+def ros(port: int, seconds: float | None, seed: int, as_json: bool) -> None:
+    """Keep a virtual base running in real time behind a rosbridge, for any of its clients."""
+    from neurosim.lab import VirtualRosRig
+    from neurosim.lab.nxt.world import Pacer
+
+    with VirtualRosRig(seed, camera=False, port=port, real_time=True) as rig, Pacer(rig.lab):
+        emit(
+            {"url": rig.address},
+            as_json,
+            "A virtual base runs in real time behind a rosbridge. Reach it with:\n"
+            f"  neurosim check-robot --robot ros --url {rig.address} --stops-after 0.5\n"
+            f"  neurosim record OUT --robot ros --url {rig.address} --stops-after 0.5 "
+            "--camera none\n"
+            "Ctrl-C ends it.",
+        )
+        _stay(rig, seconds)
+
+
 def _check_port(by_socket: bool) -> None:
     if is_given("port") and not by_socket:
         raise UserError("--port is the port of a socket: add --socket")

@@ -9,6 +9,7 @@ from neurosim.lab.lines.rig import VirtualLinesRig
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.rig import VirtualRig
 from neurosim.lab.nxt.world import Lab, Pacer, Push, Truth, read_truth
+from neurosim.lab.ros.rig import VirtualRosRig
 from neurosim.lab.thymio.rig import VirtualThymioRig
 
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
     "VirtualKheperaRig",
     "VirtualLinesRig",
     "VirtualRig",
+    "VirtualRosRig",
     "VirtualThymioRig",
     "read_truth",
     "sampling_places",

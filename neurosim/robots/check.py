@@ -13,6 +13,8 @@ from typing import Any, Literal
 
 import numpy as np
 
+from neurosim.base import se2
+from neurosim.base.commands import Number
 from neurosim.robots.base import Battery, Counters, Robot, SelfStopping, Sensors
 
 #: Questions whose answers are timed.
@@ -150,6 +152,8 @@ class _Tried:
             command[place] = GENTLE * one.high
             if self._counter is not None and self._takes.body == "wheels":
                 found.append(self._wheel(place, command))
+            elif self._counter is not None and one.name in ("v", "vx", "w", "omega"):
+                found.append(self._velocity(one, command))
             else:
                 found.append(self._seen(one.name, command))
         return found
@@ -157,16 +161,8 @@ class _Tried:
     def _wheel(self, place: int, command: list[float]) -> Finding:
         assert self._counter is not None
         name = self._takes.names[place]
-        self._robot.drive(command)
-        self._wait(0.5)  # beyond its lag
-        begin, first = self._clock.now(), self._counts()
-        self._wait(1.0)
-        seconds, last = self._clock.now() - begin, self._counts()
-        self._robot.stop()
-        self._wait(COASTS)
-        ways = [(b - a) / self._counter.pulses_per_metre / seconds
-                for a, b in zip(first, last, strict=True)]  # fmt: skip
-        speed, other = ways[place], ways[1 - place]
+        speeds = self._speeds(command)
+        speed, other = speeds[place], speeds[1 - place]
         measured = {"speed_m_s": speed, "other_wheel_m_s": other}
         full = self._takes.measures.get("full", 0.0)
         what = f"command {name}"
@@ -187,6 +183,45 @@ class _Tried:
             )  # fmt: skip
         return Finding(what, "good", f"its {name} wheel drives forward at {speed:.3f} m/s at "
                        f"{100 * GENTLE:.0f} %", measured)  # fmt: skip
+
+    def _velocity(self, one: Number, command: list[float]) -> Finding:
+        """See what a velocity does, a base's own, by counters of how far its wheels would turn."""
+        assert self._counter is not None
+        twist = se2.of_wheels(*self._speeds(command), self._counter.geometry.wheel_base)
+        part = 0 if one.unit == "m/s" else 2
+        does, way = (("drive", "forward"), ("", ""), ("turn", "to the left"))[part]
+        reached, wanted = float(twist[part]), GENTLE * one.high
+        measured = {f"reached_{one.unit.replace('/', '_')}": reached}
+        what, says = f"command {one.name}", f"a positive {one.name}"
+        if abs(reached) < 0.1 * wanted:
+            return Finding(what, "wrong", f"{says} does not make it {does}: are its motors on, and "
+                           "does another node command it?", measured)  # fmt: skip
+        if reached < 0:
+            return Finding(what, "wrong", f"{says} should make it {does} {way}, and it does the "
+                           "opposite, by its counters: turn its sign round in its program",
+                           measured)  # fmt: skip
+        if not 0.8 < reached / wanted < 1.2:
+            return Finding(
+                what, "wrong",
+                f"{says} makes it {does} at {reached:.3f} {one.unit} where {wanted:.3f} {one.unit} "
+                "were commanded: lower the limit that the driver is given, or correct its measures",
+                measured,
+            )  # fmt: skip
+        return Finding(what, "good", f"{says} makes it {does} {way}, at {reached:.3f} {one.unit} "
+                       f"where {wanted:.3f} were commanded", measured)  # fmt: skip
+
+    def _speeds(self, command: list[float]) -> list[float]:
+        """Return how fast both wheels turn by a command, by their counters, m/s."""
+        assert self._counter is not None
+        self._robot.drive(command)
+        self._wait(0.5)  # beyond its lag
+        begin, first = self._clock.now(), self._counts()
+        self._wait(1.0)
+        seconds, last = self._clock.now() - begin, self._counts()
+        self._robot.stop()
+        self._wait(COASTS)
+        return [(b - a) / self._counter.pulses_per_metre / seconds
+                for a, b in zip(first, last, strict=True)]  # fmt: skip
 
     def _seen(self, name: str, command: list[float]) -> Finding:
         if self._ask is None:

@@ -19,6 +19,7 @@ ROBOTS = Registry(
         "khepera": "neurosim.robots.khepera.driver:Khepera",
         "lines": "neurosim.robots.lines.driver:Lines",
         "thymio": "neurosim.robots.thymio.driver:Thymio",
+        "ros": "neurosim.robots.ros.driver:Ros",
     },
 )
 

@@ -24,6 +24,7 @@ from neurosim.lab import (
     VirtualKheperaRig,
     VirtualLinesRig,
     VirtualRig,
+    VirtualRosRig,
     VirtualThymioRig,
 )
 from neurosim.lab.khepera.rig import START
@@ -242,6 +243,19 @@ def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         yield _connected(rig)
 
 
+@contextmanager
+@checks
+def virtual_ros(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+    """Open the virtual lab's base behind a rosbridge (v, omega) under its roof camera.
+
+    Args:
+        setup: the rest.
+        lab_seed: Which of the virtual lab's bases.
+    """
+    with VirtualRosRig(lab_seed, **_common(setup)) as rig:
+        yield _connected(rig)
+
+
 def _common(setup: Setup) -> dict[str, Any]:
     """Return what rigs on the board have in common."""
     return {
@@ -253,10 +267,10 @@ def _common(setup: Setup) -> dict[str, Any]:
     }
 
 
-def _connected(rig: VirtualLinesRig | VirtualThymioRig) -> Rig:
+def _connected(rig: VirtualLinesRig | VirtualThymioRig | VirtualRosRig) -> Rig:
     """Return the robot and its camera; what it takes and has is known from now on."""
     rig.robot.connect()
-    return Rig(rig.robot, rig.camera, rig.write_truth, rig.describe(), rig.lab.place)
+    return Rig.of_lab(rig)
 
 
 def _has_camera(setup: Setup) -> bool:
@@ -275,6 +289,7 @@ _VIRTUAL: dict[str, Callable[..., AbstractContextManager[Rig]]] = {
     "virtual-car": virtual_car,
     "virtual-omni": virtual_omni,
     "virtual-thymio": virtual_thymio,
+    "virtual-ros": virtual_ros,
 }
 
 

@@ -1,9 +1,9 @@
-"""A model car and an omnidirectional base are recorded, kept on the board, tracked and learned."""
+"""A car, an omnidirectional base and one behind ROS are recorded, kept on the board, tracked."""
 
 import numpy as np
 import pytest
 
-from neurosim.lab import VirtualLinesRig, read_truth
+from neurosim.lab import VirtualLinesRig, VirtualRosRig, read_truth
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Guard, RecordSettings, record
 from neurosim.recording.settings import Rig
@@ -14,14 +14,20 @@ from tracking.datasets.dataset import build
 SIZE = (320, 240)
 #: The guard has work, and a car room to turn.
 BOARD = {"length": 2.2, "width": 1.5}
+BOARDS = {"car": BOARD, "omni": BOARD, "ros": {"length": 1.5, "width": 1.1}}
 COUNT = 40
 
 
-@pytest.fixture(scope="module", params=["car", "omni"])
+@pytest.fixture(scope="module", params=["car", "omni", "ros"])
 def made(request, tmp_path_factory):
     """Return the robot's kind, its commands, its recording, the truth, and what was said."""
     folder, said = tmp_path_factory.mktemp(request.param), []
-    with VirtualLinesRig(2, kind=request.param, noise_seed=5, camera_size=SIZE) as rig:
+    options = {"noise_seed": 5, "camera_size": SIZE}
+    with (
+        VirtualRosRig(2, **options)
+        if request.param == "ros"
+        else VirtualLinesRig(2, kind=request.param, **options)
+    ) as rig:
         optics = rig.camera.optics
         CameraModel(
             SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
@@ -31,7 +37,7 @@ def made(request, tmp_path_factory):
             folder / "recording",
             Rig.of_lab(rig),
             RandomCommands(seed=3, max_speed=80.0),
-            RecordSettings(COUNT, board=BOARD),
+            RecordSettings(COUNT, board=BOARDS[request.param]),
             calibration=folder / "calibration.json",
             say=said.append,
         )
@@ -59,11 +65,11 @@ def test_commands_are_within_the_limits_and_named_as_the_robot_names_them(made):
 
 
 def test_its_position_keeps_it_on_the_board(made):
-    _, _, recording, truth, _ = made
+    kind, _, recording, truth, _ = made
     kinds = [line.kind for line in recording.commands().itertuples()]
     assert kinds.count("cut") >= 2
     assert kinds.count("manoeuvre") >= 4
-    half = np.array([BOARD["length"], BOARD["width"]]) / 2
+    half = np.array([BOARDS[kind]["length"], BOARDS[kind]["width"]]) / 2
     assert (np.abs(truth.poses[:, :2]) < half - Guard().margin + 0.06).all()
 
 

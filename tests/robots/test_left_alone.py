@@ -10,7 +10,13 @@ from contextlib import contextmanager
 import pytest
 from patience import PATIENCE, wait_until
 
-from neurosim.lab import VirtualKheperaRig, VirtualLinesRig, VirtualRig, VirtualThymioRig
+from neurosim.lab import (
+    VirtualKheperaRig,
+    VirtualLinesRig,
+    VirtualRig,
+    VirtualRosRig,
+    VirtualThymioRig,
+)
 from neurosim.lab.nxt.world import Pacer
 from tracking.datasets.recordings import Recording
 
@@ -73,6 +79,13 @@ def thymio():
         yield rig, ["--robot", "thymio", "--port", rig.address], lambda: not rig.standing
 
 
+@contextmanager
+def ros():
+    with VirtualRosRig(0, camera=False, real_time=True) as rig, Pacer(rig.lab):
+        robot = ["--robot", "ros", "--url", rig.address, "--stops-after", "0.5"]
+        yield rig, robot, lambda: not rig.standing
+
+
 def stops(rig, drives):
     """Return whether the robot stands before it would be driving for ever."""
     begun = rig.lab.time
@@ -84,7 +97,7 @@ ASKED = ["SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP"]
 
 
 @pytest.mark.parametrize("name", ASKED)
-@pytest.mark.parametrize("lab", [nxt, khepera, lines, thymio])
+@pytest.mark.parametrize("lab", [nxt, khepera, lines, thymio, ros])
 def test_what_asks_a_recording_to_end_stops_the_motors_first(tmp_path, lab, name):
     number = getattr(signal, name)
     with lab() as (rig, robot, drives), recording(tmp_path, *robot) as child:
@@ -101,7 +114,7 @@ def test_what_asks_a_recording_to_end_stops_the_motors_first(tmp_path, lab, name
 
 
 @pytest.mark.parametrize("name", ["SIGKILL", "SIGSTOP", "SIGSEGV", "SIGABRT"])
-@pytest.mark.parametrize("lab", [nxt, lines, thymio])
+@pytest.mark.parametrize("lab", [nxt, lines, thymio, ros])
 def test_a_robot_stops_by_itself_when_its_program_no_longer_runs(tmp_path, lab, name):
     with lab() as (rig, robot, drives), recording(tmp_path, *robot) as child:
         wait_until(lambda: drives() or child.poll() is not None, "the first command")

@@ -32,7 +32,7 @@ def others(monkeypatch):
 
 
 def test_names(others):
-    assert ROBOTS.names() == ["nxt", "khepera", "lines", "thymio", "broken", "turtle"]
+    assert ROBOTS.names() == ["nxt", "khepera", "lines", "thymio", "ros", "broken", "turtle"]
 
 
 def test_a_driver_of_another_package(others):
@@ -60,7 +60,8 @@ def test_ours():
 
 def test_what_can_be_wrong(others):
     with pytest.raises(
-        UserError, match="no driver of a robot 'roomba'; choose from nxt, khepera, lines, thymio, b"
+        UserError,
+        match="no driver of a robot 'roomba'; choose from nxt, khepera, lines, thymio, r",
     ):
         robot_factory("roomba")
     with pytest.raises(UserError, match=r"'broken' \(no_such_package.robot:Robot\)"):

@@ -176,6 +176,10 @@ class PlanarBody:
         held = self._given[1] if self._car else 0.0
         self._given[:] = 0.0, held, 0.0
 
+    def reached(self) -> tuple[float, float]:
+        """Return the speed forward, m/s, and the turn rate of a base, rad/s, as they are now."""
+        return float(self._state[4]), float(self._state[6])
+
     def values(self) -> list[int]:
         """Return the counter's pulses, where there is one."""
         return [math.floor(PER_METRE * self._way)] if self._car else []

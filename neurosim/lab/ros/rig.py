@@ -1,0 +1,194 @@
+"""A virtual base behind its rosbridge, with the roof camera over it."""
+
+from __future__ import annotations
+
+import math
+import socket
+import threading
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.nxt.params import CameraParams, LabParams
+from neurosim.lab.nxt.rig import PLACING
+from neurosim.lab.nxt.world import Lab
+from neurosim.lab.ros.base import MAX_OMEGA, MAX_V, RADIUS, BaseBody, BaseNode
+from neurosim.lab.server import Served, SocketEnd, receive, send
+from neurosim.robots.base import Clock
+from neurosim.robots.ros.driver import Ros
+from neurosim.robots.ros.websocket import WebSocketEnd
+
+#: A message takes so long, s, and so does the answer to a ping.
+LATENCY = 0.003
+
+
+class BridgeEnd(SocketEnd):
+    """The bridge's end of a WebSocket, one client at a time.
+
+    Args:
+        node: what stands behind the bridge.
+        clock: the lab's.
+        lock: held while the node is touched.
+        port: 0 for any free one.
+
+    Attributes:
+        silent: nothing is taken or answered any more.
+    """
+
+    def __init__(self, node: BaseNode, clock: Clock, lock: threading.RLock, port: int):
+        self._node, self._clock, self._lab = node, clock, lock
+        # Held while bytes are made and sent; whoever holds it does not wait for the lab.
+        self._wire = threading.Lock()
+        self._client: socket.socket | None = None
+        self._end: WebSocketEnd | None = None
+        self.silent = False
+        node.say = self.say
+        super().__init__(port=port)
+
+    @property
+    def url(self) -> str:
+        """What a client takes as its address."""
+        host, port = self.address
+        return f"ws://{host}:{port}"
+
+    def say(self, texts: list[str]) -> None:
+        """Send texts to the client, if there is one."""
+        with self._wire:
+            if self._client is not None and self._end is not None and self._end.is_open:
+                for text in texts:
+                    self._end.text(text)
+                send(self._client, self._end.to_send())
+
+    def _serve_client(self, client: socket.socket) -> None:
+        end = self._end = WebSocketEnd()
+        self._client = client
+        while not self._stopping:
+            if not self._wait(client, None):
+                continue
+            data = receive(client)
+            if self.silent and data:
+                continue
+            with self._wire:
+                before, taken = end.pings, end.feed(data)
+            answers = []
+            for text in taken:
+                self._sleep(LATENCY)
+                with self._lab:
+                    answers += self._node.bridge.take(text)
+            self._sleep(LATENCY * (end.pings - before))
+            with self._wire:
+                # The answer to a ping leaves with these: what came before it is done.
+                for answer in answers if end.is_open else ():
+                    end.text(answer)
+                if not send(client, end.to_send()) or not data or end.is_over:
+                    return
+
+    def _sleep(self, seconds: float) -> None:
+        if seconds:
+            self._clock.sleep_until(self._clock.now() + seconds)
+
+    def _client_left(self) -> None:
+        with self._wire:
+            self._client = self._end = None
+        with self._lab:
+            self._node.bridge.leave()
+
+    def drop_client(self) -> None:
+        """Cut the connection."""
+        with self._wire, suppress(OSError):
+            if self._client is not None:
+                self._client.shutdown(socket.SHUT_RDWR)
+
+
+class VirtualRosRig(Served):
+    """A base of the virtual lab that ROS drives, behind its rosbridge.
+
+    Args:
+        robot_seed: which robot and which board; the same number is the same robot.
+        noise_seed: of everything that differs from one session to the next.
+        start: where a person tries to put the robot (m, m, rad, board frame).
+        camera: whether there is a camera.
+        camera_size: its frames, (width, height) in pixels.
+        fps: frames per second.
+        port: of the socket; 0 for any free one.
+        real_time: the lab's time will be the wall clock's (see
+            :class:`neurosim.lab.nxt.world.Pacer`).
+        stamped: whether the base takes TwistStamped.
+        stops_after: time without a message after which its controller stops it, s; infinity: it
+            goes on.
+        bridge: ``statuses`` and ``rosapi``, as :class:`neurosim.lab.ros.bridge.RosBridge` has them.
+
+    Attributes:
+        lab: the lab itself; no learner looks into it.
+        node: the base's node of ROS, with its bridge.
+        robot: the driver, not connected yet, in the lab's own time.
+        camera: the roof camera, or None.
+        address: what the driver takes as url.
+    """
+
+    def __init__(
+        self,
+        robot_seed: int,
+        *,
+        noise_seed: int = 0,
+        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        camera: bool = True,
+        camera_size: tuple[int, int] = (640, 480),
+        fps: float = 30.0,
+        port: int = 0,
+        real_time: bool = False,
+        stamped: bool = False,
+        stops_after: float = 0.5,
+        **bridge: bool,
+    ):
+        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": "ros"}
+        rng = np.random.default_rng([noise_seed, robot_seed, 0x2052])
+        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
+        seed = int(rng.integers(2**31))
+        body = BaseBody(robot_seed, seed)
+        self.node = BaseNode(body, seed, stamped=stamped, timeout=stops_after, **bridge)
+        self.lab = Lab(
+            seed,
+            body=body,
+            params=LabParams.drawn(robot_seed),
+            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            start=(float(x), float(y), float(theta)),
+        )
+        self.lab.program = self.node
+        self._server = BridgeEnd(self.node, self.lab.clock, self.lab.lock, port)
+        self.address = self._server.url
+        self.robot = Ros(
+            url=self.address,
+            stamped=stamped,
+            max_v=MAX_V,
+            max_omega=MAX_OMEGA,
+            radius=RADIUS,
+            stops_after=None if math.isinf(stops_after) else stops_after,
+            timeout=2.0 if real_time else 10.0,
+            clock=self.lab.clock,
+        )
+        self.camera: RoofCamera | None = self.lab.camera
+
+    @property
+    def standing(self) -> bool:
+        """Whether the base is commanded to stand."""
+        return not any(self.node.velocities)
+
+    def describe(self) -> dict[str, Any]:
+        """Return what makes the same lab again."""
+        return dict(self._seeds)
+
+    def write_truth(self, folder: Path, session: int) -> None:
+        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
+        self.lab.write_truth(folder, session)
+
+    def switch_off(self) -> None:
+        """Switch the network off: nothing is taken or answered any more."""
+        self._server.silent = True
+
+    def hang_up(self) -> None:
+        """Cut the connection, as a bridge does that ends."""
+        self._server.drop_client()

@@ -1,0 +1,1 @@
+"""A robot that ROS 2 drives, behind a rosbridge."""

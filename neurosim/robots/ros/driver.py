@@ -1,0 +1,363 @@
+"""Driver of a base that ROS 2 drives: velocities on a topic, odometry on another."""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from msgspec import Meta
+from numpy.typing import NDArray
+
+from neurosim.base import se2
+from neurosim.base.commands import Commands, Number
+from neurosim.base.declared import Metres, Seconds, checks
+from neurosim.base.errors import RobotError, UserError
+from neurosim.robots.base import Clock, Geometry, SystemClock
+from neurosim.robots.ros.bridge import Bridge
+
+#: A command without a duration is repeated for so long, s.
+LONGEST = 60.0
+#: Counters count tenths of a millimetre.
+PER_METRE = 10_000.0
+#: Odometry comes no more often than this, s; where none comes for so long, s, it is missed.
+ODOMETRY_EVERY, ODOMETRY_WITHIN = 0.02, 2.0
+#: The thread that repeats commands.
+REPEATS = "ros repeats"
+#: The node of the virtual lab.
+VIRTUAL = "/neurosim_lab"
+#: What says that a topic is not wanted.
+NONE = "none"
+
+TWIST, STAMPED = "geometry_msgs/msg/Twist", "geometry_msgs/msg/TwistStamped"
+ODOMETRY = "nav_msgs/msg/Odometry"
+
+#: A velocity, m/s; a turn rate, rad/s; messages per second.
+Velocity = Annotated[float, Meta(ge=0.001, le=20)]
+TurnRate = Annotated[float, Meta(ge=0.001, le=50)]
+Rate = Annotated[float, Meta(ge=1, le=100)]
+
+
+@dataclass
+class _Held:
+    """A command that is being repeated: its numbers, when it is due again, and until when (s)."""
+
+    numbers: tuple[float, ...]
+    due: float
+    until: float
+
+
+class Ros:
+    """A base that ROS 2 drives, behind a rosbridge: a forward velocity and a turn rate.
+
+    Follows :class:`neurosim.robots.base.Robot` and, with odometry, ``Counters``: they count how far
+    the wheels of a base of this radius would have turned. ROS acknowledges no command; one counts
+    as taken when the bridge has it. It is then repeated, because the controllers of most bases stop
+    them when nothing comes for a while. With ``stops_after`` the robot is ``SelfStopping``: the
+    repeats end with the command, and the controller does the rest.
+
+    Args:
+        url: Address of the rosbridge.
+        cmd_vel: Topic on which the base takes velocities.
+        odom: Topic on which the base publishes its odometry; none: it is not read.
+        stamped: The base takes TwistStamped messages, not Twist.
+        max_v: Greatest velocity that is commanded, forward and backward, m/s.
+        max_omega: Greatest turn rate that is commanded, to both sides, rad/s.
+        radius: Radius of the circle around the body, m.
+        rate: Messages per second while a command is held.
+        stops_after: Time without a message after which the base's controller stops it, s (the
+            cmd_vel_timeout of a diff_drive_controller: 0.5); by default nothing is known to stop
+            it.
+        timeout: Wall-clock seconds that the bridge may take to acknowledge a message.
+        clock: the robot's clock; the virtual lab hands in its own.
+
+    Attributes:
+        pulses_per_metre: of the counters.
+        geometry: radius, and the distance of the wheels that the counters stand for, m.
+    """
+
+    pulses_per_metre = PER_METRE
+
+    @checks
+    def __init__(
+        self,
+        *,
+        url: str = "ws://localhost:9090",
+        cmd_vel: str = "/cmd_vel",
+        odom: str = "/odom",
+        stamped: bool = False,
+        max_v: Velocity = 0.2,
+        max_omega: TurnRate = 1.0,
+        radius: Metres = 0.15,
+        rate: Rate = 10.0,
+        stops_after: Seconds | None = None,
+        timeout: Seconds = 1.0,
+        clock: Clock | None = None,
+    ):
+        if stops_after is not None and stops_after * rate <= 1:
+            raise UserError(
+                f"stops_after: a base that stops after {stops_after:g} s needs more than {rate:g} "
+                "messages per second; raise the rate"
+            )
+        self.clock: Clock = SystemClock() if clock is None else _RepeatingClock(clock, self)
+        self.commands = Commands(
+            (Number("v", "m/s", -max_v, max_v), Number("omega", "rad/s", -max_omega, max_omega)),
+            "twist",
+            {"radius": radius},
+        )
+        self._topic, self._odom = cmd_vel, None if odom == NONE else odom
+        self._stamped, self._stops_after, self._period = stamped, stops_after, 1 / rate
+        self._bridge = Bridge(url, timeout)
+        # Whoever commands and what repeats take turns.
+        self._lock = threading.RLock()
+        self._held: _Held | None = None
+        self._nodes: list[str] = []
+        self._repeats = clock is None
+        self._closed = threading.Event()
+        self._seen: NDArray[np.float64] | None = None
+        self._seen_at, self._new = 0.0, False
+        self._ways, self._zeros = np.zeros(2), np.zeros(2)
+        if stops_after is not None:
+            self.drive_for = self._drive_for
+        if self._odom is not None:
+            self.geometry = Geometry(radius, 2 * radius)
+            self.read_counts, self.set_counts = self._read_counts, self._set_counts
+
+    def connect(self) -> None:
+        """Connect to the bridge, make sure that the topics are right, and stop the base.
+
+        Raises:
+            RobotError: if there is no bridge, a topic has nobody at its other end, or its messages
+                are of another type.
+        """
+        if self._bridge.is_open:
+            return
+        self._bridge.open()
+        try:
+            kind = STAMPED if self._stamped else TWIST
+            self._nodes = self._others("subscribers", self._topic, kind)
+            self._bridge.advertise(self._topic, kind)
+            self._bridge.farewell = (self._topic, self._message((0.0, 0.0)))
+            self.stop()
+            if self._odom is not None:
+                self._others("publishers", self._odom, ODOMETRY)
+                self._bridge.subscribe(self._odom, ODOMETRY, ODOMETRY_EVERY, self._see)
+                self._wait_for_odometry(self._odom)
+        except BaseException:
+            self._bridge.close()
+            raise
+        if self._repeats:
+            self._closed = threading.Event()
+            thread = threading.Thread(
+                target=self._run, name=REPEATS, args=(self._closed,), daemon=True
+            )
+            thread.start()
+
+    def close(self) -> None:
+        """Stop the base if the connection still stands, and end it; raises nothing but Ctrl-C."""
+        self._closed.set()
+        try:
+            if self._bridge.is_open:
+                with suppress(Exception):
+                    self.stop()
+                    self._bridge.unadvertise(self._topic)
+        finally:
+            self._bridge.close()
+
+    def drive(self, command: Sequence[float]) -> None:
+        """Set both velocities, for a minute or until the next command.
+
+        Raises:
+            UserError: if one is beyond its limit.
+            LinkLost: if the bridge does not acknowledge it.
+        """
+        self._hold(command, LONGEST)
+
+    def _drive_for(self, command: Sequence[float], seconds: float) -> None:
+        """Set both velocities as :meth:`drive` does; they are to last so long (s).
+
+        Without another command the base's controller stops it ``stops_after`` later.
+        """
+        self._hold(command, seconds)
+
+    def stop(self) -> None:
+        """Set both velocities to 0."""
+        with self._lock:
+            self._held = None
+            self._publish((0.0, 0.0))
+
+    def describe(self) -> dict[str, Any]:
+        """Return what a recording should say of this robot."""
+        about: dict[str, Any] = {
+            "kind": "ros",
+            "url": self._bridge.url,
+            "cmd_vel": self._topic,
+            "odom": self._odom,
+            "stamped": self._stamped,
+            "rate": round(1 / self._period, 6),
+            "stops_after": self._stops_after,
+        }
+        if self._nodes:
+            about |= {"nodes": self._nodes, "virtual": VIRTUAL in self._nodes}
+        return about
+
+    def __enter__(self) -> Ros:
+        self.connect()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.close()
+
+    # Commands
+
+    def _hold(self, command: Sequence[float], seconds: float) -> None:
+        numbers = self.commands.check(command)
+        with self._lock:
+            self._held = None
+            self._publish(numbers)
+            now = self.clock.now()
+            if any(numbers):
+                self._held = _Held(numbers, now + self._period, now + seconds)
+
+    def _publish(self, numbers: Sequence[float]) -> None:
+        self._bridge.publish(self._topic, self._message(numbers))
+
+    def _message(self, numbers: Sequence[float]) -> dict[str, Any]:
+        v, omega = numbers
+        twist = {
+            "linear": {"x": v, "y": 0.0, "z": 0.0},
+            "angular": {"x": 0.0, "y": 0.0, "z": omega},
+        }
+        # The bridge puts its own time into a header without one: that is the base's, too.
+        return {"header": {"frame_id": ""}, "twist": twist} if self._stamped else twist
+
+    @property
+    def due(self) -> float:
+        """When a command is due to be repeated, s on the robot's clock; infinity: none is held."""
+        held = self._held
+        return math.inf if held is None else min(held.due, held.until)
+
+    def repeat(self) -> None:
+        """Repeat the command that is held, if it is due; end it after its time."""
+        with self._lock:
+            # A clock may be short of a time by its last digits, and sleep no more.
+            held, now = self._held, self.clock.now() + 1e-6
+            if held is None or now < self.due:
+                return
+            if now < held.until:
+                held.due = now + self._period
+                self._publish(held.numbers)
+            elif self._stops_after is None:
+                self.stop()
+            else:
+                self._held = None
+
+    def _run(self, closed: threading.Event) -> None:
+        """Repeat commands and take messages until the robot is closed or lost."""
+        with suppress(RobotError):
+            while not closed.wait(self._period / 4):
+                self._bridge.poll()
+                self.repeat()
+
+    # Topics
+
+    def _others(self, role: Literal["subscribers", "publishers"], topic: str, kind: str) -> list:
+        """Return the nodes at the other end of a topic of the right type."""
+        option = "--cmd-vel" if role == "subscribers" else "--odom"
+        nodes = self._bridge.call(f"/rosapi/{role}", topic=topic).get(role)
+        if not nodes or not isinstance(nodes, list):
+            does = "subscribes to" if role == "subscribers" else "publishes"
+            others = "" if role == "subscribers" else f", or leave it out with {option} {NONE}"
+            raise RobotError(
+                f"no node of ROS {does} {topic}: start the driver of the base, or name its topic "
+                f"with {option}{others}"
+            )
+        found = str(self._bridge.call("/rosapi/topic_type", topic=topic).get("type"))
+        if _plain(found) != _plain(kind):
+            twists = {_plain(STAMPED): "add --stamped", _plain(TWIST): "leave out --stamped"}
+            mend = twists.get(_plain(found)) if option == "--cmd-vel" else None
+            raise RobotError(
+                f"the messages of {topic} are of type {found}, not {kind}: "
+                + (mend or f"name another topic with {option}")
+            )
+        return nodes
+
+    def _wait_for_odometry(self, topic: str) -> None:
+        self._seen, end = None, self.clock.now() + ODOMETRY_WITHIN
+        while self._seen is None:
+            if self.clock.now() >= end:
+                raise RobotError(
+                    f"nothing comes on {topic} within {ODOMETRY_WITHIN:g} s: start the driver of "
+                    f"the base, or leave odometry out with --odom {NONE}"
+                )
+            self.clock.sleep_until(self.clock.now() + 0.05)
+            self._bridge.sync()
+        self._seen_at = self.clock.now()
+
+    def _see(self, message: dict[str, Any]) -> None:
+        """Take a message of odometry: how far each wheel went since the last."""
+        try:
+            pose = message["pose"]["pose"]
+            place, turn = pose["position"], pose["orientation"]
+            heading = 2 * math.atan2(float(turn["z"]), float(turn["w"]))
+            now = np.array([float(place["x"]), float(place["y"]), heading])
+        except (KeyError, TypeError, ValueError):
+            return
+        if not np.isfinite(now).all():
+            return
+        if self._seen is not None:
+            moved = se2.between(self._seen, now)
+            moved[2] = se2.wrapped(moved[2])
+            forward, _, angle = se2.log(moved)
+            aside = angle * self.geometry.wheel_base / 2
+            self._ways += (forward - aside, forward + aside)
+        self._seen, self._new = now, True
+
+    def _read_counts(self) -> tuple[int, int]:
+        """Read both counters, left and right, in pulses.
+
+        Raises:
+            LinkLost: if no odometry comes any more.
+        """
+        with self._lock:
+            self._bridge.sync()
+            now = self.clock.now()
+            if self._new:
+                self._seen_at, self._new = now, False
+            if now - self._seen_at > ODOMETRY_WITHIN:
+                raise self._bridge.lose(
+                    f"nothing has come on {self._odom} for {now - self._seen_at:.1f} s: does the "
+                    "driver of the base still run?"
+                )
+            left, right = (round(PER_METRE * way) for way in self._ways - self._zeros)
+        return left, right
+
+    def _set_counts(self, left: int, right: int) -> None:
+        """Set both counters, in pulses; the base's odometry goes on."""
+        self._read_counts()
+        self._zeros = self._ways - np.array([int(left), int(right)]) / PER_METRE
+
+
+class _RepeatingClock:
+    """A clock whose time moves only when somebody sleeps, as the lab's: who sleeps repeats."""
+
+    def __init__(self, clock: Clock, robot: Ros):
+        self._clock, self._robot = clock, robot
+
+    def now(self) -> float:
+        return self._clock.now()
+
+    def sleep_until(self, time: float) -> None:
+        while (due := self._robot.due) < time:
+            self._clock.sleep_until(due)
+            self._robot.repeat()
+        self._clock.sleep_until(time)
+
+
+def _plain(kind: str) -> str:
+    """Return the name of a type without the part that ROS 1 does not have."""
+    return kind.replace("/msg/", "/")
