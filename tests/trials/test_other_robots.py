@@ -1,4 +1,4 @@
-"""A model car and an omnidirectional base are driven by plans, replanned plans and networks."""
+"""A model car and bases are driven by plans, replanned plans and networks."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,13 @@ import torch
 from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.controllers import FixedPlan, Network, SavedController, make_controller
-from neurosim.lab import VirtualLinesRig, read_truth
+from neurosim.lab import VirtualLinesRig, VirtualRosRig, read_truth
 from neurosim.lab.lines.planar import KINDS
 from neurosim.loop.evolve import evolve
 from neurosim.loop.replan import ReplanSettings
 from neurosim.loop.settings import EvolveSettings
 from neurosim.recording.record import Guard, Rig
+from neurosim.robots.ros.driver import Ros
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.go_to import GoTo
 from neurosim.trials.driver import missing
@@ -21,6 +22,7 @@ from tracking.camera.camera_model import CameraModel
 from tracking.track import track
 
 SIZE = (320, 240)
+TAKES = {**KINDS, "ros": Ros(max_v=0.3, max_omega=2.0).commands}
 QUICK = EvolveSettings(generations=40, runs=1)
 pytestmark = pytest.mark.slow
 
@@ -53,7 +55,8 @@ class Ideal(Simulator):
 
 def drive(kind, folder, controller, **options):
     """Return what trial.json says, and how far off its path was, m and rad (RMS)."""
-    with VirtualLinesRig(2, kind=kind, noise_seed=4, camera_size=SIZE) as rig:
+    lab = {"noise_seed": 4, "camera_size": SIZE}
+    with VirtualRosRig(2, **lab) if kind == "ros" else VirtualLinesRig(2, kind=kind, **lab) as rig:
         optics = rig.camera.optics
         CameraModel(
             SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
@@ -69,13 +72,13 @@ def drive(kind, folder, controller, **options):
     return report, np.sqrt((off**2).mean(axis=0))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", TAKES)
 def test_a_plan_that_was_evolved_drives_it(kind, tmp_path):
-    sim, task = Ideal(KINDS[kind]), GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.1)
+    sim, task = Ideal(TAKES[kind]), GoTo(goals=((0.6, 0.2, 0.5),), tolerance=0.1)
     family = make_controller("plan", sim, task, slots=5)
     (saved,) = evolve(sim, task, family, settings=QUICK, seed=1, out=tmp_path / "plan")
     report, off = drive(kind, tmp_path, tmp_path / "plan")
-    assert [one["name"] for one in report["columns"]] == [*KINDS[kind].names, "duration"]
+    assert [one["name"] for one in report["columns"]] == [*TAKES[kind].names, "duration"]
     assert report["commands"] == [pytest.approx(one) for one in saved.given]
     assert report["ended_early"] is False
     # The robot is not ideal, and where it was is known for all that: also without a lamp.
