@@ -83,6 +83,7 @@ def test_a_wheel_installs_and_runs_elsewhere(tmp_path):
     assert any(name.endswith("page.html") for name in names)
     assert any(name.endswith("/LICENSE") for name in names)
     assert {"neurosim/py.typed", "tracking/py.typed"} <= set(names)
+    assert "neurosim/templates/robot/driver.py.txt" in names
     assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
     target = tmp_path / "elsewhere"
     subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(wheel)], check=True)

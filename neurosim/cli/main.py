@@ -34,6 +34,7 @@ from neurosim.cli.docs import docs
 from neurosim.cli.evolve import evolve
 from neurosim.cli.export import export
 from neurosim.cli.lab import lab
+from neurosim.cli.new import new
 from neurosim.cli.pipeline import pipeline
 from neurosim.cli.plan_check import plan_check
 from neurosim.cli.print_page import print_page
@@ -132,6 +133,7 @@ for verb in (
     report,
     pipeline,
     lab,
+    new,
     demo,
     docs,
 ):
