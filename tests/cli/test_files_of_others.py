@@ -224,10 +224,12 @@ _WRITERS = {
     "neurosim/back_to_reality/run.py": {"copyfile"},
     "neurosim/lab/camera/photographs.py": {"imwrite"},
     "neurosim/recording/record.py": {"copyfile"},
+    "neurosim/reports/film.py": {"VideoWriter"},
     "neurosim/robots/nxt/link.py": {"open"},  # the device of the line
     "neurosim/simulators/export.py": {"write_bytes", "save"},
     "neurosim/simulators/tables/samples.py": {"write_bytes"},
     "tracking/camera/cameras.py": {"VideoWriter"},
+    "tracking/datasets/lerobot.py": {"open", "write_text"},
     "tracking/datasets/recordings.py": {"copyfile"},
     "tracking/overlay.py": {"VideoWriter"},
 }
