@@ -12,6 +12,7 @@ from simulators_of_tests import Walker, motion_network, tables
 import neurosim as ns
 from neurosim.controllers import FixedPlan, Function, Network, Plan, Recurrent
 from neurosim.controllers.gait import HAND_TUNED, Gait, genes_of
+from neurosim.controllers.sine_gait import SineGait
 from neurosim.evolution.optimisers import OPTIMISERS
 from neurosim.lab import (
     VirtualKheperaRig,
@@ -75,6 +76,7 @@ def test_our_simulators(make):
         FixedPlan(((20.0, 30.0, 1.0), None, (0.0, 10.0, 0.5))),
         Network(("sensor_0", "x"), (3,)),
         Gait(),
+        SineGait(),
         Recurrent(("sensor_0",), 2),
         Recurrent(("sensor_0",), 2, "ctrnn"),
         Function(lambda seen, genes: (seen["x"] * genes[:, 0], genes[:, 1]), ("x",), 2),
@@ -85,11 +87,13 @@ def test_our_controllers(controller):
     check_controller(controller)
 
 
-def test_our_walking_robot():
+def test_our_legged_robots():
     pytest.importorskip("mujoco")
+    from neurosim.simulators.legged.quadratot import QuadraTot
     from neurosim.simulators.legged.simulator import LeggedSimulator
 
     check_simulator(LeggedSimulator(), falls=True)
+    check_simulator(LeggedSimulator(QuadraTot()), falls=True)
 
 
 @pytest.mark.parametrize("name", TASKS.names())

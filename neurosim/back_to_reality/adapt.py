@@ -131,14 +131,15 @@ def agreement(
             "norm": float(np.linalg.norm(apart)),
             "rms": float(np.sqrt(np.mean(apart**2))),
             "median": float(np.median(apart)),
-            "rank": _rank_correlation(fitness, real),
+            "rank": rank_correlation(fitness, real),
         }
         if compared.poses is not None:
             found[name]["poses"] = float(compared.discrepancy(parameters[None])[0])
     return found
 
 
-def _rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float | None:
+def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float | None:
+    """Return Spearman's correlation of values [P] and [P]; None where all of one are alike."""
     ranks = np.stack([_ranks(one), _ranks(other)])
     if np.ptp(ranks, axis=1).min() == 0.0:
         return None

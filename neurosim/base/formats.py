@@ -1487,10 +1487,12 @@ class Checkpoint(Format):
 
 
 class Legged(Simulator, kw_only=True):
-    """The simulator of the walking robot.
+    """The simulator of a legged robot.
 
     Attributes:
+        robot: which robot it is.
         parameters: parameters of the robot and of the floor.
     """
 
+    robot: Literal["walker", "quadratot"] = "walker"
     parameters: dict[str, Any]

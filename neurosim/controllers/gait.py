@@ -12,8 +12,8 @@ descending, times the lift factor.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -74,8 +74,6 @@ GAIT_PARAMETERS = (
     GaitParameter("air_points", 1.0, 12.0),
 )
 NAMES = tuple(one.name for one in GAIT_PARAMETERS)
-_LOW = np.array([one.low for one in GAIT_PARAMETERS])
-_WIDTH = np.array([one.high for one in GAIT_PARAMETERS]) - _LOW
 
 #: Shortest and longest cycle, s: no gait is fast by trembling, or lies in wait.
 CYCLE = (0.4, 2.0)
@@ -113,37 +111,52 @@ HAND_TUNED = {
 }
 
 
-def genes_of(values: Mapping[str, float] | ArrayLike) -> NDArray[np.float64]:
-    """Return the genes [20] in 0..1 of a gait's parameters in their units.
+def genes_of(
+    values: Mapping[str, float] | ArrayLike,
+    parameters: Sequence[GaitParameter] = GAIT_PARAMETERS,
+) -> NDArray[np.float64]:
+    """Return the genes [G] in 0..1 of a gait's parameters in their units.
 
     Args:
-        values: all 20 by name, or [20] in the order of :data:`NAMES`.
+        values: all by name, or [G] in the order of the parameters.
+        parameters: which a gait has; by default the 20 of a trot.
 
     Raises:
         UserError: if one is missing, unknown, not finite or out of bounds.
     """
+    names = [one.name for one in parameters]
     if isinstance(values, Mapping):
-        wrong = [*(set(NAMES) - set(values)), *(set(values) - set(NAMES))]
+        wrong = [*(set(names) - set(values)), *(set(values) - set(names))]
         if wrong:
             raise UserError(
-                f"a gait has the parameters {', '.join(NAMES)}; {wrong[0]} is missing or unknown"
+                f"a gait has the parameters {', '.join(names)}; {wrong[0]} is missing or unknown"
             )
-        values = [values[name] for name in NAMES]
+        values = [values[name] for name in names]
     given = np.asarray(values, np.float64)
-    if given.shape != _LOW.shape:
-        raise UserError(f"a gait has {len(NAMES)} parameters, not {given.shape}")
-    for one, value in zip(GAIT_PARAMETERS, given, strict=True):
+    if given.shape != (len(names),):
+        raise UserError(f"a gait has {len(names)} parameters, not {given.shape}")
+    for one, value in zip(parameters, given, strict=True):
         if not one.low <= value <= one.high:
             raise UserError(
                 f"the gait's {one.name} is {value:g}, outside of {one.low:g} to {one.high:g}"
                 f"{' ' * bool(one.unit)}{one.unit}"
             )
-    return (given - _LOW) / _WIDTH
+    low, width = _bounds(parameters)
+    return (given - low) / width
 
 
-def values_of(genes: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return parameters [..., 20] in their units of genes [..., 20], which are cut to 0..1."""
-    return _LOW + _WIDTH * np.clip(genes, 0.0, 1.0)
+def values_of(
+    genes: NDArray[np.float64], parameters: Sequence[GaitParameter] = GAIT_PARAMETERS
+) -> NDArray[np.float64]:
+    """Return parameters [..., G] in their units of genes [..., G], which are cut to 0..1."""
+    low, width = _bounds(parameters)
+    return low + width * np.clip(genes, 0.0, 1.0)
+
+
+def _bounds(parameters: Sequence[GaitParameter]) -> tuple[NDArray, NDArray]:
+    """Return the lowest values of parameters, and the widths of their ranges."""
+    low = np.array([one.low for one in parameters])
+    return low, np.array([one.high for one in parameters]) - low
 
 
 def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
@@ -195,22 +208,57 @@ def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
     return feet, times, cycle
 
 
-class Gait(Controller):
-    """The trots of a four-legged robot; genes are the parameters' shares of their ranges.
+class Gaits(Controller):
+    """Gaits whose commands, joint angles in rad, depend on time alone; give :meth:`over`.
 
-    Commands are the angles of the joints, rad.
+    Genes are the parameters' shares of their ranges.
+
+    Attributes:
+        parameters: what the genes are.
     """
 
-    kind = "gait"
+    parameters: ClassVar[tuple[GaitParameter, ...]]
     inputs = tuple(TIME_INPUTS)
-    outputs = JOINTS
-    genes = len(NAMES)
     unit = "rad"
     gene_range = (0.0, 1.0)
 
+    def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the commands [P, T, joints] rad of individuals [P, G] at times [T] s."""
+        raise NotImplementedError
+
     def first(self, count: int, generator: torch.Generator) -> Tensor:
-        """Return a first population [count, 20]: anywhere within the bounds."""
+        """Return a first population [count, G]: anywhere within the bounds."""
         return torch.rand(count, self.genes, generator=generator, dtype=torch.float64)
+
+    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+        """Return the commands [B, joints] rad at the observed times; nothing is remembered."""
+        times, row = np.unique(observation[:, 0].numpy(), return_inverse=True)
+        found = np.empty((len(genes), len(self.outputs)))
+        for place, time in enumerate(times):  # one, where all began together
+            found[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
+        return torch.from_numpy(found), memory
+
+    def from_named(self, values: Mapping[str, float]) -> NDArray[np.float64]:
+        """Return the genes [G] of parameters by name, in their units; undoes :meth:`named`.
+
+        Raises:
+            UserError: if one is missing, unknown or out of bounds.
+        """
+        return genes_of(values, self.parameters)
+
+    def named(self, genes: NDArray[np.float64]) -> dict[str, Any]:
+        """Return the parameters of a gait [G] by name, in their units."""
+        names = [one.name for one in self.parameters]
+        return dict(zip(names, values_of(genes, self.parameters).tolist(), strict=True))
+
+
+class Gait(Gaits):
+    """The trots of a four-legged robot."""
+
+    kind = "gait"
+    parameters = GAIT_PARAMETERS
+    outputs = JOINTS
+    genes = len(NAMES)
 
     def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the commands [P, T, 12] rad of individuals [P, 20] at times [T] s."""
@@ -229,14 +277,6 @@ class Gait(Controller):
                     )
             found[row] = stand + begin * (found[row] - stand)
         return found
-
-    def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
-        """Return the commands [B, 12] rad at the observed times; nothing is remembered."""
-        times, row = np.unique(observation[:, 0].numpy(), return_inverse=True)
-        found = np.empty((len(genes), len(JOINTS)))
-        for place, time in enumerate(times):  # one, where all began together
-            found[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
-        return torch.from_numpy(found), memory
 
     def check(self, genes: NDArray[np.float64]) -> None:
         """Refuse a gait [20] whose feet leave what the legs reach.
@@ -259,15 +299,3 @@ class Gait(Controller):
     def hand_tuned(self) -> NDArray[np.float64]:
         """Return the genes [20] of the gait that was tuned by hand."""
         return genes_of(HAND_TUNED)
-
-    def from_named(self, values: Mapping[str, float]) -> NDArray[np.float64]:
-        """Return the genes [20] of parameters by name, in their units; undoes :meth:`named`.
-
-        Raises:
-            UserError: if one is missing, unknown or out of bounds.
-        """
-        return genes_of(values)
-
-    def named(self, genes: NDArray[np.float64]) -> dict[str, Any]:
-        """Return the parameters of a gait [20] by name, in their units."""
-        return dict(zip(NAMES, values_of(genes).tolist(), strict=True))

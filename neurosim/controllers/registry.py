@@ -22,6 +22,7 @@ CONTROLLERS = Registry(
         "network": "neurosim.controllers.network:Network",
         "recurrent": "neurosim.controllers.network:Recurrent",
         "gait": "neurosim.controllers.gait:Gait",
+        "sine-gait": "neurosim.controllers.sine_gait:SineGait",
     },
 )
 

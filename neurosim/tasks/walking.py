@@ -9,12 +9,10 @@ import numpy as np
 from msgspec import Meta
 from numpy.typing import NDArray
 
+from neurosim.base.declared import Step
 from neurosim.base.trajectory import Episode
 from neurosim.robots.quadruped import FRAME
 from neurosim.tasks.base import Interval, Judgement, Task
-
-#: Who is slower has not walked, m/s.
-STALL = 0.01
 
 
 @dataclass(frozen=True)
@@ -25,6 +23,8 @@ class Walking(Task):
 
     Attributes:
         seconds: How long a trial is, s.
+        step: Time between two commands of the joints, s.
+        stall: A robot that is slower than this has not walked, m/s.
     """
 
     name: ClassVar[str] = "walking"
@@ -32,11 +32,13 @@ class Walking(Task):
     fitness_unit: ClassVar[str] = "m/s"
 
     seconds: Annotated[float, Meta(ge=1, le=3600)] = 20.0
+    step: Step = FRAME
+    stall: Annotated[float, Meta(ge=0, le=100)] = 0.01
 
     @property
     def episode(self) -> Episode:
-        """Commands in frames of 8 ms."""
-        return Episode(step=FRAME, steps=round(self.seconds / FRAME))
+        """Commands in frames, of 8 ms by default."""
+        return Episode(step=self.step, steps=round(self.seconds / self.step))
 
     def advance(self, record: NDArray[np.float64], interval: Interval) -> None:
         """Add an interval; the robot has fallen where it has no pose."""
@@ -48,6 +50,6 @@ class Walking(Task):
         fell = record[:, 0] > 0
         gone = np.where(fell, 0.0, np.linalg.norm(record[:, 4:6] - record[:, 1:3], axis=-1))
         speed = gone / np.maximum(record[:, 7], 1e-9)
-        walked = speed >= STALL
+        walked = speed >= self.stall
         fitness = np.where(walked, speed, 0.0)
         return Judgement.of(fitness, walked, np.where(fell, 0, 1), progress=gone / self.seconds)

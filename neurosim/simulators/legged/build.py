@@ -1,13 +1,14 @@
-"""The model of the walking robot, as MJCF that is written here (extra ``mujoco``)."""
+"""What a legged robot's build says, and that of the walking robot, as MJCF (extra ``mujoco``)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked, Coordinate
 from neurosim.base.errors import UserError
@@ -24,6 +25,7 @@ from neurosim.robots.quadruped import (
     SPREAD,
     SWING,
     UPPER,
+    standing,
 )
 
 #: Share of a leg's mass that is in the upper leg.
@@ -36,8 +38,62 @@ Amount = Annotated[float, Meta(ge=0, le=1e12)]
 
 
 @dataclass(frozen=True)
-class Build(Checked):
-    """How the robot and the place are built; the defaults are the simulator's, not a real robot's.
+class LeggedBuild(Checked):
+    """How a legged robot and its place are built; a subclass for each robot.
+
+    The model's free body is named ``trunk``; its pose is the robot's.
+
+    Attributes:
+        robot: its name in files.
+        joints: in the order of the columns of commands.
+        frame: time between two commands of the joints, s.
+        radius: of the robot, m.
+        ranges: what can be adjusted: name -> lowest, highest, unit, whether on a logarithmic scale.
+        fallen: it has fallen where its back points further than this from straight up, cos.
+        highest: a trunk above this is no walking robot's, m.
+        settles: before a trial it stands for so long, s, after a fall from the height ``drop``
+            (m); 0: it is put on the floor as it stands, feet first.
+        timestep: s.
+    """
+
+    robot: ClassVar[str]
+    joints: ClassVar[tuple[str, ...]]
+    frame: ClassVar[float]
+    radius: ClassVar[float]
+    ranges: ClassVar[dict[str, tuple[float, float, str, bool]]]
+    fallen: ClassVar[float]
+    highest: ClassVar[float]
+    settles: ClassVar[float] = 0.0
+    drop: ClassVar[float] = 0.0
+
+    timestep: Annotated[float, Meta(ge=1e-5, le=1)]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        steps = self.frame / self.timestep
+        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
+            raise UserError(
+                f"the timestep must divide {self.frame:g} s evenly, not {self.timestep:g} s"
+            )
+
+    @classmethod
+    def standing(cls) -> NDArray[np.float64]:
+        """Return the angles of all joints of a robot that stands, rad."""
+        raise NotImplementedError
+
+    @classmethod
+    def limits(cls) -> list[tuple[float, float]]:
+        """Return the lowest and highest angle of each joint, rad."""
+        raise NotImplementedError
+
+    def mjcf(self) -> str:
+        """Return the model as MJCF."""
+        raise NotImplementedError
+
+
+@dataclass(frozen=True)
+class Build(LeggedBuild):
+    """How the walking robot is built; the defaults are the simulator's, not a real robot's.
 
     Attributes:
         head, neck, body, leg: masses, kg; of each leg.
@@ -57,6 +113,27 @@ class Build(Checked):
         legs: length of each lower leg, as a share of what it should be.
         bumps: (x, y, radius, height) of flat spherical caps on the floor, m.
     """
+
+    robot: ClassVar[str] = "walker"
+    joints: ClassVar[tuple[str, ...]] = JOINTS
+    frame: ClassVar[float] = FRAME
+    radius: ClassVar[float] = 0.15
+    ranges: ClassVar[dict[str, tuple[float, float, str, bool]]] = {
+        "head": (0.08, 0.4, "kg", False),
+        "neck": (0.03, 0.2, "kg", False),
+        "body": (0.3, 1.2, "kg", False),
+        "leg": (0.06, 0.3, "kg", False),
+        "friction": (0.3, 1.5, "", True),
+        "gravity": (8.0, 11.5, "m/s^2", False),
+        "slip": (0.003, 0.12, "s", True),
+        "slip_ratio": (0.25, 4.0, "", True),
+        "p": (1.5, 15.0, "N m/rad", True),
+        "i": (0.3, 15.0, "N m/(rad s)", True),
+        "d": (0.02, 0.4, "N m s/rad", True),
+        "torque": (0.25, 2.0, "N m", True),
+    }
+    fallen: ClassVar[float] = 0.5
+    highest: ClassVar[float] = 0.35
 
     head: Positive = 0.20
     neck: Positive = 0.08
@@ -80,11 +157,22 @@ class Build(Checked):
     legs: tuple[Positive, Positive, Positive, Positive] = (1.0, 1.0, 1.0, 1.0)
     bumps: tuple[tuple[Coordinate, Coordinate, Coordinate, Coordinate], ...] = field(default=())
 
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        steps = FRAME / self.timestep
-        if round(steps) < 1 or abs(steps - round(steps)) > 1e-6:
-            raise UserError(f"the timestep must divide {FRAME:g} s evenly, not {self.timestep:g} s")
+    @classmethod
+    def standing(cls) -> NDArray[np.float64]:
+        return standing()
+
+    @classmethod
+    def limits(cls) -> list[tuple[float, float]]:
+        legs = [(SWING, SPREAD, tuple(sorted(knee * fold for fold in FOLD))) for knee in KNEE]
+        return [(float(low), float(high)) for leg in legs for low, high in leg]
+
+    def mjcf(self) -> str:
+        """Return the model as MJCF.
+
+        The head and the neck do not move. Lower legs, elbows included, the trunk and the head
+        touch the floor; the legs pass through each other.
+        """
+        return _mjcf(self)
 
 
 def mujoco() -> Any:
@@ -104,20 +192,15 @@ def mujoco() -> Any:
     return mujoco
 
 
-def compile_model(build: Build) -> Any:
+def compile_model(build: LeggedBuild) -> Any:
     """Return the compiled model, an ``MjModel``; one that blows up is not begun anew."""
     package = mujoco()
-    model = package.MjModel.from_xml_string(mjcf(build))
+    model = package.MjModel.from_xml_string(build.mjcf())
     model.opt.disableflags |= int(package.mjtDisableBit.mjDSBL_AUTORESET)
     return model
 
 
-def mjcf(build: Build) -> str:
-    """Return the model as MJCF.
-
-    The head and the neck do not move. Lower legs, elbows included, the trunk and the head touch
-    the floor; the legs pass through each other.
-    """
+def _mjcf(build: Build) -> str:
     legs = "".join(_leg(build, index) for index in range(len(LEGS)))
     actuators = "".join(
         f'<pid name="{joint}" joint="{joint}" input="pos" kp="{build.p}" ki="{build.i}" '
@@ -125,7 +208,7 @@ def mjcf(build: Build) -> str:
         for joint in JOINTS
     )
     sideways = build.friction / np.sqrt(build.slip_ratio)
-    feet = _friction(build.friction, sideways)
+    feet = friction_of(build.friction, sideways)
     floors = ["floor", *(f"bump_{n}" for n in range(len(build.bumps)))]
     pairs = "".join(
         f'<pair geom1="{floor}" geom2="{leg}_lower" condim="3" friction="{feet}" '
@@ -134,7 +217,7 @@ def mjcf(build: Build) -> str:
         for leg in LEGS
     )
     pairs += "".join(
-        f'<pair geom1="floor" geom2="{part}" condim="3" friction="{_friction(0.4, 0.4)}"/>'
+        f'<pair geom1="floor" geom2="{part}" condim="3" friction="{friction_of(0.4, 0.4)}"/>'
         for part in ("body", "head")
     )
     bumps = "".join(
@@ -164,12 +247,13 @@ def mjcf(build: Build) -> str:
 </mujoco>"""
 
 
-def _friction(ahead: float, sideways: float) -> str:
-    """Return a pair's coefficients; the contact's first tangent is along the lower leg."""
-    return _numbers([ahead, sideways, 0.005, 0.0001, 0.0001])
+def friction_of(ahead: float, sideways: float) -> str:
+    """Return a pair's coefficients; the contact's first tangent is along a leg's capsule."""
+    return numbers([ahead, sideways, 0.005, 0.0001, 0.0001])
 
 
-def _numbers(values: Sequence[float]) -> str:
+def numbers(values: Sequence[float]) -> str:
+    """Return numbers as MJCF has them."""
     return " ".join(f"{value:.9g}" for value in values)
 
 
@@ -180,7 +264,7 @@ def _leg(build: Build, index: int) -> str:
     spread = sorted((side * SPREAD[0], side * SPREAD[1]))
 
     def joint(name: str, axis: str, limits: Sequence[float]) -> str:
-        made = f'<joint name="{leg}_{name}" axis="{axis}" range="{_numbers(limits)}"/>'
+        made = f'<joint name="{leg}_{name}" axis="{axis}" range="{numbers(limits)}"/>'
         if build.backlash > 0.0:
             half = 0.5 * build.backlash
             made += (
@@ -190,7 +274,7 @@ def _leg(build: Build, index: int) -> str:
         return made
 
     upper_mass = UPPER_SHARE * build.leg
-    return f"""<body name="{leg}_hip" pos="{_numbers(HIPS[index])}">
+    return f"""<body name="{leg}_hip" pos="{numbers(HIPS[index])}">
 {joint("swing", "0 1 0", SWING)}{joint("spread", "1 0 0", spread)}
 <geom name="{leg}_upper" type="capsule" fromto="0 0 0 0 0 {-UPPER}" size="0.014"
  mass="{upper_mass}"/>

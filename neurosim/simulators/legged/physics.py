@@ -13,60 +13,75 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.robots.quadruped import FOOT, FRAME, JOINTS, standing
-from neurosim.simulators.legged.build import mujoco
+from neurosim.robots.quadruped import FOOT
+from neurosim.simulators.legged.build import Build, LeggedBuild, mujoco
 
 #: Frames that are computed at once.
 _CHUNK = 125
-#: The robot has fallen where its back points further than this from straight up, cos, or its
-#: trunk is higher than any walking robot's, m.
-FALLEN, HIGHEST = 0.5, 0.35
 
 
 class Physics:
     """Runs walking robots of one make; keeps threads and memory for it."""
 
-    def __init__(self, model: Any, threads: int | None = None):
+    def __init__(self, model: Any, threads: int | None = None, make: type[LeggedBuild] = Build):
         """Prepare.
 
         Args:
             model: an ``MjModel``; others that run here have the same joints and bodies.
             threads: by default one for each core.
+            make: the class of the robot's build.
         """
         from mujoco import rollout
 
         self._mujoco = mujoco()
         # Numbers that blow up are a fall here, not worth a MUJOCO_LOG.TXT in the working folder.
         self._mujoco.set_mju_user_warning(lambda message: None)
-        self._model = model
+        self._model, self._make = model, make
         self._threads = threads or len(os.sched_getaffinity(0))
         self._data = [self._mujoco.MjData(model) for _ in range(self._threads)]
         self._pool = rollout.Rollout(nthread=self._threads if self._threads > 1 else 0)
-        self._joints = [model.joint(name).qposadr[0] for name in JOINTS]
+        self._joints = [model.joint(name).qposadr[0] for name in make.joints]
         self._full = self._mujoco.mjtState.mjSTATE_FULLPHYSICS
         self.size = self._mujoco.mj_stateSize(model, self._full)
-        self._standing = self._stand()
+        self._standing = self._stand(model)
 
-    def _stand(self) -> NDArray[np.float64]:
-        """Return the state of a robot that stands at the origin, feet on the floor."""
-        data = self._data[0]
-        self._mujoco.mj_resetData(self._model, data)
-        data.qpos[self._joints] = standing()
+    def _stand(self, model: Any) -> NDArray[np.float64]:
+        """Return the state of a robot that stands at the origin, on the floor."""
+        data, make = self._data[0], self._make
+        self._mujoco.mj_resetData(model, data)
+        data.qpos[self._joints] = make.standing()
+        if make.settles:
+            data.qpos[2], data.ctrl[:] = make.drop, make.standing()
+            data.act[:] = make.standing()  # where servos of limited speed are
+            for _ in range(round(make.settles / model.opt.timestep)):
+                self._mujoco.mj_step(model, data)
+            data.time, data.qvel[:] = 0.0, 0.0
+        else:
+            self._put_down(model, data)
+        state = np.empty(self.size)
+        self._mujoco.mj_getState(model, data, state, self._full)
+        return state
+
+    def _put_down(self, model: Any, data: Any) -> None:
+        """Move a robot up or down until its feet touch the floor."""
         data.qpos[2] = 1.0
-        self._mujoco.mj_forward(self._model, data)
-        model, lowest = self._model, np.inf
+        self._mujoco.mj_forward(model, data)
+        lowest = np.inf
         for geom in range(model.ngeom):
             if (model.geom(geom).name or "").endswith("_lower"):
                 half = data.geom_xmat[geom].reshape(3, 3)[2, 2] * model.geom_size[geom, 1]
                 lowest = min(lowest, data.geom_xpos[geom, 2] - abs(half) - FOOT)
         data.qpos[2] = 1.0 - lowest
-        state = np.empty(self.size)
-        self._mujoco.mj_getState(model, data, state, self._full)
-        return state
 
-    def standing(self, poses: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the states [B, size] of robots that stand at poses [B, 3] (m, m, rad)."""
-        states = np.tile(self._standing, (len(poses), 1))
+    def standing(self, poses: NDArray[np.float64], model: Any = None) -> NDArray[np.float64]:
+        """Return the states [B, size] of robots that stand at poses [B, 3] (m, m, rad).
+
+        Args:
+            poses: of all.
+            model: of all; by default the one that this was made for.
+        """
+        same = model is None or model is self._model or not self._make.settles
+        states = np.tile(self._standing if same else self._stand(model), (len(poses), 1))
         states[:, 1:3] = poses[:, :2]
         states[:, 4], states[:, 5:7] = np.cos(0.5 * poses[:, 2]), 0.0
         states[:, 7] = np.sin(0.5 * poses[:, 2])
@@ -80,10 +95,11 @@ class Physics:
         Args:
             models: one for all or one for each.
             states: [B, size].
-            commands: [B, T, 12] joint angles, rad.
+            commands: [B, T, joints] angles, rad.
         """
         first = models[0] if isinstance(models, Sequence) else models
-        steps = round(FRAME / first.opt.timestep)
+        frame = self._make.frame
+        steps = round(frame / first.opt.timestep)
         control = np.repeat(np.ascontiguousarray(commands, np.float64), steps, axis=1)
         whole = np.asarray(np.isfinite(states).all(axis=1))
         begun = np.where(whole[:, None], states, self._standing)
@@ -92,7 +108,7 @@ class Physics:
         )
         found = found[:, steps - 1 :: steps]
         # Where numbers blow up MuJoCo stops, and its clock with it.
-        due = begun[:, :1] + FRAME * np.arange(1, found.shape[1] + 1)
+        due = begun[:, :1] + frame * np.arange(1, found.shape[1] + 1)
         found[(np.abs(found[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
         return found
 
@@ -108,19 +124,20 @@ class Physics:
         Args:
             models: one for all or one for each.
             starts: [B, 3] poses at which they stand (m, m, rad).
-            commands: [B, T, 12] joint angles, rad.
+            commands: [B, T, joints] angles, rad.
             reach: a trial ends, with NaN from the next chunk on, when the robot is this far from
                 its start, m.
         """
         rows, frames = commands.shape[:2]
         poses = np.full((rows, frames + 1, 3), np.nan)
         poses[:, 0] = starts
-        states, going = self.standing(starts), np.arange(rows)
+        single = None if isinstance(models, Sequence) else models
+        states, going = self.standing(starts, single), np.arange(rows)
         for first in range(0, frames, _CHUNK):
             part = slice(first, min(first + _CHUNK, frames))
             chosen = [models[int(row)] for row in going] if isinstance(models, Sequence) else models
             found = self.frames(chosen, states[going], commands[going, part])
-            seen = poses_of(found, poses[going, first])
+            seen = poses_of(found, poses[going, first], self._make)
             states[going] = found[:, -1]
             poses[going, first + 1 : part.stop + 1] = seen
             over = np.isnan(seen[:, -1, 0])
@@ -136,18 +153,22 @@ class Physics:
         raise TypeError("threads cannot be copied")
 
 
-def poses_of(states: NDArray[np.float64], before: NDArray[np.float64]) -> NDArray[np.float64]:
+def poses_of(
+    states: NDArray[np.float64], before: NDArray[np.float64], make: type[LeggedBuild] = Build
+) -> NDArray[np.float64]:
     """Return the poses [B, T, 3] of states [B, T, size]; NaN from a fall on.
 
     Args:
         states: frame by frame.
         before: [B, 3] the poses before them; a NaN stays one.
+        make: the class of the robot's build.
     """
     x, y, height, w, i, j, k = np.moveaxis(states[..., 1:8], -1, 0)
     heading = np.arctan2(2.0 * (w * k + i * j), 1.0 - 2.0 * (j * j + k * k))
     upright = 1.0 - 2.0 * (i * i + j * j)
     with np.errstate(invalid="ignore"):
-        lost = ~np.isfinite(states).all(-1) | ~(upright > FALLEN) | ~(height < HIGHEST)
+        lost = ~np.isfinite(states).all(-1) | ~(upright > make.fallen)
+        lost |= ~(height < make.highest)
     lost = np.logical_or.accumulate(lost | np.isnan(before[:, None, 0]), axis=1)
     turned = np.unwrap(np.concatenate([before[:, None, 2], heading], axis=1), axis=1)[:, 1:]
     return np.where(lost[..., None], np.nan, np.stack([x, y, turned], axis=-1))

@@ -27,57 +27,42 @@ from torch import Tensor
 from neurosim.base import files, formats
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Draws, Episode, OfTime, Trajectory
-from neurosim.robots.quadruped import FOLD, FRAME, JOINTS, KNEE, SPREAD, SWING
 from neurosim.simulators.adjustable import Adjustable, adjustables
 from neurosim.simulators.base import FORMAT, VERSION, Rollouts, Simulator
-from neurosim.simulators.legged.build import Build, compile_model
+from neurosim.simulators.legged.build import Build, LeggedBuild, compile_model
 from neurosim.simulators.legged.physics import Physics, poses_of
+from neurosim.simulators.legged.quadratot import QuadraTot
 from neurosim.simulators.sampling import draw_samples
 
-#: name -> lowest, highest, unit, whether on a logarithmic scale.
-_RANGES: dict[str, tuple[float, float, str, bool]] = {
-    "head": (0.08, 0.4, "kg", False),
-    "neck": (0.03, 0.2, "kg", False),
-    "body": (0.3, 1.2, "kg", False),
-    "leg": (0.06, 0.3, "kg", False),
-    "friction": (0.3, 1.5, "", True),
-    "gravity": (8.0, 11.5, "m/s^2", False),
-    "slip": (0.003, 0.12, "s", True),
-    "slip_ratio": (0.25, 4.0, "", True),
-    "p": (1.5, 15.0, "N m/rad", True),
-    "i": (0.3, 15.0, "N m/(rad s)", True),
-    "d": (0.02, 0.4, "N m s/rad", True),
-    "torque": (0.25, 2.0, "N m", True),
-}
-PARAMETERS = tuple(_RANGES)
+#: The kinds of robots by their names in files.
+BUILDS: dict[str, type[LeggedBuild]] = {one.robot: one for one in (Build, QuadraTot)}
+PARAMETERS = tuple(Build.ranges)
 
 
 class LeggedSimulator(Simulator):
     """A four-legged robot on a flat floor; commands are joint angles (rad), held for a duration of
-    whole frames of 8 ms.
+    whole frames: 8 ms of the walking robot, 25 ms of a QuadraTot.
 
-    A robot that has fallen has no pose: NaN. The state behind the pose is MuJoCo's.
+    A walking robot that has fallen has no pose: NaN. The state behind the pose is MuJoCo's.
 
     Attributes:
         build: how it is built.
     """
 
     kind = "legged"
-    command_names = (*JOINTS, "duration")
-    radius = 0.15
 
-    def __init__(self, build: Build | None = None, physics: Physics | None = None):
+    def __init__(self, build: LeggedBuild | None = None, physics: Physics | None = None):
         """Build it.
 
         Args:
-            build: by default as we think the robot is.
+            build: by default as we think the walking robot is.
             physics: threads and memory of another one, to be shared.
 
         Raises:
             UserError: if MuJoCo is not installed, or a parameter is out of bounds.
         """
-        self.build = build or Build()
-        adjustables(self.build, _RANGES)  # checks that they are within bounds
+        self.build: LeggedBuild = build or Build()
+        adjustables(self.build, self.build.ranges)  # checks that they are within bounds
         self._shared = physics
 
     @cached_property
@@ -88,7 +73,17 @@ class LeggedSimulator(Simulator):
     @cached_property
     def physics(self) -> Physics:
         """What it runs in."""
-        return self._shared or Physics(self.model)
+        return self._shared or Physics(self.model, make=type(self.build))
+
+    @property
+    def command_names(self) -> tuple[str, ...]:  # type: ignore[override]
+        """The joints' angles (rad), and for how long they are held (s)."""
+        return (*self.build.joints, "duration")
+
+    @property
+    def radius(self) -> float:  # type: ignore[override]
+        """Of the robot, m."""
+        return self.build.radius
 
     @property
     def state_names(self) -> tuple[str, ...]:  # type: ignore[override]
@@ -98,24 +93,23 @@ class LeggedSimulator(Simulator):
     @property
     def domain(self) -> dict[str, tuple[float, float]]:
         """The angles (rad) that the joints allow."""
-        legs = [(SWING, SPREAD, tuple(sorted(knee * fold for fold in FOLD))) for knee in KNEE]
-        limits = [(float(low), float(high)) for leg in legs for low, high in leg]
-        return dict(zip(JOINTS, limits, strict=True))
+        return dict(zip(self.build.joints, self.build.limits(), strict=True))
 
     @property
     def parameters(self) -> tuple[Adjustable, ...]:
         """Its adjustable parameters."""
-        return adjustables(self.build, _RANGES)
+        return adjustables(self.build, self.build.ranges)
 
     def adjusted(self, values: NDArray[np.float64]) -> LeggedSimulator:
-        """Return the simulator with other values [12] of its parameters.
+        """Return the simulator with other values [K] of its parameters.
 
         Raises:
             UserError: if there are not as many, or one is out of bounds.
         """
-        if np.shape(values) != (len(PARAMETERS),):
-            raise UserError(f"expected {len(PARAMETERS)} parameters, got {np.shape(values)}")
-        changes = dict(zip(PARAMETERS, np.asarray(values, np.float64).tolist(), strict=True))
+        names = tuple(self.build.ranges)
+        if np.shape(values) != (len(names),):
+            raise UserError(f"expected {len(names)} parameters, got {np.shape(values)}")
+        changes = dict(zip(names, np.asarray(values, np.float64).tolist(), strict=True))
         return LeggedSimulator(replace(self.build, **changes), self.physics)
 
     def conditions(self) -> dict[str, Any]:
@@ -124,28 +118,39 @@ class LeggedSimulator(Simulator):
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, S] of robots that stand at poses [B, 3]."""
-        states = torch.from_numpy(self.physics.standing(pose.double().numpy()))
+        states = torch.from_numpy(self.physics.standing(pose.double().numpy(), self.model))
         return torch.cat([pose.double(), states], dim=1)
 
     def step(
         self, state: Tensor, command: Tensor, generator: torch.Generator | None = None
     ) -> Tensor:
-        """Return the states [B, S] after ``command`` [B, 13] was held for its duration (s)."""
+        """Return the states [B, S] after ``command`` [B, C] was held for its duration (s).
+
+        Raises:
+            UserError: if a duration is shorter than half a frame.
+        """
         before, given = state.numpy(), command.double().numpy()
         after = before.copy()
-        frames = np.maximum(np.rint(given[:, -1] / FRAME), 1).astype(int)
+        if given[:, -1].min(initial=np.inf) < 0.5 * self.build.frame:
+            raise UserError(
+                f"the joints of the robot {self.build.robot} get a command every "
+                f"{self.build.frame:g} s; {given[:, -1].min():g} s is too short for one (the task "
+                f"walking has a step: --step {self.build.frame:g})"
+            )
+        frames = np.maximum(np.rint(given[:, -1] / self.build.frame), 1).astype(int)
         for count in np.unique(frames):  # one, where all are held for as long
             rows = frames == count
             held = np.repeat(given[rows, None, :-1], count, axis=1)
             states = np.ascontiguousarray(before[rows, 3:])
             found = self.physics.frames(self.model, states, held)
-            poses = poses_of(found, before[rows, :3])
+            poses = poses_of(found, before[rows, :3], type(self.build))
             after[rows] = np.concatenate([poses[:, -1], found[:, -1]], axis=1)
         return torch.from_numpy(after)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return rollouts of a controller whose commands depend on time alone (``over``)."""
-        if not isinstance(controller, OfTime) or episode.step != FRAME or episode.rest:
+        whole = episode.step == self.build.frame and not episode.rest
+        if not isinstance(controller, OfTime) or not whole:
             return None
         return _OpenLoop(self, controller, episode)
 
@@ -159,7 +164,11 @@ class LeggedSimulator(Simulator):
         Raises:
             UserError: if something stands there.
         """
-        content = {"kind": self.kind, "parameters": asdict(self.build)}
+        content = {
+            "kind": self.kind,
+            "robot": self.build.robot,
+            "parameters": asdict(self.build),
+        }
         with files.new_folder(folder) as partial:
             files.write_json(partial / "simulator.json", FORMAT, VERSION, content)
 
@@ -171,9 +180,10 @@ class LeggedSimulator(Simulator):
             FileError: if the file is missing or wrong.
         """
         path = Path(folder) / "simulator.json"
-        given = files.read_json(path, FORMAT, VERSION, formats.Legged)["parameters"]
-        fixed = {name: _fixed(value) for name, value in given.items()}
-        return files.made(path, "parameters", lambda **given: cls(Build(**given)), fixed)
+        content = files.read_json(path, FORMAT, VERSION, formats.Legged)
+        build = BUILDS[content.get("robot", Build.robot)]
+        fixed = {name: _fixed(value) for name, value in content["parameters"].items()}
+        return files.made(path, "parameters", lambda **given: cls(build(**given)), fixed)
 
 
 def _fixed(value: Any) -> Any:
@@ -206,4 +216,4 @@ class _OpenLoop:
         )
         shape = (len(genes), outcomes)
         given = np.broadcast_to(commands[:, None], (*shape, *commands.shape[1:]))
-        return Trajectory(poses.reshape(*shape, *poses.shape[1:]), given, FRAME)
+        return Trajectory(poses.reshape(*shape, *poses.shape[1:]), given, simulator.build.frame)
