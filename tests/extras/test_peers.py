@@ -46,3 +46,12 @@ def test_rollouts_of_a_rigid_body_engine():
     rows = measured("planner_speed.py", "--quick")["rows"]
     (found,) = (row for row in rows if row["name"].startswith("MuJoCo"))
     assert found["physics_steps_per_second"] > found["command_steps_per_second"] > 0
+
+
+def test_a_gaussian_process_beside_the_simulator_of_a_real_quadruped(shared_data):
+    folder = shared_data / "real" / "quadratot"
+    if not folder.is_dir():
+        pytest.skip(f"the record of the real robot is not there ({folder})")
+    (row,) = measured("quadratot.py", "--quick", "--seeds", "1", "--data", str(folder))["seeds"]
+    assert len(row["held out"]) == 6
+    assert row["held out"]["simulator as it is"]["rank"] > 0.4
