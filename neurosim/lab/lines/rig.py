@@ -3,21 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from neurosim.base.errors import UserError
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
-from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.lines.bodies import TwoWheels
 from neurosim.lab.lines.firmware import LinesFirmware
 from neurosim.lab.lines.planar import KINDS, PlanarBody
-from neurosim.lab.nxt.params import CameraParams, LabParams
-from neurosim.lab.nxt.rig import PLACING
-from neurosim.lab.nxt.world import Lab
-from neurosim.lab.server import Served
+from neurosim.lab.nxt.params import CameraParams
+from neurosim.lab.rig import BoardRig
 from neurosim.robots.lines.driver import BAUD, Lines
 
 #: The robots that there are.
@@ -26,7 +19,7 @@ LINES_ROBOTS = ("wheels", *KINDS)
 BITS = 10
 
 
-class VirtualLinesRig(Served):
+class VirtualLinesRig(BoardRig):
     """A robot of the virtual lab that says what it is, behind its line.
 
     Args:
@@ -68,17 +61,14 @@ class VirtualLinesRig(Served):
     ):
         if kind not in LINES_ROBOTS:
             raise UserError(f"there is no robot {kind!r}; there are {', '.join(LINES_ROBOTS)}")
-        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": kind}
-        rng = np.random.default_rng([noise_seed, robot_seed, 0x11E5])
-        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
-        seed = int(rng.integers(2**31))
-        body = None if kind == "wheels" else PlanarBody(kind, robot_seed, seed)
-        self.lab = Lab(
-            seed,
-            body=body,
-            params=LabParams.drawn(robot_seed),
+        body, _ = self._set_up(
+            kind,
+            0x11E5,
+            lambda *seeds: None if kind == "wheels" else PlanarBody(kind, *seeds),
+            robot_seed=robot_seed,
+            noise_seed=noise_seed,
+            start=start,
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
-            start=(float(x), float(y), float(theta)),
         )
         hardware = TwoWheels(self.lab.body) if body is None else body
         self.firmware = LinesFirmware(hardware, hardware.greeting, self.lab.lock)
@@ -88,20 +78,11 @@ class VirtualLinesRig(Served):
         self.address = address_of(self._server)
         timeout = 2.0 if real_time else 10.0
         self.robot = Lines(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
-        self.camera: RoofCamera | None = self.lab.camera
 
     @property
     def standing(self) -> bool:
         """Whether no command runs."""
         return math.isinf(self.firmware.ends)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
-        return dict(self._seeds)
-
-    def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
-        self.lab.write_truth(folder, session)
 
     def reboot(self) -> None:
         """Press the robot's reset button."""

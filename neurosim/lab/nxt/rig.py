@@ -7,32 +7,26 @@ nobody waits for a robot that is not there.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from neurosim.base.errors import RobotError
-from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.body import Wiring
 from neurosim.lab.nxt.brick import VirtualBrick
 from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.lab.nxt.world import Lab, Push
-from neurosim.lab.server import Served
+from neurosim.lab.rig import BoardRig, put_down
 from neurosim.robots.nxt.driver import NXT
 
-#: How well a person puts a robot down at a mark: standard deviations, m and rad.
-PLACING = (0.003, math.radians(0.5))
 #: On a board with a line the light sensors are mounted for following it: so far ahead of the axle
 #: and to either side (m), and how exactly that is built, which differs from robot to robot.
 FOLLOWING, BUILT = {"light_ahead": 0.07, "light_aside": 0.025}, 0.002
 
 
-class VirtualRig(Served):
+class VirtualRig(BoardRig):
     """A robot of the virtual lab, behind its line, with the roof camera over it.
 
     Args:
@@ -79,7 +73,7 @@ class VirtualRig(Served):
         line: PrintedLine | None = None,
         push: Push | None = None,
     ):
-        self._about: dict[str, Any] = {"robot_seed": robot_seed, "noise_seed": noise_seed}
+        self._about = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         if changes:
             self._about["changes"] = dict(changes)
         if line is not None:
@@ -88,13 +82,12 @@ class VirtualRig(Served):
         if push is not None:
             self._about["push"] = asdict(push)
         rng = np.random.default_rng([noise_seed, robot_seed, 0x0A11])
-        spread = np.array([PLACING[0], PLACING[0], PLACING[1]])
-        x, y, theta = np.asarray(start) + spread * rng.standard_normal(3)
+        place = put_down(start, rng)
         self.lab = Lab(
             int(rng.integers(2**31)),
             params=replace(LabParams.drawn(robot_seed), **(changes or {})),
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
-            start=(float(x), float(y), float(theta)),
+            start=place,
             wiring=Wiring(),
             line=line,
             push=push,
@@ -110,15 +103,7 @@ class VirtualRig(Served):
         lights = {} if line is None else FOLLOWING
         self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **lights, **self.address)
         self.robot.alone = False
-        self.camera: RoofCamera | None = self.lab.camera
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
-        return dict(self._about)
-
-    def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
-        self.lab.write_truth(folder, session)
+        self.camera = self.lab.camera
 
 
 def _following(robot_seed: int) -> dict[str, float]:

@@ -6,17 +6,11 @@ import math
 import socket
 import threading
 from contextlib import suppress
-from pathlib import Path
-from typing import Any
 
-import numpy as np
-
-from neurosim.lab.camera.camera import RoofCamera
-from neurosim.lab.nxt.params import CameraParams, LabParams
-from neurosim.lab.nxt.rig import PLACING
-from neurosim.lab.nxt.world import Lab
+from neurosim.lab.nxt.params import CameraParams
+from neurosim.lab.rig import BoardRig
 from neurosim.lab.ros.base import MAX_OMEGA, MAX_V, RADIUS, BaseBody, BaseNode
-from neurosim.lab.server import Served, SocketEnd, receive, send
+from neurosim.lab.server import SocketEnd, receive, send
 from neurosim.robots.base import Clock
 from neurosim.robots.ros.driver import Ros
 from neurosim.robots.ros.websocket import WebSocketEnd
@@ -103,7 +97,7 @@ class BridgeEnd(SocketEnd):
                 self._client.shutdown(socket.SHUT_RDWR)
 
 
-class VirtualRosRig(Served):
+class VirtualRosRig(BoardRig):
     """A base of the virtual lab that ROS drives, behind its rosbridge.
 
     Args:
@@ -144,19 +138,16 @@ class VirtualRosRig(Served):
         stops_after: float = 0.5,
         **bridge: bool,
     ):
-        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": "ros"}
-        rng = np.random.default_rng([noise_seed, robot_seed, 0x2052])
-        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
-        seed = int(rng.integers(2**31))
-        body = BaseBody(robot_seed, seed)
-        self.node = BaseNode(body, seed, stamped=stamped, timeout=stops_after, **bridge)
-        self.lab = Lab(
-            seed,
-            body=body,
-            params=LabParams.drawn(robot_seed),
+        body, seed = self._set_up(
+            "ros",
+            0x2052,
+            BaseBody,
+            robot_seed=robot_seed,
+            noise_seed=noise_seed,
+            start=start,
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
-            start=(float(x), float(y), float(theta)),
         )
+        self.node = BaseNode(body, seed, stamped=stamped, timeout=stops_after, **bridge)
         self.lab.program = self.node
         self._server = BridgeEnd(self.node, self.lab.clock, self.lab.lock, port)
         self.address = self._server.url
@@ -170,20 +161,11 @@ class VirtualRosRig(Served):
             timeout=2.0 if real_time else 10.0,
             clock=self.lab.clock,
         )
-        self.camera: RoofCamera | None = self.lab.camera
 
     @property
     def standing(self) -> bool:
         """Whether the base is commanded to stand."""
         return not any(self.node.velocities)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
-        return dict(self._seeds)
-
-    def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
-        self.lab.write_truth(folder, session)
 
     def switch_off(self) -> None:
         """Switch the network off: nothing is taken or answered any more."""

@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
-from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.nxt.body import ground_light
-from neurosim.lab.nxt.params import CameraParams, LabParams
-from neurosim.lab.nxt.rig import PLACING
-from neurosim.lab.nxt.world import Lab
-from neurosim.lab.server import Served
+from neurosim.lab.nxt.params import CameraParams
+from neurosim.lab.rig import BoardRig
 from neurosim.lab.thymio.firmware import ThymioFirmware
 from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, Thymio
 
@@ -71,7 +66,7 @@ class ThymioBody(PlanarBody):
         return np.clip(np.rint(noisy), 0, 1023).astype(int).tolist()
 
 
-class VirtualThymioRig(Served):
+class VirtualThymioRig(BoardRig):
     """A Thymio II of the virtual lab, behind its line.
 
     Args:
@@ -106,17 +101,14 @@ class VirtualThymioRig(Served):
         port: int = 0,
         real_time: bool = False,
     ):
-        self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": "thymio"}
-        rng = np.random.default_rng([noise_seed, robot_seed, 0x7470])
-        x, y, theta = np.asarray(start) + rng.normal(0.0, [PLACING[0], PLACING[0], PLACING[1]])
-        seed = int(rng.integers(2**31))
-        body = ThymioBody(robot_seed, seed)
-        self.lab = Lab(
-            seed,
-            body=body,
-            params=LabParams.drawn(robot_seed),
+        body, _ = self._set_up(
+            "thymio",
+            0x7470,
+            ThymioBody,
+            robot_seed=robot_seed,
+            noise_seed=noise_seed,
+            start=start,
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
-            start=(float(x), float(y), float(theta)),
         )
         self.firmware = ThymioFirmware(body, self.lab.lock)
         self.lab.program = self.firmware
@@ -125,20 +117,11 @@ class VirtualThymioRig(Served):
         self.address = address_of(self._server)
         timeout = 2.0 if real_time else 10.0
         self.robot = Thymio(self.address, timeout=timeout, clock=self.lab.clock)
-        self.camera: RoofCamera | None = self.lab.camera
 
     @property
     def standing(self) -> bool:
         """Whether the robot is commanded to stand."""
         return not any(self.firmware.targets)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
-        return dict(self._seeds)
-
-    def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
-        self.lab.write_truth(folder, session)
 
     def switch_off(self) -> None:
         """Switch the radio off: nothing answers any more; a command ends by itself."""
