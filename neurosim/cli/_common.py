@@ -1,4 +1,4 @@
-"""What several verbs share."""
+"""Options and output that several commands share."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from neurosim.base.declared import MetresOrNone, Seed, Turn
+from neurosim.base.declared import MetresOrNone, Seconds, Seed, Turn
 from neurosim.base.files import plain
 from neurosim.cli._types import PATH, Option, Real, ranged
 
@@ -66,15 +66,36 @@ at_line_option = click.option(
 )
 
 
+def page_options(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Add the options of a command that shows a page in the browser."""
+    options = (
+        click.option(
+            "--port",
+            type=click.IntRange(0, 65535),
+            default=0,
+            help="Port of the page; 0: any that is free.",
+        ),
+        click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser."),
+        click.option(
+            "--seconds",
+            type=ranged(Seconds),
+            help="Stop after this time, s.  [default: with Ctrl-C]",
+        ),
+    )
+    for option in reversed(options):
+        command = option(command)
+    return command
+
+
 def is_given(name: str) -> bool:
-    """Return whether an option was given to the verb that runs."""
+    """Return whether an option was given to the command that runs."""
     context = click.get_current_context(silent=True)
     unset = (None, ParameterSource.DEFAULT)
     return context is not None and context.get_parameter_source(name) not in unset
 
 
 def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -> None:
-    """Print a verb's result: JSON for machines, or text for people.
+    """Print a command's result: JSON for machines, or text for people.
 
     A dict that the command line was started with, as its ``obj``, gets the result, too.
     """

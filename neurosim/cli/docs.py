@@ -12,27 +12,16 @@ from pathlib import Path
 import click
 
 import neurosim
-from neurosim.base.declared import Seconds
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import ended_as_usual
-from neurosim.cli._common import emit, json_option
-from neurosim.cli._types import ranged
+from neurosim.cli._common import emit, json_option, page_options
 
 #: The folder that neurosim was cloned into.
 CLONE = Path(neurosim.__file__).parents[1]
 
 
 @click.command()
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=0,
-    help="Port of the site; 0: any that is free.",
-)
-@click.option("--open", "open_browser", is_flag=True, help="Open the site in the browser.")
-@click.option(
-    "--seconds", type=ranged(Seconds), help="Stop after this time, s.  [default: with Ctrl-C]"
-)
+@page_options
 @json_option
 def docs(port: int, open_browser: bool, seconds: float | None, as_json: bool) -> None:
     """Show the documentation in the browser, without a network.

@@ -11,7 +11,7 @@ from typing import Any
 
 import click
 
-from neurosim.base.declared import Fps, Seconds
+from neurosim.base.declared import Fps
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import (
@@ -20,6 +20,7 @@ from neurosim.cli._common import (
     json_option,
     markers_option,
     next_step,
+    page_options,
 )
 from neurosim.cli._types import PATH, SIZE, Option, ranged
 
@@ -48,16 +49,7 @@ from neurosim.cli._types import PATH, SIZE, Option, ranged
     type=PATH,
     help="Also write the camera's pictures to a new .avi file, for neurosim track.",
 )
-@click.option(
-    "--port",
-    type=click.IntRange(0, 65535),
-    default=0,
-    help="Port of the page; 0: any that is free.",
-)
-@click.option("--open", "open_browser", is_flag=True, help="Open the page in the browser.")
-@click.option(
-    "--seconds", type=ranged(Seconds), help="Stop after this time, s.  [default: with Ctrl-C]"
-)
+@page_options
 @json_option
 def watch(
     camera: str,

@@ -53,7 +53,16 @@ class LeggedBuild(Checked):
         highest: a trunk above this is no walking robot's, m.
         settles: before a trial it stands for so long, s, after a fall from the height ``drop``
             (m); 0: it is put on the floor as it stands, feet first.
+        friction: Coulomb's coefficient of the lower legs, along them.
+        gravity: m/s^2.
+        slip: time constant of the feet's creep, s.
+        slip_ratio: how much more a foot creeps to the side than ahead.
+        joint_friction: dry friction of each joint, N m.
         timestep: s.
+        iterations: most that the solver makes in a step.
+        cone: of friction, ``elliptic`` or ``pyramidal``.
+        armature: inertia of each joint's motor and gear, kg m^2.
+        damping: of each joint, N m s/rad.
     """
 
     robot: ClassVar[str]
@@ -66,7 +75,16 @@ class LeggedBuild(Checked):
     settles: ClassVar[float] = 0.0
     drop: ClassVar[float] = 0.0
 
+    friction: Amount
+    gravity: Amount
+    slip: Amount
+    slip_ratio: Amount
+    joint_friction: Amount
     timestep: Annotated[float, Meta(ge=1e-5, le=1)]
+    iterations: Annotated[int, Meta(ge=1, le=10000)]
+    cone: Literal["elliptic", "pyramidal"]
+    armature: Amount
+    damping: Amount
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -89,6 +107,25 @@ class LeggedBuild(Checked):
     def mjcf(self) -> str:
         """Return the model as MJCF."""
         raise NotImplementedError
+
+    def options(self) -> str:
+        """Return the beginning of the model: units, solver, and what all its joints have."""
+        return f"""<compiler angle="radian" autolimits="true"/>
+<option timestep="{self.timestep}" iterations="{self.iterations}" cone="{self.cone}"
+ integrator="implicitfast" gravity="0 0 {-self.gravity}"/>
+<default><geom contype="0" conaffinity="0"/>
+<joint damping="{self.damping}" armature="{self.armature}"
+ frictionloss="{self.joint_friction}"/></default>"""
+
+    def feet(self, floors: Sequence[str], legs: Sequence[str]) -> str:
+        """Return the contacts of all lower legs with all floors."""
+        friction = friction_of(self.friction, self.friction / np.sqrt(self.slip_ratio))
+        return "".join(
+            f'<pair geom1="{floor}" geom2="{leg}_lower" condim="3" friction="{friction}" '
+            f'solref="0.012 1" solimp="0.9 0.95 0.002" solreffriction="{self.slip} 1"/>'
+            for floor in floors
+            for leg in legs
+        )
 
 
 @dataclass(frozen=True)
@@ -207,15 +244,8 @@ def _mjcf(build: Build) -> str:
         f'kv="{build.d}" imax="{build.torque / 4}" forcerange="{-build.torque} {build.torque}"/>'
         for joint in JOINTS
     )
-    sideways = build.friction / np.sqrt(build.slip_ratio)
-    feet = friction_of(build.friction, sideways)
     floors = ["floor", *(f"bump_{n}" for n in range(len(build.bumps)))]
-    pairs = "".join(
-        f'<pair geom1="{floor}" geom2="{leg}_lower" condim="3" friction="{feet}" '
-        f'solref="0.012 1" solimp="0.9 0.95 0.002" solreffriction="{build.slip} 1"/>'
-        for floor in floors
-        for leg in LEGS
-    )
+    pairs = build.feet(floors, LEGS)
     pairs += "".join(
         f'<pair geom1="floor" geom2="{part}" condim="3" friction="{friction_of(0.4, 0.4)}"/>'
         for part in ("body", "head")
@@ -226,12 +256,7 @@ def _mjcf(build: Build) -> str:
         for n, (x, y, radius, height) in enumerate(build.bumps)
     )
     return f"""<mujoco model="quadruped">
-<compiler angle="radian" autolimits="true"/>
-<option timestep="{build.timestep}" iterations="{build.iterations}" cone="{build.cone}"
- integrator="implicitfast" gravity="0 0 {-build.gravity}"/>
-<default><geom contype="0" conaffinity="0"/>
-<joint damping="{build.damping}" armature="{build.armature}"
- frictionloss="{build.joint_friction}"/></default>
+{build.options()}
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>{bumps}
 <body name="trunk" pos="0 0 0.2"><freejoint name="free"/>
 <geom name="body" type="capsule" fromto="-0.06 0 0.01 0.06 0 0.01" size="0.045"

@@ -141,19 +141,13 @@ class QuadraTot(LeggedBuild):
         body = self.mass - 4.0 * self.leg
         rear = self._half("rear", body * self.rear) + self._leg(2) + self._leg(3)
         front = self._half("front", body * (1.0 - self.rear)) + self._leg(0) + self._leg(1)
-        feet = friction_of(self.friction, self.friction / np.sqrt(self.slip_ratio))
         rest = friction_of(self.belly_friction, self.belly_friction)
-        pairs = "".join(
-            f'<pair geom1="floor" geom2="{leg}_lower" condim="3" friction="{feet}" '
-            f'solref="0.012 1" solimp="0.9 0.95 0.002" solreffriction="{self.slip} 1"/>'
-            for leg in LEGS
-        )
         others = [
             "front",
             "rear",
             *(f"{leg}_{part}" for leg in LEGS for part in ("upper", "motor")),
         ]
-        pairs += "".join(
+        pairs = self.feet(["floor"], LEGS) + "".join(
             f'<pair geom1="floor" geom2="{part}" condim="3" friction="{rest}" solref="0.012 1"/>'
             for part in others
         )
@@ -163,12 +157,7 @@ class QuadraTot(LeggedBuild):
             for joint in JOINTS
         )
         return f"""<mujoco model="quadratot">
-<compiler angle="radian" autolimits="true"/>
-<option timestep="{self.timestep}" iterations="{self.iterations}" cone="{self.cone}"
- integrator="implicitfast" gravity="0 0 {-self.gravity}"/>
-<default><geom contype="0" conaffinity="0"/>
-<joint damping="{self.damping}" armature="{self.armature}"
- frictionloss="{self.joint_friction}"/></default>
+{self.options()}
 <worldbody><geom name="floor" type="plane" size="0 0 1"/>
 <body name="trunk" pos="0 0 {self.drop}"><freejoint name="free"/>{rear}
 <body name="front"><joint name="centre" axis="1 0 0" range="-0.7 0.7"/>{front}</body></body>
