@@ -19,6 +19,7 @@ import click
 from neurosim.base.declared import Mismatch, Seed, convert
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import read_text
+from neurosim.cli._options import SettingsCommand
 from neurosim.cli._types import NEW, Json, Listed, Numbers, Pairs
 
 #: What the output of a command is called where later commands take one.
@@ -205,7 +206,7 @@ class Stage:
 
     def _params(self) -> list[click.Parameter]:
         """Return the parameters of the command, with those of what is chosen."""
-        choosers = [group.option for group in getattr(self.command, "_groups", ()) if group.option]
+        choosers = self.command.choices() if isinstance(self.command, SettingsCommand) else ()
         chosen = [
             f"{flag}={self.options[flag[2:]]}" for flag in choosers if flag[2:] in self.options
         ]

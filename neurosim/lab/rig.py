@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
@@ -16,6 +16,24 @@ from neurosim.lab.server import Served
 
 #: How well a person puts a robot down at a mark: standard deviations, m and rad.
 PLACING = (0.003, math.radians(0.5))
+
+
+class OnBoard(TypedDict, total=False):
+    """Keywords of the rigs on the board.
+
+    Attributes:
+        noise_seed: of everything that differs from one session to the next (0).
+        start: where a person tries to put the robot, m, m, rad, board frame (its middle).
+        camera: whether there is a camera (True).
+        camera_size: its frames, (width, height) in pixels (640, 480).
+        fps: frames per second (30).
+    """
+
+    noise_seed: int
+    start: tuple[float, float, float]
+    camera: bool
+    camera_size: tuple[int, int]
+    fps: float
 
 
 def put_down(
@@ -44,11 +62,8 @@ class BoardRig(Served):
         robot: str,
         stream: int,
         body_of: Callable[[int, int], Any],
-        *,
         robot_seed: int,
-        noise_seed: int,
-        start: tuple[float, float, float],
-        camera: CameraParams | None,
+        **board: Unpack[OnBoard],
     ) -> tuple[Any, int]:
         """Put a robot into a lab of its own.
 
@@ -56,17 +71,22 @@ class BoardRig(Served):
             robot: its name in descriptions.
             stream: of the random numbers: another one for each kind of robot.
             body_of: makes its body of robot_seed and a seed of its noise; None for an NXT's.
-            robot_seed, noise_seed, start: of the rig.
-            camera: what the camera is like; None: there is none.
+            robot_seed: which robot and which board.
+            **board: as :class:`OnBoard` has them.
 
         Returns:
             The body and the seed of its noise.
         """
+        noise_seed = board.get("noise_seed", 0)
         self._about = {"robot_seed": robot_seed, "noise_seed": noise_seed, "robot": robot}
         rng = np.random.default_rng([noise_seed, robot_seed, stream])
-        place = put_down(start, rng)
+        place = put_down(board.get("start", (0.0, 0.0, 0.0)), rng)
         seed = int(rng.integers(2**31))
         body = body_of(robot_seed, seed)
+        camera = None
+        if board.get("camera", True):
+            size, fps = board.get("camera_size", (640, 480)), board.get("fps", 30.0)
+            camera = CameraParams(size=size, fps=fps)
         params = LabParams.drawn(robot_seed)
         self.lab = Lab(seed, body=body, params=params, camera=camera, start=place)
         self.camera = self.lab.camera

@@ -232,14 +232,8 @@ def write_film(
     if out.exists() and not overwrite:
         raise UserError(f"{out} exists; name another video, or add --overwrite to replace it")
     others = [one for one in (simulator, controller) if one is not None]
-    artefacts = gather([folder, *others])
-    if not artefacts.trials:
-        raise UserError(f"{folder} is not a trial; --video shows the drive of a trial")
-    trial = artefacts.trials[0]
-    found = film(artefacts, trial, seed)
-    if found is None:
-        raise UserError(f"{folder}: nothing saw the robot, so there is no drive to show")
-    scene = Scene.of(trial.task, artefacts.place_of(trial), trial.board)
+    only = "--video shows the drive of a trial"
+    _, scene, found = filmed_trial([folder, *others], seed, only)
     ground, place, scale = _ground(scene, found)
     fps = (len(found.times) - 1) / found.times[-1]
     size = (ground.shape[1], ground.shape[0])
@@ -255,6 +249,28 @@ def write_film(
         "seconds": float(found.times[-1]),
         "samples": len(found.samples),
     }
+
+
+def filmed_trial(folders: Sequence[str | Path], seed: int, only: str) -> tuple[Trial, Scene, Film]:
+    """Return a trial, its scene and its film.
+
+    Args:
+        folders: that of the trial, and those of its simulator and controller for samples of the
+            noise.
+        seed: of the samples.
+        only: the end of the message if the first folder is not a trial's.
+
+    Raises:
+        UserError: if it is not, or nothing saw the robot.
+    """
+    artefacts = gather(folders)
+    if not artefacts.trials:
+        raise UserError(f"{folders[0]} is not a trial; {only}")
+    trial = artefacts.trials[0]
+    found = film(artefacts, trial, seed)
+    if found is None:
+        raise UserError(f"{folders[0]}: nothing saw the robot, so there is no drive to show")
+    return trial, Scene.of(trial.task, artefacts.place_of(trial), trial.board), found
 
 
 def _ground(scene: Scene, film: Film) -> tuple[NDArray[np.uint8], NDArray, float]:

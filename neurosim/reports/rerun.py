@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
-from neurosim.reports.artefacts import gather
-from neurosim.reports.course import Scene, shape_corners
-from neurosim.reports.film import film
+from neurosim.reports.course import shape_corners
+from neurosim.reports.film import filmed_trial
 
 #: Colours of the paths: those of the report.
 COLOURS = {"robot": (213, 94, 0), "predicted": (0, 114, 178), "samples": (140, 140, 140)}
@@ -54,14 +53,8 @@ def export_rerun(
         raise UserError(f"{out}: the name of a file for rerun ends in .rrd")
     if out.exists():
         raise UserError(f"{out} exists; name a new file, or remove this one yourself")
-    artefacts = gather([folder, *others])
-    if not artefacts.trials:
-        raise UserError(f"{folder} is not a trial; only trials are exported to rerun")
-    trial = artefacts.trials[0]
-    found = film(artefacts, trial, seed)
-    if found is None:
-        raise UserError(f"{folder}: nothing saw the robot, so there is no drive to show")
-    scene = Scene.of(trial.task, artefacts.place_of(trial), trial.board)
+    only = "only trials are exported to rerun"
+    trial, scene, found = filmed_trial([folder, *others], seed, only)
     with atomic_path(out) as partial:
         stream = rr.RecordingStream("neurosim", recording_id=trial.name)
         stream.save(partial)

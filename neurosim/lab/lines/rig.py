@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 from neurosim.base.errors import UserError
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.lines.bodies import TwoWheels
 from neurosim.lab.lines.firmware import LinesFirmware
 from neurosim.lab.lines.planar import KINDS, PlanarBody
-from neurosim.lab.nxt.params import CameraParams
-from neurosim.lab.rig import BoardRig
+from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.robots.lines.driver import BAUD, Lines
 
 #: The robots that there are.
@@ -26,16 +26,12 @@ class VirtualLinesRig(BoardRig):
         robot_seed: which robot and which board; the same number is the same robot.
         kind: wheels for the virtual NXT's motors and sensors, car, or omni for a base that drives
             in any direction.
-        noise_seed: of everything that differs from one session to the next.
-        start: where a person tries to put the robot (m, m, rad, board frame).
-        camera: whether there is a camera.
-        camera_size: its frames, (width, height) in pixels.
-        fps: frames per second.
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
         baud: of the line; it takes its time.
         real_time: the lab's time will be the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
+        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -49,15 +45,11 @@ class VirtualLinesRig(BoardRig):
         robot_seed: int,
         *,
         kind: str = "wheels",
-        noise_seed: int = 0,
-        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        camera: bool = True,
-        camera_size: tuple[int, int] = (640, 480),
-        fps: float = 30.0,
         device: str | None = None,
         port: int = 0,
         baud: int = BAUD,
         real_time: bool = False,
+        **board: Unpack[OnBoard],
     ):
         if kind not in LINES_ROBOTS:
             raise UserError(f"there is no robot {kind!r}; there are {', '.join(LINES_ROBOTS)}")
@@ -65,10 +57,8 @@ class VirtualLinesRig(BoardRig):
             kind,
             0x11E5,
             lambda *seeds: None if kind == "wheels" else PlanarBody(kind, *seeds),
-            robot_seed=robot_seed,
-            noise_seed=noise_seed,
-            start=start,
-            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            robot_seed,
+            **board,
         )
         hardware = TwoWheels(self.lab.body) if body is None else body
         self.firmware = LinesFirmware(hardware, hardware.greeting, self.lab.lock)

@@ -6,9 +6,9 @@ import math
 import socket
 import threading
 from contextlib import suppress
+from typing import Unpack
 
-from neurosim.lab.nxt.params import CameraParams
-from neurosim.lab.rig import BoardRig
+from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.lab.ros.base import MAX_OMEGA, MAX_V, RADIUS, BaseBody, BaseNode
 from neurosim.lab.server import SocketEnd, receive, send
 from neurosim.robots.base import Clock
@@ -102,18 +102,14 @@ class VirtualRosRig(BoardRig):
 
     Args:
         robot_seed: which robot and which board; the same number is the same robot.
-        noise_seed: of everything that differs from one session to the next.
-        start: where a person tries to put the robot (m, m, rad, board frame).
-        camera: whether there is a camera.
-        camera_size: its frames, (width, height) in pixels.
-        fps: frames per second.
         port: of the socket; 0 for any free one.
         real_time: the lab's time will be the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
         stamped: whether the base takes TwistStamped.
         stops_after: time without a message after which its controller stops it, s; infinity: it
             goes on.
-        bridge: ``statuses`` and ``rosapi``, as :class:`neurosim.lab.ros.bridge.RosBridge` has them.
+        statuses, rosapi: as :class:`neurosim.lab.ros.bridge.RosBridge` has them.
+        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -127,27 +123,29 @@ class VirtualRosRig(BoardRig):
         self,
         robot_seed: int,
         *,
-        noise_seed: int = 0,
-        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        camera: bool = True,
-        camera_size: tuple[int, int] = (640, 480),
-        fps: float = 30.0,
         port: int = 0,
         real_time: bool = False,
         stamped: bool = False,
         stops_after: float = 0.5,
-        **bridge: bool,
+        statuses: bool = False,
+        rosapi: bool = True,
+        **board: Unpack[OnBoard],
     ):
         body, seed = self._set_up(
             "ros",
             0x2052,
             BaseBody,
-            robot_seed=robot_seed,
-            noise_seed=noise_seed,
-            start=start,
-            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            robot_seed,
+            **board,
         )
-        self.node = BaseNode(body, seed, stamped=stamped, timeout=stops_after, **bridge)
+        self.node = BaseNode(
+            body,
+            seed,
+            stamped=stamped,
+            timeout=stops_after,
+            statuses=statuses,
+            rosapi=rosapi,
+        )
         self.lab.program = self.node
         self._server = BridgeEnd(self.node, self.lab.clock, self.lab.lock, port)
         self.address = self._server.url

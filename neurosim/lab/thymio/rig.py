@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
+from typing import Unpack
 
 import numpy as np
 
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.nxt.body import ground_light
-from neurosim.lab.nxt.params import CameraParams
-from neurosim.lab.rig import BoardRig
+from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.lab.thymio.firmware import ThymioFirmware
 from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, Thymio
 
@@ -71,15 +71,11 @@ class VirtualThymioRig(BoardRig):
 
     Args:
         robot_seed: which robot and which board; the same number is the same robot.
-        noise_seed: of everything that differs from one session to the next.
-        start: where a person tries to put the robot (m, m, rad, board frame).
-        camera: whether there is a camera.
-        camera_size: its frames, (width, height) in pixels.
-        fps: frames per second.
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
         real_time: the lab's time will be the wall clock's (see
             :class:`neurosim.lab.nxt.world.Pacer`).
+        **board: as :class:`neurosim.lab.rig.OnBoard` has them.
 
     Attributes:
         lab: the lab itself; no learner looks into it.
@@ -92,23 +88,17 @@ class VirtualThymioRig(BoardRig):
         self,
         robot_seed: int,
         *,
-        noise_seed: int = 0,
-        start: tuple[float, float, float] = (0.0, 0.0, 0.0),
-        camera: bool = True,
-        camera_size: tuple[int, int] = (640, 480),
-        fps: float = 30.0,
         device: str | None = None,
         port: int = 0,
         real_time: bool = False,
+        **board: Unpack[OnBoard],
     ):
         body, _ = self._set_up(
             "thymio",
             0x7470,
             ThymioBody,
-            robot_seed=robot_seed,
-            noise_seed=noise_seed,
-            start=start,
-            camera=CameraParams(size=camera_size, fps=fps) if camera else None,
+            robot_seed,
+            **board,
         )
         self.firmware = ThymioFirmware(body, self.lab.lock)
         self.lab.program = self.firmware
