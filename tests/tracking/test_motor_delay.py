@@ -8,7 +8,7 @@ from synthetic_robot import MotorLine
 
 from neurosim.base.errors import UserError
 from tracking.clock.motion import disagreement, fit_clock_to_motion
-from tracking.clock.motor_delay import motion_delay
+from tracking.clock.motor_delay import answers_to, changes_of, motion_delay, signals_of
 from tracking.clock.sync import ClockFit
 from tracking.datasets.displacements import displacements
 from tracking.datasets.recordings import Poses, Recording
@@ -170,3 +170,10 @@ def test_a_dataset_counts_from_when_the_motors_answered(tmp_path):
     near = np.sqrt(np.mean((late - prompt)[:, 0] ** 2))
     far = np.sqrt(np.mean((as_sent - prompt)[:, 0] ** 2))
     assert near < 0.2 * far
+
+
+def test_changes_that_all_lie_within_one_window_are_too_few_and_no_error():
+    lines = [MotorLine(3.0 + 0.1 * k, 40.0 - 20.0 * (k % 2), 30.0) for k in range(4)]
+    times, poses = drive([*lines, MotorLine(9.0, 0.0, 0.0)], 0.03, 1)
+    assert answers_to(*signals_of(times, poses), changes_of(lines)) is not None
+    assert motion_delay(times, poses, lines) is None

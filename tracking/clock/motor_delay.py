@@ -164,7 +164,8 @@ def _in_windows(
 ) -> Iterator[tuple[float, NDArray[np.float64]]]:
     """Give time and misfit [D, T] of the answers to all changes in every window of the path."""
     interval = float(np.median(np.diff(times)))
-    begin, end = changes[0, 0] - BEFORE, changes[-1, 0] + AFTER
+    begin = changes[0, 0] - BEFORE
+    end = max(changes[-1, 0] + AFTER, begin + WINDOW)  # one window at least
     reach = round(REACH / STEP)
     grid = begin + STEP * np.arange(-reach - 1, math.ceil((end - begin) / STEP) + reach + 2)
     told = np.zeros((len(grid), 2))
