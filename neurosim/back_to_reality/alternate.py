@@ -25,6 +25,7 @@ from neurosim.back_to_reality.evaluations import Evaluation, Evaluations
 from neurosim.back_to_reality.settings import BackToRealitySettings
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base.generations import run_generations
+from neurosim.base.scalars import Scalars
 from neurosim.evolution.bits import BitSettings
 from neurosim.evolution.climb import Climb
 from neurosim.evolution.optimisers import make_optimiser
@@ -79,6 +80,7 @@ class Alternation:
         state: Mapping[str, NDArray] | None = None,
         save: Callable[[Mapping[str, Any]], None] | None = None,
         progress: bool = True,
+        scalars: Scalars | None = None,
     ):
         """Prepare.
 
@@ -91,6 +93,7 @@ class Alternation:
             state: what ``save`` was given before an interruption.
             save: keeps the state.
             progress: whether to show progress on stderr.
+            scalars: for curves of the fitness in reality and of each search.
 
         Raises:
             UserError: if a search needs a package that is not installed, or more parameters.
@@ -105,6 +108,7 @@ class Alternation:
             Climb(self._parameters(0, simulated.as_is), lambda sets: sets[:, 0])
         self._state = dict(state or {})
         self._save, self._progress = save, progress
+        self._scalars = scalars or Scalars(None)
         self._record = Evaluations()
         self._sets = simulated.as_is[None]
         if settings.sets > 1:
@@ -160,8 +164,15 @@ class Alternation:
     def _try(self, genes: NDArray[np.float64], why: str) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals in their first evaluation in reality."""
         fitness = self._journal.evaluate(self._simulated.real_genes(genes), why)
+        before = len(self._record)
         self._record.add(genes, fitness)
+        self._show(before)
         return fitness
+
+    def _show(self, before: int) -> None:
+        """Add the evaluations after the first so many to their curve."""
+        for number, one in enumerate(self._record.all[before:], start=before + 1):
+            self._scalars.add("reality/fitness", one.fitness, number)
 
     def _confirm(self) -> None:
         """Evaluate the best again, and who is the best then, until one has enough evaluations.
@@ -175,6 +186,7 @@ class Alternation:
             genes = self._simulated.real_genes(leader.genes[None])
             fitness = self._journal.evaluate(genes, "confirm", leader.count + 1)
             self._record.all.append(Evaluation(leader.genes, float(fitness[0]), leader.count + 1))
+            self._show(len(self._record) - 1)
 
     def _believed(self) -> Evaluation:
         return self._record.believed(self._settings.confirm)
@@ -237,7 +249,14 @@ class Alternation:
         climb.load(part_of(self._state, f"{name}."))
         before = climb.done
         self._simulated.tried += climb.individuals * each
-        if run_generations(climb, total, label, save=save, progress=self._progress):
+
+        def after() -> None:
+            fitness, (cycle, level) = climb.fitness[-1], name.split(".")
+            search = f"cycle-{int(cycle) + 1}/{level}"
+            self._scalars.add(f"{search}/best", float(fitness.max()), climb.done)
+            self._scalars.add(f"{search}/mean", float(fitness.mean()), climb.done)
+
+        if run_generations(climb, total, label, save=save, progress=self._progress, after=after):
             raise KeyboardInterrupt
         if climb.done > before:
             save(climb.state())

@@ -18,6 +18,7 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.scalars import Scalars
 from neurosim.controllers import Plan, SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.controllers.files import check_readable
@@ -114,6 +115,7 @@ def back_to_reality(
     ask: Callable[[str], None] | None = None,
     patience: float = 600.0,
     progress: bool = True,
+    tensorboard: str | Path | None = None,
 ) -> dict[str, Any]:
     """Adapt a controller and a simulator to each other, and write what came of it.
 
@@ -135,6 +137,8 @@ def back_to_reality(
         ask: asks a person to do something, and returns when it is done.
         patience: a trial in reality that takes longer is given up, s.
         progress: whether to show progress on stderr.
+        tensorboard: folder for curves of the fitness in reality and of each search (extra
+            ``tensorboard``); None: there are none.
 
     Returns:
         What ``back-to-reality.json`` holds.
@@ -179,16 +183,19 @@ def back_to_reality(
             checkpoint.begin(begun, options)
         journal = None
         try:
-            with Journal(
-                reality,
-                checkpoint.folder / TRIALS,
-                each=settings.trials,
-                patience=patience,
-                ask=ask,
-            ) as journal:
+            with (
+                Scalars(tensorboard) as scalars,
+                Journal(
+                    reality,
+                    checkpoint.folder / TRIALS,
+                    each=settings.trials,
+                    patience=patience,
+                    ask=ask,
+                ) as journal,
+            ):
                 found = Alternation(
                     simulated, journal, shares, settings, seed=seed, state=state,
-                    save=checkpoint.save, progress=progress,
+                    save=checkpoint.save, progress=progress, scalars=scalars,
                 ).run()  # fmt: skip
         finally:
             if not ((journal and journal.made) or resume or checkpoint.saved):

@@ -64,6 +64,7 @@ def run_generations(
     save: Callable[[Mapping[str, Any]], None] | None = None,
     every: float = CHECKPOINT_EVERY,
     progress: bool = True,
+    after: Callable[[], None] | None = None,
 ) -> bool:
     """Run a stage up to ``total`` generations; return whether Ctrl-C (or a kill) ended it early.
 
@@ -74,6 +75,7 @@ def run_generations(
         save: keeps the stage's state: now and then, and when it is interrupted.
         every: seconds between two calls of ``save``.
         progress: whether to show progress on stderr.
+        after: called after each generation.
 
     Raises:
         KeyboardInterrupt: at a second Ctrl-C, in the middle of a generation.
@@ -88,6 +90,8 @@ def run_generations(
         while stage.done < total:
             note = stage.generation()
             slow.cancel()
+            if after is not None:
+                after()
             if shown is not None:
                 shown.advance(note=note)
             if interrupt.pending:

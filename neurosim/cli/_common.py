@@ -12,7 +12,7 @@ from click.core import ParameterSource
 
 from neurosim.base.declared import MetresOrNone, Seconds, Seed, Turn
 from neurosim.base.files import plain
-from neurosim.cli._types import PATH, Option, Real, ranged
+from neurosim.cli._types import NEW, PATH, Option, Real, ranged
 
 #: A share of the time that is not worth a warning.
 MOST_UNSUPPORTED = 0.05
@@ -25,6 +25,12 @@ seed_option = click.option(
 )
 resume_option = click.option(
     "--resume", is_flag=True, help="Continue an interrupted run, with its options."
+)
+tensorboard_option = click.option(
+    "--tensorboard",
+    type=NEW,
+    metavar="DIR",
+    help="Folder for curves that TensorBoard shows (extra tensorboard).",
 )
 #: What a colour can be called; the tests hold it to what the tracker knows.
 COLOUR_NAMES = (

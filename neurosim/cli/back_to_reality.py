@@ -9,7 +9,14 @@ from typing import Any
 import click
 
 from neurosim.base.checkpoint import Checkpoint
-from neurosim.cli._common import emit, json_option, next_step, resume_option, seed_option
+from neurosim.cli._common import (
+    emit,
+    json_option,
+    next_step,
+    resume_option,
+    seed_option,
+    tensorboard_option,
+)
 from neurosim.cli._options import (
     Chosen,
     SettingsCommand,
@@ -95,6 +102,7 @@ def _settings(chosen: Chosen) -> Any:
 )
 @settings_options("policy", lambda chosen: _settings(chosen).policy, by_choice=True)
 @patience_option
+@tensorboard_option
 @resume_option
 @seed_option
 @json_option
@@ -117,6 +125,7 @@ def back_to_reality(
     adapt_genetic: dict[str, Any],
     policy: dict[str, Any],
     patience: float,
+    tensorboard: Path | None,
     resume: bool,
     seed: int,
     as_json: bool,
@@ -162,6 +171,7 @@ def back_to_reality(
             options=given_options(),
             ask=ask_person,
             patience=patience,
+            tensorboard=tensorboard,
         )
     emit({"out": str(out), **content}, as_json, _text(content, out))
 

@@ -22,6 +22,7 @@ from neurosim.cli._common import (
     next_step,
     resume_option,
     seed_option,
+    tensorboard_option,
     warn_unsupported,
 )
 from neurosim.cli._options import (
@@ -195,6 +196,7 @@ def changed(
 @click.option(
     "--all", "keep_all", is_flag=True, help="Keep the best controller of every run: OUT-01, ..."
 )
+@tensorboard_option
 @resume_option
 @seed_option
 @json_option
@@ -222,6 +224,7 @@ def evolve(
     at_line: str,
     judges: dict[str, Any],
     keep_all: bool,
+    tensorboard: Path | None,
     resume: bool,
     seed: int,
     as_json: bool,
@@ -284,6 +287,7 @@ def evolve(
             real_generations=real_generations,
             ask=ask_person,
             patience=patience,
+            tensorboard=tensorboard,
             **judges,
         )
     _say(controllers, out, simulator, made, keep_all, as_json)

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from neurosim.cli._common import emit, json_option, next_step, seed_option
+from neurosim.cli._common import emit, json_option, next_step, seed_option, tensorboard_option
 from neurosim.cli._options import SettingsCommand, choice_options, settings_options
 from neurosim.cli._types import PATH
 
@@ -27,6 +27,7 @@ from neurosim.cli._types import PATH
     of=lambda trainer: trainer.settings_type,
 )
 @settings_options("options", "neurosim.training.train:train", only=("device", "sensors"))
+@tensorboard_option
 @seed_option
 @json_option
 def train(
@@ -35,13 +36,17 @@ def train(
     trainer: str,
     trainer_options: dict[str, Any],
     options: dict[str, Any],
+    tensorboard: Path | None,
     seed: int,
     as_json: bool,
 ) -> None:
     """Train a simulator from DATASET; its last fifth in time is held out."""
     from neurosim.training.train import train as train_
 
-    simulator = train_(dataset, out, trainer=trainer, seed=seed, **options, **trainer_options)
+    simulator = train_(
+        dataset, out, trainer=trainer, seed=seed, tensorboard=tensorboard, **options,
+        **trainer_options,
+    )  # fmt: skip
     errors = simulator.meta["test_errors"]
     coverage = simulator.meta["test_coverage"]
     repeated = simulator.meta["training"]["repeated_rows"]

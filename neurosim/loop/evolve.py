@@ -23,6 +23,7 @@ from neurosim.base.files import check_new_folder
 from neurosim.base.generations import run_generations
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.progress import Progress
+from neurosim.base.scalars import Scalars
 from neurosim.controllers import SavedController, read_controller
 from neurosim.controllers.base import Controller
 from neurosim.loop.evaluate import Evaluator, joined
@@ -99,6 +100,7 @@ class Evolution:
         checkpoint: Checkpoint | None = None,
         progress: bool = True,
         journal: Journal | None = None,
+        scalars: Scalars | None = None,
     ) -> bool:
         """Run all stages; return whether Ctrl-C ended them early.
 
@@ -106,32 +108,42 @@ class Evolution:
             checkpoint: where the stages in the simulator are kept.
             progress: whether to show progress on stderr.
             journal: of the trials in reality.
+            scalars: for curves of the best and the mean.
         """
         first, settings = self.stages[0], self.settings
+        curves = scalars or Scalars(None)
         save = None if checkpoint is None else lambda _: checkpoint.save(self.state())
 
         def ended(stage: Search, total: int, label: str) -> bool:
-            return run_generations(stage, total, label, save=save, progress=progress)
+            def after() -> None:
+                kind = "evolution" if stage is first else "robust"
+                for name, values in (("best", stage.best[-1]), ("mean", stage.mean[-1])):
+                    for run, value in enumerate(values, start=1):
+                        curves.add(f"{kind}/{name}/run-{run}", float(value), stage.done)
+
+            return run_generations(stage, total, label, save=save, progress=progress, after=after)
 
         if len(self.stages) == 1 and ended(first, settings.generations, "evolving"):
             return True
         if self._real_generations and journal is not None:
             if save is not None:
                 save(None)
-            self._run_real(journal, progress)
+            self._run_real(journal, progress, curves)
         if settings.robust is None:
             return False
         if len(self.stages) == 1:
             self._make_robust()
         return ended(self.stages[1], settings.robust.generations, "making it robust")
 
-    def _run_real(self, journal: Journal, progress: bool) -> None:
+    def _run_real(self, journal: Journal, progress: bool, curves: Scalars) -> None:
         """Run the generations in reality; Ctrl-C is answered at once, trial by trial."""
         total = self._real_generations
         self.real = Transfer(self.stages[0].optimiser, journal, self.evaluator)
         with Progress("in reality", total, "generations") if progress else nullcontext() as bar:
             while self.real.done < total:
                 note = self.real.generation()
+                for name, values in self.real.history().items():
+                    curves.add(f"reality/{name}", values[-1], self.real.done)
                 if bar is not None:
                     bar.advance(note=note)
         self.real.choose()
@@ -371,6 +383,7 @@ def evolve(
     patience: float = 600.0,
     progress: bool = True,
     workers: Name = "local",
+    tensorboard: str | Path | None = None,
     **changes: Any,
 ) -> list[SavedController]:
     """Evolve controllers for a task in a simulator, and write the best.
@@ -395,6 +408,7 @@ def evolve(
         progress: whether to show progress on stderr.
         workers: Where controllers are evaluated: local, in this process; or ray, on a Ray cluster.
             The result is the same.
+        tensorboard: folder for curves of the best and the mean (extra ``tensorboard``), or None.
         **changes: of the settings: ``generations=50``, ``objective="progress"`` ...
 
     Returns:
@@ -440,8 +454,12 @@ def evolve(
         return Journal(reality, folder / TRIALS, each=1, patience=patience, ask=ask)
 
     if out is None:
-        with tempfile.TemporaryDirectory() as name, trials_in(Path(name)) as journal:
-            return results(evolution.run(None, progress, journal))
+        with (
+            tempfile.TemporaryDirectory() as name,
+            trials_in(Path(name)) as journal,
+            Scalars(tensorboard) as scalars,
+        ):
+            return results(evolution.run(None, progress, journal, scalars))
     folders = _folders(Path(out), settings.runs if keep_all else 1)
     checkpoint = Checkpoint(out, "evolution")
     begun = {
@@ -480,8 +498,8 @@ def evolve(
             return found
 
         try:
-            with trials_in(checkpoint.folder) as journal:
-                interrupted = evolution.run(checkpoint, progress, journal)
+            with trials_in(checkpoint.folder) as journal, Scalars(tensorboard) as scalars:
+                interrupted = evolution.run(checkpoint, progress, journal, scalars)
                 if evolution.real is not None:
                     return written(interrupted)
             # What was found is judged and written before Ctrl-C is answered.

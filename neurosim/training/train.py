@@ -17,6 +17,7 @@ from neurosim.base.declared import Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import Progress
+from neurosim.base.scalars import Scalars
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.domain import Domain
 from neurosim.simulators.motion.files import write_motion
@@ -26,7 +27,7 @@ from neurosim.training.coverage import coverage
 from neurosim.training.evaluate import table_of_errors
 from neurosim.training.sensors import learn_sensors
 from neurosim.training.trainers.registry import DEFAULT, trainer_class, trainer_settings
-from tracking.datasets.dataset import Dataset
+from tracking.datasets.dataset import OUTPUTS, Dataset
 
 #: The share of rows, last in time, that is never seen by training.
 HELD_OUT = 0.2
@@ -48,6 +49,7 @@ def train(
     device: str = "cpu",
     sensors: bool = True,
     progress: bool = True,
+    tensorboard: str | Path | None = None,
     **settings: Any,
 ) -> MotionNetwork:
     """Learn a simulator from all but the last fifth of a dataset's rows, and write it to ``out``.
@@ -60,6 +62,7 @@ def train(
         device: Where to compute, as PyTorch names it.
         sensors: Learn the sensors whose readings the dataset has.
         progress: show progress on stderr.
+        tensorboard: folder for curves of the errors (extra ``tensorboard``); None: there are none.
         **settings: the trainer's own settings that are not to be its defaults.
 
     Raises:
@@ -96,8 +99,9 @@ def train(
         if path.exists():
             source[f"{name}_sha256"] = files.sha256(path)
     began = time.monotonic()
-    learner = new_learner(data, seed, trainer, chosen, device)
-    history = _advanced(learner, progress)
+    with Scalars(tensorboard) as scalars:
+        learner = new_learner(data, seed, trainer, chosen, device)
+        history = _advanced(learner, progress, scalars)
     simulator = learner.result()
     simulator.known = domain_of(simulator, data, chosen)
     readings = {}
@@ -132,13 +136,15 @@ def train(
     return simulator
 
 
-def _advanced(learner: Trainer, progress: bool) -> list[dict[str, Any]]:
+def _advanced(learner: Trainer, progress: bool, scalars: Scalars) -> list[dict[str, Any]]:
     """Work all generations; return the mean squared errors of about :data:`_HISTORY` of them."""
     history, total = [], learner.generations
     stride = max(1, total // _HISTORY)
     with Progress("training", total, "generations") if progress else nullcontext() as shown:
         for generation in range(1, total + 1):
             mse = learner.advance().tolist()
+            for name, value in zip(OUTPUTS, mse, strict=True):
+                scalars.add(f"training/rms-{name}", math.sqrt(value), generation)
             if generation in (1, total) or generation % stride == 0:
                 history.append({"generation": generation, "mse": mse})
             if shown is not None:
