@@ -21,6 +21,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))
+import figures
 import reference
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -52,7 +53,8 @@ class Pages:
             if source.is_dir():
                 target.write_text(self._listing(path), encoding="utf-8")
             elif source.suffix == ".md":
-                self.page(target, self.linked(source.read_text(encoding="utf-8"), path))
+                text = figures.aged(source.read_text(encoding="utf-8"))
+                self.page(target, self.linked(text, path))
             elif source.suffix == ".ipynb":
                 self.page(target, notebook(source, target, partial(self.linked, path=path)))
             elif target.suffix == ".md":

@@ -1,0 +1,53 @@
+"""How well a simulator predicts rows that it has not seen: Table 2 of Pretorius et al. (2009).
+
+    python benchmarks/reference.py [DATASET] [--members N] [--json]
+
+The training is that of ``neurosim train DATASET``: all but the last fifth of the rows in time, with
+the default settings. Next to it stand the ideal unicycle, fitted to the same rows, and the paper's
+own robot.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+from neurosim.training.evaluate import UNITS, evaluate
+from neurosim.training.train import train
+
+REFERENCE = Path(__file__).resolve().parents[1] / "data" / "reference"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
+    parser.add_argument("dataset", type=Path, nargs="?", default=REFERENCE)
+    parser.add_argument("--members", type=int, default=8)
+    parser.add_argument("--json", action="store_true")
+    options = parser.parse_args()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name) / "simulator"
+        simulator = train(options.dataset, folder, members=options.members)
+        table = evaluate(folder, options.dataset)
+    columns = {"neurosim": table["errors"], "paper": table["paper"]}
+    if table["baseline"] is not None:
+        columns["unicycle"] = table["baseline"]["errors"]
+    errors = {
+        name: {output: each[output]["mean_absolute_error"] for output in UNITS}
+        for name, each in columns.items()
+    }
+    training = simulator.meta["training"]
+    found = {key: training[key] for key in ("rows", "held_out_rows", "members", "seed")}
+    found["errors"] = errors
+    if options.json:
+        print(json.dumps(found))
+        return
+    print(f"mean absolute errors on {table['rows']} rows, {table['which']}")
+    for name, each in errors.items():
+        shown = ", ".join(f"{output} {each[output]:.3f} {unit}" for output, unit in UNITS.items())
+        print(f"{name:10} {shown}")
+
+
+if __name__ == "__main__":
+    main()
