@@ -14,6 +14,7 @@ from contextlib import suppress
 import serial
 
 from neurosim.base.errors import LinkLost, RobotError
+from neurosim.robots.pybricks import SCHEME, PybricksPort
 
 #: Seconds that a single read waits; deadlines are kept by the caller.
 _SLICE = 0.1
@@ -49,7 +50,8 @@ class SerialLine:
 
     Args:
         port: a device (``/dev/ttyUSB0``, ``COM3``) or a URL of pyserial (``socket://host:port``,
-            ``rfc2217://host:port``), but not ``spy://``, which overwrites the file that it names.
+            ``rfc2217://host:port``), but not ``spy://``, which overwrites the file that it names;
+            or ``pybricks://name`` for the program on a hub, by Bluetooth.
         baud: bits per second.
         stop_bits: 1 or 2.
         farewell: what is sent when the line is given up, several times, since what is lost on the
@@ -64,7 +66,7 @@ class SerialLine:
         self.baud = baud
         self._stop_bits = stop_bits
         self.farewell = farewell
-        self._serial: serial.SerialBase | None = None
+        self._serial: serial.SerialBase | PybricksPort | None = None
         self._gone: str | None = None
         self._buffer = b""
 
@@ -72,6 +74,11 @@ class SerialLine:
     def is_open(self) -> bool:
         """Whether the line stands."""
         return self._serial is not None
+
+    @property
+    def place(self) -> str:
+        """The port and, where it has one, its speed, for messages."""
+        return self.port if self.port.startswith(SCHEME) else f"{self.port} at {self.baud} baud"
 
     def open(self) -> None:
         """Open the port, for this program alone where the system can see to that.
@@ -85,14 +92,17 @@ class SerialLine:
                 "overwrites a file; give the port alone"
             )
         try:
-            self._serial = serial.serial_for_url(
-                self.port,
-                baudrate=self.baud,
-                stopbits=self._stop_bits,
-                timeout=_SLICE,
-                write_timeout=5.0,
-                exclusive=True,
-            )
+            if self.port.startswith(SCHEME):
+                self._serial = PybricksPort(self.port.removeprefix(SCHEME), timeout=_SLICE)
+            else:
+                self._serial = serial.serial_for_url(
+                    self.port,
+                    baudrate=self.baud,
+                    stopbits=self._stop_bits,
+                    timeout=_SLICE,
+                    write_timeout=5.0,
+                    exclusive=True,
+                )
         except (OSError, ValueError, AttributeError, ImportError) as error:
             raise RobotError(f"cannot open the serial port {self.port}: {_reason(error)}") from None
         self._gone, self._buffer = None, b""
@@ -224,7 +234,7 @@ class SerialLine:
                 return line
         return None
 
-    def _connected(self) -> serial.SerialBase:
+    def _connected(self) -> serial.SerialBase | PybricksPort:
         if self._gone is not None:
             raise LinkLost(self._gone)
         if self._serial is None:

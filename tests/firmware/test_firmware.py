@@ -3,13 +3,12 @@
 import os
 import shutil
 import subprocess
-import sys
 import tty
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from boards import FIRMWARE, micropython
 
 from neurosim.robots.lines.driver import Lines
 from neurosim.testing import check_lines
@@ -20,7 +19,6 @@ pytestmark = [
 ]
 
 HERE = Path(__file__).parent
-FIRMWARE = HERE.parents[1] / "firmware"
 SKETCH = FIRMWARE / "arduino" / "neurosim_lines" / "neurosim_lines.ino"
 #: Debian's arduino-core-avr: what an Arduino Uno is programmed with.
 CORE = Path("/usr/share/arduino/hardware/arduino/avr")
@@ -55,16 +53,6 @@ def arduino(tmp_path_factory):
     return program
 
 
-def micropython(name, real):
-    """Return the words that run a program: under MicroPython, or under Python itself."""
-    run = [HERE / "boards" / "run.py", FIRMWARE / "micropython", name]
-    if not real:
-        return [sys.executable, *run]
-    if find_spec("micropython_unix") is None:
-        pytest.skip("MicroPython's unix port is not installed: pip install neurosim[firmware]")
-    return [sys.executable, "-m", "micropython_unix", *run]
-
-
 def test_arduino(arduino):
     with on_a_terminal(arduino) as port:
         greeting = check_lines(port)
@@ -74,12 +62,13 @@ def test_arduino(arduino):
 
 
 @pytest.mark.parametrize("real", [True, False], ids=["micropython", "python"])
-@pytest.mark.parametrize("name", ["main_pico", "main_microbit"])
+@pytest.mark.parametrize("name", ["main_pico", "main_microbit", "main_pybricks"])
 def test_micropython(name, real):
     with on_a_terminal(*micropython(name, real)) as port:
         greeting = check_lines(port)
-    assert len(greeting.sensors) == 2
-    assert len(greeting.counters) == (2 if name == "main_pico" else 0)
+    assert len(greeting.sensors) == (0 if name == "main_pybricks" else 2)
+    assert len(greeting.counters) == (0 if name == "main_microbit" else 2)
+    assert greeting.battery is (name == "main_pybricks")
 
 
 def test_the_driver_drives_the_arduino(arduino):

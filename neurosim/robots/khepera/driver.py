@@ -256,7 +256,7 @@ class Khepera:
                 if text.startswith(letter.lower() + ","):
                     return text[2:].strip()
                 heard.append(text.strip())
-        where = f"{self._line.port} at {self._line.baud} baud"
+        where = self._line.place
         if not heard:
             raise RobotError(
                 f"nothing answers on {where}: is the {self.dialect.robot} on, in its serial mode "

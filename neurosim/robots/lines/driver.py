@@ -30,7 +30,7 @@ RADIUS = 0.1
 
 
 class Lines:
-    """A robot that says what its commands are, on any serial port or URL of pyserial.
+    """A robot that says what its commands are, on any serial port, URL of pyserial or LEGO hub.
 
     Follows :class:`neurosim.robots.base.Robot`, ``Sensors`` and ``SelfStopping`` and, where the
     robot says so, ``Counters``, ``Proximity``, ``Lamp`` and ``Battery``; which of these it has is
@@ -40,7 +40,8 @@ class Lines:
     were, and :attr:`reboots` counts it.
 
     Args:
-        port: Serial port, such as ``/dev/ttyACM0`` or COM3, or a URL such as socket://host:port.
+        port: Serial port, such as ``/dev/ttyACM0`` or COM3, a URL such as socket://host:port, or
+            pybricks://name for a LEGO hub.
         baud: Speed of the serial line.
         timeout: Wall-clock seconds that an answer may take, each time it is asked for.
         clock: the robot's clock; the virtual lab hands in its own.
@@ -307,11 +308,11 @@ class Lines:
                     raise RobotError(
                         f"the robot on {self._line.port} describes itself in a wrong way: {error}"
                     ) from None
-        where = f"{self._line.port} at {self._line.baud} baud"
+        where = self._line.place
         if not heard:
             raise RobotError(
-                f"nothing answers on {where}: is the robot on and set to this speed, or does "
-                "another program hold the line?"
+                f"nothing answers on {where}: is the robot on, its program running and set to this "
+                "speed, or does another program hold the line?"
             )
         last = heard[-1].decode("ascii", "replace")[:40]
         raise RobotError(

@@ -83,6 +83,8 @@ class Poll:
 
     def poll(self, milliseconds):
         now = ticks()
+        for motor in Motor.every:
+            motor.turned += motor.speed * (now - self.last) / 1000
         for pwm, press in zip(PWM.every, Pin.pressed):
             pwm.turned += PULSES * pwm.duty / 65535 * (now - self.last) / 1000
             while pwm.turned >= 1:
@@ -93,6 +95,38 @@ class Poll:
         if found and found[0][1] & 16:  # hung up
             sys.exit()
         return found
+
+
+class Motor:
+    every = []
+
+    def __init__(self, port, direction=None):
+        self.speed, self.turned = 0, 0.0
+        Motor.every.append(self)
+
+    def run(self, speed):
+        assert -1000 <= speed <= 1000
+        self.speed = speed
+
+    def brake(self):
+        self.speed = 0
+
+    def angle(self):
+        return int(self.turned)
+
+
+class ThisHub:
+    def __init__(self):
+        self.battery = Module(voltage=lambda: 7900)
+        self.light = Module(on=lambda colour: None, off=lambda: None)
+
+
+class StopWatch:
+    def __init__(self):
+        self.zero = ticks()
+
+    def time(self):
+        return ticks() - self.zero
 
 
 class MicrobitPin:
@@ -138,6 +172,20 @@ if name == "main_microbit":
     sys.modules["microbit"] = Module(
         display=Display(), running_time=ticks, sleep=lambda ms: None, uart=Uart(), **pins
     )
+elif name == "main_pybricks":
+    parts = {
+        "hubs": Module(ThisHub=ThisHub),
+        "parameters": Module(
+            Color=Module(WHITE=0), Direction=Module(COUNTERCLOCKWISE=1), Port=Module(A=0, B=1)
+        ),
+        "pupdevices": Module(Motor=Motor),
+        "tools": Module(StopWatch=StopWatch),
+    }
+    sys.modules["pybricks"] = Module(**parts)
+    for part, module in parts.items():
+        sys.modules["pybricks." + part] = module
+    sys.modules["usys"] = Module(stdin=sys.stdin, stdout=sys.stdout)
+    sys.modules["uselect"] = Module(POLLIN=1, poll=Poll)
 else:
     sys.modules["machine"] = Module(ADC=ADC, PWM=PWM, Pin=Pin)
     sys.modules["select"] = Module(POLLIN=1, poll=Poll)
