@@ -378,7 +378,7 @@ def test_an_e_puck_that_reboots(line):
     [
         (
             {"dialect": "roomba"},
-            "'roomba' is not known; there are khepera, khepera3, epuck",
+            "'roomba' is not known; there are khepera, khepera3, khepera4, epuck, epuck2",
         ),
         ({"full_speed": 0}, "full_speed: expected"),
         ({"full_speed": 128}, "use 1 to 127"),

@@ -1,15 +1,17 @@
-"""What sets the Khepera I and II, the Khepera III and the e-puck apart on the serial line.
+"""What sets the Kheperas and the e-pucks apart on the serial line.
 
-All three take an upper-case letter with numbers behind commas and answer with the same letter in
-lower case, numbers behind commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and
-Khepera II User Manual 1.1 (2002), appendix A; Khepera III User Manual, appendix A; the firmware
-``asercom``/``sercom`` of the e-puck (EPFL, GCtronic).
+All take a letter with numbers behind commas and answer with the same letter in lower case, numbers
+behind commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and Khepera II User Manual
+1.1 (2002), appendix A; Khepera III User Manual, appendix A; the Khepera IV's ``kh4server.c`` and
+``khepera4.h`` of its libkhepera; the firmware ``asercom``/``sercom`` of the e-puck (EPFL, GCtronic)
+and ``Asercom2.c``, ``e_motors.c``, ``proximity.c``, ``battery_level.h`` of the e-puck2's
+(e-puck2_main-processor), with GCtronic's page "Advanced sercom protocol".
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from neurosim.base.errors import UserError
 from neurosim.robots.base import Geometry
@@ -26,9 +28,10 @@ class Dialect:
         stop_bits: 1 or 2.
         version: command that asks for the firmware's version.
         read_counts: command that asks for the position counters; None where there is none.
-        set_counts: letter that sets the position counters.
+        set_counts: letter that sets the position counters; None where no command does: the driver
+            then counts from where they were.
         long: prefix of a 32-bit number in a command.
-        lamp: command of the lamp; its state (0 or 1) comes behind the last comma.
+        lamp: commands that switch the lamp on and off.
         banners: what the robot says, anywhere in a line, when it has just been switched on.
         sensors: places of the infra-red sensors used among the answer's numbers.
         values: how many numbers an answer about the sensors has.
@@ -41,6 +44,11 @@ class Dialect:
         full_speed: what 100 % is unless said otherwise, in the robot's own units.
         max_speed: the largest number that may be sent.
         geometry: of the body.
+        end: of a command.
+        error: what an answer begins with that refuses a command.
+        battery: command that asks for the battery's voltage.
+        battery_unit: what 1 in its answer stands for, V.
+        not_this: what stands in the version of another robot that answers alike, and its dialect.
     """
 
     name: str
@@ -49,9 +57,9 @@ class Dialect:
     stop_bits: int
     version: str
     read_counts: str
-    set_counts: str
+    set_counts: str | None
     long: str
-    lamp: str | None
+    lamp: tuple[str, str] | None
     banners: tuple[str, ...]
     sensors: tuple[int, ...]
     values: int
@@ -63,6 +71,11 @@ class Dialect:
     full_speed: int
     max_speed: int
     geometry: Geometry
+    end: str = "\r"
+    error: str = "z"
+    battery: str | None = None
+    battery_unit: float = 0.0
+    not_this: tuple[str, str] | None = None
 
 
 #: Khepera I and II. A speed of 1 is one pulse in 10 ms: 10 mm/s at the 10 pulses a millimetre of
@@ -76,7 +89,7 @@ KHEPERA = Dialect(
     read_counts="H",
     set_counts="G",
     long="",
-    lamp="L,0",
+    lamp=("L,0,1", "L,0,0"),
     banners=("ROM of minirobot KHEPERA",),
     sensors=tuple(range(8)),
     values=8,
@@ -116,6 +129,35 @@ KHEPERA3 = Dialect(
     geometry=Geometry(radius=0.065, wheel_base=0.0884),
 )
 
+#: Khepera IV, whose program kh4server answers on a serial port of the robot. Its sensors begin
+#: behind to the left and go round to the right; the four under it are left out.
+KHEPERA4 = Dialect(
+    name="khepera4",
+    robot="Khepera IV",
+    baud=115_200,
+    stop_bits=1,
+    version="B",
+    read_counts="R",
+    set_counts=None,  # I sets them to 0 only
+    long="",
+    lamp=("K" + ",63" * 9, "K" + ",0" * 9),  # three lights of three colours
+    banners=(),
+    sensors=tuple(range(8)),
+    values=12,
+    angles=(135.0, 90.0, 45.0, 0.0, -45.0, -90.0, -135.0, 180.0),
+    full_scale=1023,
+    scan=0.0,
+    pulses_per_metre=1 / 0.000_006_781,
+    speed_unit=0.000_678_1,
+    full_speed=150,  # 10 cm/s
+    max_speed=1500,
+    geometry=Geometry(radius=0.0704, wheel_base=0.1054),
+    end="\n",  # its line is read by the system, whole lines at a time
+    error="$",
+    battery="V,0",
+    battery_unit=0.001,
+)
+
 #: e-puck: stepper motors, 1000 steps a turn of a wheel 41 mm across; counters of 16 bits.
 EPUCK = Dialect(
     name="epuck",
@@ -126,7 +168,7 @@ EPUCK = Dialect(
     read_counts="Q",
     set_counts="P",
     long="",
-    lamp="B",
+    lamp=("B,1", "B,0"),
     banners=("SerCom protocol",),
     sensors=tuple(range(8)),
     values=8,
@@ -138,9 +180,23 @@ EPUCK = Dialect(
     full_speed=1000,
     max_speed=1000,
     geometry=Geometry(radius=0.035, wheel_base=0.053),
+    not_this=("Version 2", "epuck2"),
 )
 
-DIALECTS = {dialect.name: dialect for dialect in (KHEPERA, KHEPERA3, EPUCK)}
+#: e-puck2: as the e-puck, but P is answered and sets nothing, and its sensors are read in turn 100
+#: times a second. Its battery is measured behind a divider of 0.6, at 12 bits of 3 V.
+EPUCK2 = replace(
+    EPUCK,
+    name="epuck2",
+    robot="e-puck2",
+    set_counts=None,
+    scan=0.010,
+    battery="b",
+    battery_unit=3.0 / (4096 * 0.6),
+    not_this=("Version 1", "epuck"),
+)
+
+DIALECTS = {dialect.name: dialect for dialect in (KHEPERA, KHEPERA3, KHEPERA4, EPUCK, EPUCK2)}
 
 
 def dialect_named(name: str) -> Dialect:

@@ -1,4 +1,4 @@
-"""Driver of a Khepera (I, II or III) or an e-puck on a serial line, in K-Team's ASCII protocol."""
+"""Driver of a Khepera (I to IV), an e-puck or an e-puck2 on a serial line, by lines of text."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Khepera:
     """A small round robot with a ring of infra-red sensors and two wheels.
 
     Follows :class:`neurosim.robots.base.Robot`, ``Proximity``, ``Counters``, ``WholeSpeeds`` and,
-    where the dialect has one, ``Lamp``. Bytes that make no answer are passed over,
+    where the dialect has them, ``Lamp`` and ``Battery``. Bytes that make no answer are passed over,
     commands without a good answer are sent again. A robot that reboots is noticed by what it
     says then: it is set to the speeds that it had, its counters to what was last read, and
     :attr:`reboots` counts it. One that no longer answers is told to stop, several times, before
@@ -35,7 +35,7 @@ class Khepera:
 
     Args:
         port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or a URL such as socket://host:port.
-        dialect: Protocol: khepera (I and II), khepera3 or epuck.
+        dialect: Protocol: khepera (I and II), khepera3, khepera4, epuck or epuck2.
         baud: Speed of the serial line; by default the dialect's own (a Khepera's is set by
             jumpers).
         full_speed: Speed at 100 % in the robot's own units; by default the dialect's, which for a
@@ -86,17 +86,21 @@ class Khepera:
         self.angles = np.radians(self.dialect.angles)
         if self.dialect.lamp is not None:
             self.lamp = self._switch_lamp
+        if self.dialect.battery is not None:
+            self.battery = self._battery
         self.reboots = 0
         self._timeout = timeout
         # A line end first: half a command must not stand before the stop.
+        self._end = self.dialect.end.encode()
         self._line = SerialLine(
             port,
             baud=baud or self.dialect.baud,
             stop_bits=self.dialect.stop_bits,
-            farewell=b"\r" + self._set("D", (0, 0)).encode() + b"\r",
+            farewell=self._end + self._set("D", (0, 0)).encode() + self._end,
         )
         self._speeds = (0, 0)
         self._counts: tuple[int, int] | None = None
+        self._zeros = (0, 0)
         self._version = ""
         self._restoring = False
 
@@ -111,8 +115,13 @@ class Khepera:
 
     def _greet(self) -> None:
         # Half a command of an earlier program must not stand before ours.
-        self._line.write(b"\r")
+        self._line.write(self._end)
         self._version = self._first_answer()
+        if (other := self.dialect.not_this) is not None and other[0] in self._version:
+            raise RobotError(
+                f"the robot on {self._line.port} is no {self.dialect.robot} ({self._version!r}): "
+                f"give the dialect {other[1]}"
+            )
         self.set_speeds(0, 0)
 
     def close(self) -> None:
@@ -170,13 +179,18 @@ class Khepera:
     def read_counts(self) -> tuple[int, int]:
         """Read the position counters, left and right, in pulses."""
         left, right = self._ask(self.dialect.read_counts, 2)
-        self._counts = (left, right)
+        self._counts = (left - self._zeros[0], right - self._zeros[1])
         return self._counts
 
     def set_counts(self, left: int, right: int) -> None:
         """Set the position counters, in pulses."""
-        self._ask(self._set(self.dialect.set_counts, (int(left), int(right))), 0)
-        self._counts = (int(left), int(right))
+        wanted = (int(left), int(right))
+        if self.dialect.set_counts is None:
+            there = self._ask(self.dialect.read_counts, 2)
+            self._zeros = (there[0] - wanted[0], there[1] - wanted[1])
+        else:
+            self._ask(self._set(self.dialect.set_counts, wanted), 0)
+        self._counts = wanted
 
     @property
     def sensor_names(self) -> tuple[str, ...]:
@@ -215,8 +229,14 @@ class Khepera:
         self.close()
 
     def _switch_lamp(self, on: bool) -> None:
-        """Switch the light-emitting diode on the robot's top."""
-        self._ask(f"{self.dialect.lamp},{int(on)}", 0)
+        """Switch the lights on the robot's top, or in its body."""
+        assert self.dialect.lamp is not None
+        self._ask(self.dialect.lamp[0 if on else 1], 0)
+
+    def _battery(self) -> float:
+        """Return the battery's voltage in volts."""
+        assert self.dialect.battery is not None
+        return self._ask(self.dialect.battery, 1)[0] * self.dialect.battery_unit
 
     def _set(self, letter: str, values: tuple[int, int]) -> str:
         return letter + "".join(f",{self.dialect.long}{value}" for value in values)
@@ -249,7 +269,7 @@ class Khepera:
         """Return the version that the robot tells."""
         letter, heard = self.dialect.version, []
         for _ in range(TRIES):
-            self._line.write(letter.encode() + b"\r")
+            self._line.write(letter.encode() + self._end)
             end = time.monotonic() + self._timeout
             while (line := self._line.read_line(max(end - time.monotonic(), 0.0))) is not None:
                 text = line.decode("ascii", "replace")
@@ -276,7 +296,7 @@ class Khepera:
         reason = ""
         for _ in range(TRIES):
             self._hear_reboots()
-            self._line.write(command.encode() + b"\r")
+            self._line.write(command.encode() + self._end)
             values, reason = self._answer(command[0].lower(), count)
             if values is not None:
                 return values
@@ -301,7 +321,7 @@ class Khepera:
                 return values, ""
             if self._notice_reboot(line):
                 return None, text
-            if text[0] in (letter, "z"):
+            if text[0] in (letter, self.dialect.error):
                 # Half an answer, or a command that reached the robot in pieces.
                 return None, text
             seconds = max(end - time.monotonic(), 0.0)
@@ -320,7 +340,9 @@ class Khepera:
         if not self._restoring:
             self._restoring = True
             try:
-                if self._counts is not None:
+                if self._counts is not None and self.dialect.set_counts is None:
+                    self._zeros = (-self._counts[0], -self._counts[1])  # they begin at 0
+                elif self._counts is not None:
                     self._ask(self._set(self.dialect.set_counts, self._counts), 0)
                 self._ask(self._set("D", self._speeds), 0)
             finally:
@@ -334,7 +356,8 @@ def _numbers(text: str, letter: str) -> list[int] | None:
     if name != letter:
         return None
     try:
-        # The Khepera III may put d or l before a number, as it asks for in commands.
-        return [int(value.strip().lstrip("dl")) for value in values]
+        # The Khepera III may put d or l before a number, as it asks for in commands; an e-puck2
+        # puts percents in brackets behind its battery's.
+        return [int(value.partition("(")[0].strip().lstrip("dl")) for value in values]
     except ValueError:
         return None
