@@ -115,7 +115,7 @@ def fenced(text: str, name: str = "") -> str:
 
 
 def notebook(source: Path, target: Path, linked: Callable[[str], str] = str) -> str:
-    """Return a notebook as Markdown, with its outputs; write its pictures next to the page.
+    """Return a notebook as Markdown, with its outputs; write it and its pictures next to the page.
 
     Args:
         source: the notebook.
@@ -143,7 +143,9 @@ def notebook(source: Path, target: Path, linked: Callable[[str], str] = str) -> 
             else:
                 shown = output.get("text", data.get("text/plain", ""))
                 text += fenced("".join(shown)) + "\n"
-    return text
+    shutil.copyfile(source, target.with_suffix(".ipynb"))
+    title, _, rest = text.partition("\n")
+    return f"{title}\n\n[Download this notebook]({target.stem}.ipynb) to run it.\n{rest}"
 
 
 def navigation(pages: Pages) -> list[dict[str, Any]]:

@@ -2,6 +2,7 @@
 
 import doctest
 import inspect
+import json
 import re
 import shlex
 import sys
@@ -32,6 +33,7 @@ from neurosim.trials.realities import REALITIES
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
 #: Words in a sentence: in the mean over a page, and in its longest.
 MEAN_WORDS = 18.0
@@ -40,10 +42,19 @@ MOST_WORDS = 35
 OF_WORDS = ("glossary.md",)
 
 
+def text_of(page):
+    """Return the text of a page, or of a notebook without its code."""
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        cells = [cell for cell in json.loads(text)["cells"] if cell["cell_type"] == "markdown"]
+        return "\n\n".join("".join(cell["source"]) for cell in cells)
+    return text
+
+
 def blocks(page, *languages):
     """Give what stands between fences of these languages."""
     inside, lines = None, []
-    for line in page.read_text(encoding="utf-8").splitlines():
+    for line in text_of(page).splitlines():
         if line.startswith("```"):
             if inside in languages:
                 yield "\n".join(lines) + "\n"
@@ -62,7 +73,7 @@ def commands(page):
 
 def prose(page):
     """Give the paragraphs and list items of a page, without code, tables, headings and links."""
-    text = re.sub(r"^```.*?^```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.M)
+    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.M)
     text = re.sub(r"^( *\||#|!\[| {4,}).*$", "", text, flags=re.M)
     text = re.sub(r"^\s*([-*]|\d+\.)\s", "\n\n", text, flags=re.M)
     text = re.sub(r"\]\([^)]*\)", "]", text)
@@ -82,7 +93,7 @@ def lengths(page):
     return [count for count in counts if count]
 
 
-COMMANDS = [(page.name, words) for page in PAGES for words in commands(page)]
+COMMANDS = [(page.name, words) for page in PAGES + NOTEBOOKS for words in commands(page)]
 PYTHON = [(page.name, block) for page in PAGES for block in blocks(page, "python")]
 
 
@@ -178,18 +189,18 @@ def test_the_page_of_libraries_shows_the_examples():
         assert path.read_text(encoding="utf-8") in shown, path.name
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES + NOTEBOOKS, ids=lambda page: page.name)
 def test_sentences_are_short(page):
     counts = lengths(page)
     assert np.mean(counts) < MEAN_WORDS
     assert max(counts) <= MOST_WORDS
 
 
-@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PAGES + NOTEBOOKS, ids=lambda page: page.name)
 def test_words_that_do_not_come_back(page):
     if page.name in OF_WORDS:
         return
-    text = page.read_text(encoding="utf-8")
+    text = text_of(page)
     text = re.sub(r"`[^`]*`", "CODE", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.M))
     # Titles of sections stay as long as other pages link to them.
     text = re.sub(r"^#.*$|\]\([^)]*\)", "", text, flags=re.M)
@@ -200,20 +211,18 @@ def test_words_that_do_not_come_back(page):
 def test_pages_are_linked_from_the_index_and_the_index_from_the_readme():
     index = (ROOT / "docs" / "index.md").read_text(encoding="utf-8")
     others = [page.name for page in PAGES[2:] if page.name != "index.md"]
-    others += [f"../notebooks/{path.name}" for path in (ROOT / "notebooks").glob("*.ipynb")]
+    others += [f"../notebooks/{path.name}" for path in NOTEBOOKS]
     assert not [name for name in others if f"]({name})" not in index]
     assert "](docs/index.md)" in (ROOT / "README.md").read_text(encoding="utf-8")
 
 
 def test_links_lead_somewhere():
     def anchors(page):
-        titles = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), flags=re.M)
+        titles = re.findall(r"^#+ (.*)$", text_of(page), flags=re.M)
         return {re.sub(r"[^\w -]", "", title.lower()).replace(" ", "-") for title in titles}
 
-    for page in PAGES:
-        for to, anchor in re.findall(
-            r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)", page.read_text(encoding="utf-8")
-        ):
+    for page in PAGES + NOTEBOOKS:
+        for to, anchor in re.findall(r"\]\((?!https?:)([^)#\s]*)(?:#([^)\s]*))?\)", text_of(page)):
             target = (page.parent / to) if to else page
             assert target.exists(), (page.name, to)
             if anchor:

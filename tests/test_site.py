@@ -203,7 +203,9 @@ def test_a_notebook_is_shown_with_its_outputs(tmp_path):
     (tmp_path / "a.ipynb").write_text(msgspec.json.encode({"cells": cells}).decode())
     text = make_site.notebook(tmp_path / "a.ipynb", tmp_path / "b.md")
     assert text == (
-        "# Title\n\n````python\nprint('```')\n````\n\n```text\nseen\n```\n\n"
+        "# Title\n\n[Download this notebook](b.ipynb) to run it.\n\n"
+        "````python\nprint('```')\n````\n\n```text\nseen\n```\n\n"
         "![output 1](b-1.png)\n\n```text\n42\n```\n\n<table>\n</table>\n\n"
     )
     assert (tmp_path / "b-1.png").read_bytes().startswith(b"\x89PNG")
+    assert (tmp_path / "b.ipynb").read_bytes() == (tmp_path / "a.ipynb").read_bytes()

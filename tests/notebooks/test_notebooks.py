@@ -2,17 +2,34 @@
 
 from __future__ import annotations
 
+import base64
+import re
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from patience import PATIENCE
 
 nbformat = pytest.importorskip("nbformat", reason="pip install 'neurosim[notebooks]'")
+run_notebooks = pytest.importorskip(
+    "run_notebooks", reason="pip install 'neurosim[notebooks]'", exc_type=ImportError
+)
 
 NOTEBOOKS = sorted((Path(__file__).resolve().parents[2] / "notebooks").glob("*.ipynb"))
 by_name = pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
 
 FEWEST_PICTURES = 3
+#: Size of a notebook, bytes.
+LARGEST = 300_000
+#: Shorter searches, which the tests run.
+SHORTER = {
+    "nxt_planner": {
+        "hidden=8, members=4": "hidden=4, members=2",
+        '"generations": 800, "runs": 10': '"generations": 100, "runs": 2',
+        "RobustSettings(generations=150)": "RobustSettings(generations=5)",
+    }
+}
 
 
 def code_cells(notebook):
@@ -23,31 +40,52 @@ def test_there_are_notebooks():
     assert NOTEBOOKS
 
 
+def shows(cell):
+    """Return whether a cell prints or draws something."""
+    return bool(re.search(r"^ *(print|plt\.show)\(", cell.source, flags=re.MULTILINE))
+
+
 @by_name
-def test_it_is_committed_without_outputs(path):
+def test_it_is_stored_with_its_outputs(path):
+    again = f"run it and store its outputs: python docs/run_notebooks.py {path.name}"
     notebook = nbformat.read(path, as_version=4)
     nbformat.validate(notebook)
-    for cell in code_cells(notebook):
-        assert not cell.outputs, "clear the outputs before committing"
-        assert cell.execution_count is None
+    cells = code_cells(notebook)
+    assert notebook.metadata["outputs_of"] == run_notebooks.digest(notebook), again
+    assert [cell.execution_count for cell in cells] == [*range(1, len(cells) + 1)], again
+    assert not [cell.source for cell in cells if shows(cell) and not cell.outputs], again
+    for output in (output for cell in cells for output in cell.outputs):
+        assert output.output_type != "error"
+        assert output.get("name") != "stderr", output.text
+        shown = output.get("text", "") + output.get("data", {}).get("text/plain", "")
+        assert not re.search(r"/tmp/|/home/|/work/|/Users/", shown), shown
+    assert path.stat().st_size < LARGEST
+
+
+def test_a_picture_is_stored_smaller():
+    rows, columns = np.mgrid[:200, :300]
+    smooth = np.stack([rows % 256, columns % 256, (rows + columns) % 256], -1).astype(np.uint8)
+    drawn = np.full((200, 300, 3), 255, np.uint8)
+    drawn[90:110] = 0, 114, 178
+    for picture, kind in ((smooth, "image/jpeg"), (drawn, "image/png")):
+        _, encoded = cv2.imencode(".png", picture)
+        before = base64.b64encode(encoded).decode()
+        data = {"image/png": before}
+        run_notebooks.small(data)
+        assert [*data] == [kind]
+        assert len(data[kind]) < len(before)
+        shown = cv2.imdecode(np.frombuffer(base64.b64decode(data[kind]), np.uint8), 1)[..., ::-1]
+        assert np.abs(shown.astype(float) - picture[..., ::-1]).mean() < 12
 
 
 @pytest.mark.slow
 @by_name
 def test_it_runs_from_top_to_bottom(path, tmp_path, monkeypatch):
-    nbclient = pytest.importorskip("nbclient", reason="pip install 'neurosim[notebooks]'")
     pytest.importorskip("ipykernel", reason="pip install 'neurosim[notebooks]'")
     for name in ("TMPDIR", "TEMP", "TMP"):
         monkeypatch.setenv(name, str(tmp_path))
     monkeypatch.setenv("MPLBACKEND", "module://matplotlib_inline.backend_inline")
-    notebook = nbformat.read(path, as_version=4)
-    # This interpreter's own kernel, whichever kernels the user has installed besides.
-    nbclient.NotebookClient(
-        notebook,
-        timeout=PATIENCE,
-        kernel_name="python3",
-        resources={"metadata": {"path": str(path.parent)}},
-    ).execute()
+    notebook = run_notebooks.run(path, PATIENCE, SHORTER.get(path.stem))
     outputs = [output for cell in code_cells(notebook) for output in cell.outputs]
     assert not [output for output in outputs if output.output_type == "error"]
     pictures = [output for output in outputs if "image/png" in output.get("data", {})]
