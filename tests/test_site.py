@@ -182,6 +182,21 @@ def test_a_link_to_nothing_is_an_error(tmp_path):
         pages.linked("[a](gone.md)", "docs/x.md")
 
 
+def test_a_page_notes_figures_that_are_older_than_their_code(tmp_path, monkeypatch):
+    def page():
+        pages = make_site.Pages(tmp_path)
+        pages.page = lambda target, text: shown.update({target.name: text})
+        pages.add("docs/results.md")
+        shown = {}
+        pages.write()
+        return shown["results.md"]
+
+    monkeypatch.setattr(make_site.figures, "digest", lambda path: "other")
+    assert "**Older than their code:**" in page()
+    monkeypatch.setattr(make_site.figures, "changed", lambda measured, root: [])
+    assert "**Older than their code:**" not in page()
+
+
 def test_a_notebook_is_shown_with_its_outputs(tmp_path):
     picture = "iVBORw0KGgo="
     cells = [
