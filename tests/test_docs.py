@@ -74,7 +74,7 @@ def commands(page):
 def prose(page):
     """Give the paragraphs and list items of a page, without code, tables, headings and links."""
     text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.M)
-    text = re.sub(r"^( *\||#|!\[| {4,}).*$", "", text, flags=re.M)
+    text = re.sub(r"^( *\||#|!\[|<!--| {4,}).*$", "", text, flags=re.M)
     text = re.sub(r"^\s*([-*]|\d+\.)\s", "\n\n", text, flags=re.M)
     text = re.sub(r"\]\([^)]*\)", "]", text)
     for paragraph in re.split(r"\n\s*\n", re.sub(r"`[^`]*`", "CODE", text)):
