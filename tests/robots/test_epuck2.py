@@ -112,11 +112,13 @@ def test_a_refused_command_is_told(kind, dialect):
 
 def test_an_e_puck_is_not_taken_for_an_e_puck2():
     with on_a_line(EPuck2) as (fake, cable):
-        with pytest.raises(RobotError, match=r"is no e-puck \('Version 2.*give the dialect epuck2"):
+        with pytest.raises(
+            RobotError, match=r"is not an e-puck \('Version 2.*give the dialect epuck2"
+        ):
             driver(fake, cable, "epuck").connect()
         answer = fake.answer
         fake.answer = lambda line: answer(line).replace("Version 2.0", "Version 1.1.3")
-        with pytest.raises(RobotError, match=r"is no e-puck2 .*give the dialect epuck$"):
+        with pytest.raises(RobotError, match=r"is not an e-puck2 .*give the dialect epuck$"):
             driver(fake, cable, "epuck2").connect()
 
 

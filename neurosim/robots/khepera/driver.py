@@ -119,8 +119,8 @@ class Khepera:
         self._version = self._first_answer()
         if (other := self.dialect.not_this) is not None and other[0] in self._version:
             raise RobotError(
-                f"the robot on {self._line.port} is no {self.dialect.robot} ({self._version!r}): "
-                f"give the dialect {other[1]}"
+                f"the robot on {self._line.port} is not an {self.dialect.robot} "
+                f"({self._version!r}): give the dialect {other[1]}"
             )
         self.set_speeds(0, 0)
 
