@@ -87,21 +87,26 @@ def test_a_plan_that_was_evolved_drives_it(kind, tmp_path):
     assert (off < (0.006, 0.006, 0.03)).all()
 
 
-def test_a_replanned_plan_ends_where_it_should(tmp_path):
-    sim, task = (
-        Ideal(KINDS["omni"]),
-        GoTo(goals=((0.5, 0.25, 0.5),), tolerance=0.02, heading_tolerance=0.05),
-    )
-    first = ((0.2, 0.1, 0.2, 2.0), None, None, None)
-    plan = FixedPlan(first, KINDS["omni"].names, ("m/s", "m/s", "rad/s"))
+@pytest.mark.parametrize(
+    ("kind", "goal", "first"),
+    [
+        ("omni", (0.5, 0.25, 0.5), (0.2, 0.1, 0.2, 2.0)),
+        ("ros", (0.5, 0.2, 0.6), (0.12, 0.1, 2.0)),
+    ],
+)
+def test_a_replanned_plan_ends_where_it_should(kind, goal, first, tmp_path):
+    takes = TAKES[kind]
+    sim, task = Ideal(takes), GoTo(goals=(goal,), tolerance=0.02, heading_tolerance=0.05)
+    units = tuple(one.unit for one in takes.numbers)
+    plan = FixedPlan((first, None, None, None), takes.names, units)
+    after = se2.exp(takes.twist(np.array(first[:-1])) * first[-1]).tolist()
     predicted = {
-        "poses": [[0.0, 0.0, 0.0], [0.36, 0.18, 0.3]], "rest": [0.36, 0.18, 0.3], "fitness": 0.5,
-        "completes": False,
+        "poses": [[0.0, 0.0, 0.0], after], "rest": after, "fitness": 0.5, "completes": False,
     }  # fmt: skip
     saved = SavedController(plan, np.empty(0), task.describe(), (0.0, 0.0, 0.0), predicted)
     saved.write(tmp_path / "plan")
     settings = ReplanSettings(generations=15, draws=4)
-    report, _ = drive("omni", tmp_path, tmp_path / "plan", replan=(sim, settings))
+    report, _ = drive(kind, tmp_path, tmp_path / "plan", replan=(sim, settings))
     assert report["replanned"] is True
     assert len(report["commands"]) > 2
     assert report["actual"]["completes"] is True
