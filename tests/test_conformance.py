@@ -60,7 +60,7 @@ def test_our_robots():
         check_robot(lambda: Thymio(rig.address, clock=rig.lab.clock, timeout=10.0))
     with VirtualRosRig(1, camera=False) as rig:
         check_robot(lambda: Ros(url=rig.address, clock=rig.lab.clock, timeout=10.0))
-        options = {"odom": "none", "stops_after": 0.5, "timeout": 10.0}
+        options = {"odom": "none", "laser": "/scan", "stops_after": 0.5, "timeout": 10.0}
         check_robot(lambda: Ros(url=rig.address, clock=rig.lab.clock, **options))
 
 

@@ -20,6 +20,7 @@ from neurosim.robots.base import SelfStopping
 from neurosim.robots.odometry import Odometry
 from neurosim.robots.ros.bridge import Bridge
 from neurosim.robots.ros.driver import ODOMETRY, REPEATS, STAMPED, TWIST, Ros
+from neurosim.robots.ros.laser import Sectors
 
 
 @contextmanager
@@ -184,6 +185,81 @@ def test_odometry_that_no_longer_comes():
             assert not isinstance(robot, Counters)
             robot.drive((0.1, 0.0))
             assert not rig.standing
+
+
+def test_a_laser_is_a_ring_of_sensors():
+    with a_rig() as rig, driver(rig, laser="/scan") as robot:
+        assert isinstance(robot, Sensors)
+        assert robot.sensor_names == tuple(f"sensor_{number}" for number in range(8))
+        # Half a metre from the wall ahead, 0.8 m from that to the left; others are out of reach.
+        x, y, slant = rig.walls[0] - 0.5, rig.walls[1] - 0.8, math.cos(math.pi / 8)
+        ways = np.array([0.5, 0.5 / slant, 0.8, 0.8 / slant, 1, 1, 1, 0.5 / slant])
+        for turns, heading in enumerate((0.0, math.pi / 2, -math.pi)):
+            rig.lab.place(x, y, heading)
+            wait(robot, 1.0)
+            read = list(robot.read_sensors().values())
+            # Of several beams the nearest counts, so a little more is read than in the mean.
+            np.testing.assert_allclose(read, np.roll(1 - ways, -2 * turns), atol=0.05)
+        about = json.loads(json.dumps(robot.describe()))
+        assert about["laser"] == {"topic": "/scan", "sectors": 8, "reach": 1.0, "turned": 0.0}
+        assert rig.node.bridge.log == []
+    with a_rig() as rig, driver(rig, laser="/scan", laser_sectors=4, laser_turned=90.0) as robot:
+        rig.lab.place(rig.walls[0] - 0.5, 0.0, 0.0)
+        wait(robot, 1.0)
+        # The laser's own 0, which sees the wall, looks to the left.
+        assert np.argmax(list(robot.read_sensors().values())) == 1
+
+
+def test_scans_that_are_missing():
+    with a_rig() as rig:
+        with pytest.raises(RobotError, match=r"no node of ROS publishes /laser: .*with --laser"):
+            driver(rig, laser="/laser").connect()
+        with driver(rig, laser="/scan", odom="none") as robot:
+            rig.node.publishes = False
+            robot.drive((0.1, 0.0))
+            wait(robot, 3.0)
+            with pytest.raises(
+                LinkLost, match=r"nothing has come on /scan for \d\.\d s: does the dr"
+            ):
+                robot.read_sensors()
+            wait_until(lambda: rig.standing, "the farewell")
+        with pytest.raises(RobotError, match="nothing comes on /scan within 2 s: start the driver"):
+            driver(rig, laser="/scan", odom="none").connect()
+
+
+def scan(ranges, **options):
+    whole = {"angle_min": 0.0, "angle_increment": math.pi / 2, "range_min": 0.1, "range_max": 3.0}
+    return {**whole, "ranges": ranges, **options}
+
+
+@pytest.mark.parametrize(
+    ("message", "readings"),
+    [
+        (scan([0.5, 1.0, 1.5, 2.0]), [0.75, 0.5, 0.25, 0.0]),
+        # Null is infinity or no number; what is beyond the laser's limits is none.
+        (scan([None, 0.05, 3.5, 1.0]), [0.0, 0.0, 0.0, 0.5]),
+        (scan([3.5, 3.5, 0.5, 3.5], range_max=None), [0.0, 0.0, 0.75, 0.0]),
+        # A laser that looks to the front only, from its right to its left.
+        (scan([1.0, 0.5, 1.5], angle_min=-math.pi / 2), [0.75, 0.25, 0.0, 0.5]),
+        # The nearest in a sector counts, from whichever side; angles beyond a turn go round.
+        (scan([1.8, 0.2, 1.6], angle_min=2 * math.pi - 0.5, angle_increment=0.5), [0.9, 0, 0, 0]),
+        (scan([]), [0, 0, 0, 0]),
+    ],
+)
+def test_sectors_of_a_scan(message, readings):
+    sectors = Sectors(4, 2.0, 0.0)
+    assert sectors.take(message)
+    np.testing.assert_allclose(sectors.readings, readings)
+
+
+@pytest.mark.parametrize(
+    "message", [{}, scan(None), scan(["x"]), scan([1.0], angle_min=None), {"ranges": 3}]
+)
+def test_what_is_no_scan_changes_nothing(message):
+    sectors = Sectors(4, 2.0, 0.0)
+    sectors.take(scan([1.0] * 4))
+    assert not sectors.take(message)
+    np.testing.assert_allclose(sectors.readings, [0.5] * 4)
 
 
 @pytest.mark.parametrize("statuses", [False, True])

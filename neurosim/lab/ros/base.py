@@ -1,4 +1,4 @@
-"""A virtual base's node of ROS: a controller for velocities that times out, and odometry."""
+"""A virtual base's node of ROS: a controller for velocities that times out, odometry, a laser."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from neurosim.base import se2
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.ros.bridge import RosBridge, Topic
 from neurosim.robots.ros.driver import ODOMETRY, STAMPED, TWIST, VIRTUAL
+from neurosim.robots.ros.laser import SCAN
 
 #: What the base takes at most, m/s and rad/s.
 MAX_V, MAX_OMEGA = 0.3, 2.0
@@ -21,6 +23,9 @@ RADIUS = 0.11
 EVERY = 0.05
 #: Odometry's errors of scale (standard deviation, of the way and of the turn), and its noise.
 SCALE, NOISE = (0.01, 0.02), 0.01
+#: The laser: of so many messages of odometry one is followed by a scan; its beams, the limits of
+#: its ranges and their noise (standard deviation), m, after the LDS-01 of a TurtleBot 3.
+EACH, BEAMS, RANGES, RANGE_NOISE = 4, 360, (0.12, 3.5), 0.01
 
 
 class BaseBody(PlanarBody):
@@ -42,19 +47,20 @@ class BaseBody(PlanarBody):
 
 
 class BaseNode:
-    """Takes velocities from a topic, moves a body, and publishes its odometry.
+    """Takes velocities from a topic, moves a body, publishes its odometry and its laser's scans.
 
     Args:
         body: of the base.
         seed: of odometry's errors.
         stamped: whether it takes TwistStamped.
         timeout: without a message for so long it stops, s; infinity: it goes on.
+        walls: half the length and half the width of the room, whose middle is the board's, m.
 
     Attributes:
         bridge: to it.
         say: sends texts to the client; who serves the bridge sets it.
         velocities: that the base is to have now, m/s and rad/s.
-        publishes: whether it publishes odometry.
+        publishes: whether it publishes odometry and scans.
     """
 
     def __init__(
@@ -64,12 +70,14 @@ class BaseNode:
         *,
         stamped: bool = False,
         timeout: float = 0.5,
+        walls: tuple[float, float] = (2.0, 2.0),
         **bridge: bool,
     ):
         self._body, self._timeout = body, timeout
         topics = {
             "/cmd_vel": Topic(STAMPED if stamped else TWIST, [VIRTUAL], take=self._take),
             "/odom": Topic(ODOMETRY, publishers=[VIRTUAL]),
+            "/scan": Topic(SCAN, publishers=[VIRTUAL]),
         }
         self.bridge = RosBridge(topics, lambda: body.time, **bridge)
         self.say: Callable[[list[str]], None] = lambda texts: None
@@ -79,7 +87,7 @@ class BaseNode:
         self._rng = np.random.default_rng([seed, 0x0D0])
         self._scale = 1 + np.array([SCALE[0], SCALE[0], SCALE[1]]) * self._rng.standard_normal(3)
         self._last, self._pose = body.pose, np.zeros(3)
-        self.publishes = True
+        self.publishes, self._walls = True, walls
 
     @property
     def ends(self) -> float:
@@ -94,8 +102,11 @@ class BaseNode:
             self._drive((0.0, 0.0))
             self._stops = math.inf
         if now >= self._tick * EVERY:
+            texts = self._odometry()
+            if self._tick % EACH == 0:
+                texts += self._scan()
             self._tick += 1
-            if texts := self._odometry():
+            if texts:
                 self.say(texts)
 
     def _take(self, message: dict[str, Any]) -> None:
@@ -143,3 +154,38 @@ class BaseNode:
             "twist": {"twist": {"linear": {"x": v}, "angular": {"z": omega}}},
         }
         return self.bridge.publish("/odom", message) if self.publishes else []
+
+    def _scan(self) -> list[str]:
+        if not (self.publishes and self.bridge.is_subscribed("/scan")):
+            return []
+        step = 2 * math.pi / BEAMS
+        ranges = ranges_in_a_room(self._body.pose, step * np.arange(BEAMS), self._walls)
+        ranges += RANGE_NOISE * self._rng.standard_normal(BEAMS)
+        low, high = RANGES
+        ranges[(ranges < low) | (ranges > high)] = math.inf
+        message = {
+            "header": {"frame_id": "base_scan"},
+            "angle_max": 2 * math.pi - step,
+            "angle_increment": step,
+            "scan_time": EACH * EVERY,
+            "range_min": low,
+            "range_max": high,
+            "ranges": ranges.tolist(),
+        }
+        return self.bridge.publish("/scan", message)
+
+
+def ranges_in_a_room(
+    pose: NDArray[np.float64], angles: NDArray[np.float64], walls: tuple[float, float]
+) -> NDArray[np.float64]:
+    """Return how far away the walls of a rectangular room are, [B] m.
+
+    Args:
+        pose: of the laser, [3] x, y, heading, the room's middle at 0.
+        angles: of the beams, [B] rad to the left of the heading.
+        walls: half the room's length (along x) and half its width, m.
+    """
+    along = np.stack([np.cos(angles + pose[2]), np.sin(angles + pose[2])])
+    half, place = np.array(walls)[:, None], pose[:2, None]
+    with np.errstate(divide="ignore"):
+        return np.abs((np.copysign(half, along) - place) / along).min(axis=0)

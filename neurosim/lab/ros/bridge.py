@@ -32,6 +32,12 @@ TYPES: dict[str, dict[str, str]] = {
         "twist": "geometry_msgs/Twist",
         "covariance": "float64[36]",
     },
+    "sensor_msgs/LaserScan": {
+        "header": "std_msgs/Header",
+        **dict.fromkeys(("angle_min", "angle_max", "angle_increment"), "float32"),
+        **dict.fromkeys(("time_increment", "scan_time", "range_min", "range_max"), "float32"),
+        **dict.fromkeys(("ranges", "intensities"), "float32[]"),
+    },
     "nav_msgs/Odometry": {
         "header": "std_msgs/Header",
         "child_frame_id": "string",
@@ -42,6 +48,8 @@ TYPES: dict[str, dict[str, str]] = {
 #: What a field of a primitive type is without a value, and which types of JSON it takes.
 _PRIMITIVES: dict[str, tuple[Any, tuple[type, ...]]] = {
     "float64": (0.0, (int, float)),
+    "float32": (0.0, (int, float)),
+    "float32[]": ([], (list,)),
     "int32": (0, (int,)),
     "uint32": (0, (int,)),
     "string": ("", (str,)),
@@ -149,6 +157,10 @@ class RosBridge:
                 status["id"] = message["id"]
             return [json.dumps(status)] if self._statuses else []
 
+    def is_subscribed(self, name: str) -> bool:
+        """Return whether the client has messages of a topic sent."""
+        return name in self._subscribed
+
     def publish(self, name: str, message: dict[str, Any]) -> list[str]:
         """Return what the client is sent as the robot publishes a message."""
         subscription = self._subscribed.get(name)
@@ -156,7 +168,7 @@ class RosBridge:
         if subscription is None or self._now() - subscription.last < subscription.every - 1e-6:
             return []
         subscription.last = self._now()
-        made = populate(message, self.topics[name].kind)
+        made = _finite(populate(message, self.topics[name].kind))
         return [json.dumps({"op": "publish", "topic": name, "msg": made})]
 
     def _advertise(self, message: dict[str, Any]) -> list[str]:
@@ -270,10 +282,19 @@ def _object(
         value = message.get(name, default)
         if not isinstance(value, takes) or (isinstance(value, bool) and inner != "float64"):
             raise _mismatch(root, inner, [*path, name], value)
-        made[name] = float(value) if inner == "float64" else value
+        made[name] = float(value) if inner in ("float32", "float64") else value
     if kind == "std_msgs/Header" and now is not None and "stamp" not in message:
         made["stamp"] = {"sec": int(now), "nanosec": round(1e9 * (now % 1))}
     return made
+
+
+def _finite(value: Any) -> Any:
+    """Return a message as JSON has it: infinity, and what is not a number, are null."""
+    if isinstance(value, dict):
+        return {name: _finite(inner) for name, inner in value.items()}
+    if isinstance(value, list):
+        return [_finite(inner) for inner in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _mismatch(root: str, expected: str, path: list[str], value: Any) -> Refused:

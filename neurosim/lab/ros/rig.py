@@ -8,6 +8,7 @@ import threading
 from contextlib import suppress
 from typing import Unpack
 
+from neurosim.lab.nxt.params import BOARD
 from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.lab.ros.base import MAX_OMEGA, MAX_V, RADIUS, BaseBody, BaseNode
 from neurosim.lab.server import SocketEnd, receive, send
@@ -114,6 +115,7 @@ class VirtualRosRig(BoardRig):
     Attributes:
         lab: the lab itself; no learner looks into it.
         node: the base's node of ROS, with its bridge.
+        walls: half the length and half the width of the room that its laser sees, m.
         robot: the driver, not connected yet, in the lab's own time.
         camera: the roof camera, or None.
         address: what the driver takes as url.
@@ -138,11 +140,14 @@ class VirtualRosRig(BoardRig):
             robot_seed,
             **board,
         )
+        room = self.lab.params.room
+        self.walls = (BOARD.length / 2 + room, BOARD.width / 2 + room)
         self.node = BaseNode(
             body,
             seed,
             stamped=stamped,
             timeout=stops_after,
+            walls=self.walls,
             statuses=statuses,
             rosapi=rosapi,
         )

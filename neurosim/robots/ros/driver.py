@@ -1,10 +1,10 @@
-"""Driver of a base that ROS 2 drives: velocities on a topic, odometry on another."""
+"""Driver of a base that ROS 2 drives: velocities on a topic, odometry and a laser on others."""
 
 from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -19,13 +19,15 @@ from neurosim.base.declared import Metres, Seconds, checks
 from neurosim.base.errors import RobotError, UserError
 from neurosim.robots.base import Clock, Geometry, SystemClock
 from neurosim.robots.ros.bridge import Bridge
+from neurosim.robots.ros.laser import SCAN, Sectors
 
 #: A command without a duration is repeated for so long, s.
 LONGEST = 60.0
 #: Counters count tenths of a millimetre.
 PER_METRE = 10_000.0
-#: Odometry comes no more often than this, s; where none comes for so long, s, it is missed.
-ODOMETRY_EVERY, ODOMETRY_WITHIN = 0.02, 2.0
+#: Odometry and scans come no more often than this, s; where none come for so long, s, they are
+#: missed.
+EVERY, WITHIN = 0.02, 2.0
 #: The thread that repeats commands.
 REPEATS = "ros repeats"
 #: The node of the virtual lab.
@@ -40,6 +42,9 @@ ODOMETRY = "nav_msgs/msg/Odometry"
 Velocity = Annotated[float, Meta(ge=0.001, le=20)]
 TurnRate = Annotated[float, Meta(ge=0.001, le=50)]
 Rate = Annotated[float, Meta(ge=1, le=100)]
+#: Sensors of a laser; degrees.
+SectorCount = Annotated[int, Meta(ge=1, le=72)]
+Degrees = Annotated[float, Meta(ge=-360, le=360)]
 
 
 @dataclass
@@ -51,19 +56,42 @@ class _Held:
     until: float
 
 
+@dataclass
+class _Feed:
+    """A topic whose messages must go on coming.
+
+    Attributes:
+        topic: its name.
+        option: what names it.
+        source: of the messages.
+        seen: when one was last taken, s; None: none has come yet.
+    """
+
+    topic: str
+    option: str
+    source: str
+    seen: float | None = None
+
+
 class Ros:
     """A base that ROS 2 drives, behind a rosbridge: a forward velocity and a turn rate.
 
     Follows :class:`neurosim.robots.base.Robot` and, with odometry, ``Counters``: they count how far
-    the wheels of a base of this radius would have turned. ROS acknowledges no command; one counts
-    as taken when the bridge has it. It is then repeated, because the controllers of most bases stop
-    them when nothing comes for a while. With ``stops_after`` the robot is ``SelfStopping``: the
-    repeats end with the command, and the controller does the rest.
+    the wheels of a base of this radius would have turned. With a laser it follows ``Sensors``.
+    ROS acknowledges no command; one counts as taken when the bridge has it. It is then repeated,
+    because the controllers of most bases stop them when nothing comes for a while. With
+    ``stops_after`` the robot is ``SelfStopping``: the repeats end with the command, and the
+    controller does the rest.
 
     Args:
         url: Address of the rosbridge.
         cmd_vel: Topic on which the base takes velocities.
         odom: Topic on which the base publishes its odometry; none: it is not read.
+        laser: Topic on which a laser publishes its scans, such as /scan; none: they are not read.
+        laser_sectors: Sensors that a scan is divided into: the first looks straight ahead, the
+            others follow to its left.
+        laser_reach: Distance from which on a sensor reads 0, m; nearer it reads more, up to 1.
+        laser_turned: Direction of the laser's own 0, degrees to the left of straight ahead.
         stamped: The base takes TwistStamped messages, not Twist.
         max_v: Greatest velocity that is commanded, forward and backward, m/s.
         max_omega: Greatest turn rate that is commanded, to both sides, rad/s.
@@ -89,6 +117,10 @@ class Ros:
         url: str = "ws://localhost:9090",
         cmd_vel: str = "/cmd_vel",
         odom: str = "/odom",
+        laser: str = NONE,
+        laser_sectors: SectorCount = 8,
+        laser_reach: Metres = 1.0,
+        laser_turned: Degrees = 0.0,
         stamped: bool = False,
         max_v: Velocity = 0.2,
         max_omega: TurnRate = 1.0,
@@ -109,7 +141,9 @@ class Ros:
             "twist",
             {"radius": radius},
         )
-        self._topic, self._odom = cmd_vel, None if odom == NONE else odom
+        self._topic = cmd_vel
+        self._odom = None if odom == NONE else _Feed(odom, "--odom", "the driver of the base")
+        self._laser = None if laser == NONE else _Feed(laser, "--laser", "the driver of the laser")
         self._stamped, self._stops_after, self._period = stamped, stops_after, 1 / rate
         self._bridge = Bridge(url, timeout)
         # Whoever commands and what repeats take turns.
@@ -119,13 +153,17 @@ class Ros:
         self._repeats = clock is None
         self._closed = threading.Event()
         self._seen: NDArray[np.float64] | None = None
-        self._seen_at, self._new = 0.0, False
         self._ways, self._zeros = np.zeros(2), np.zeros(2)
         if stops_after is not None:
             self.drive_for = self._drive_for
         if self._odom is not None:
             self.geometry = Geometry(radius, 2 * radius)
             self.read_counts, self.set_counts = self._read_counts, self._set_counts
+        if self._laser is not None:
+            self._sectors = Sectors(laser_sectors, laser_reach, math.radians(laser_turned))
+            self._scans = {"sectors": laser_sectors, "reach": laser_reach, "turned": laser_turned}
+            self.sensor_names = tuple(f"sensor_{number}" for number in range(laser_sectors))
+            self.read_sensors = self._read_sensors
 
     def connect(self) -> None:
         """Connect to the bridge, make sure that the topics are right, and stop the base.
@@ -139,14 +177,15 @@ class Ros:
         self._bridge.open()
         try:
             kind = STAMPED if self._stamped else TWIST
-            self._nodes = self._others("subscribers", self._topic, kind)
+            self._nodes = self._others("subscribers", self._topic, kind, "--cmd-vel")
             self._bridge.advertise(self._topic, kind)
             self._bridge.farewell = (self._topic, self._message((0.0, 0.0)))
             self.stop()
             if self._odom is not None:
-                self._others("publishers", self._odom, ODOMETRY)
-                self._bridge.subscribe(self._odom, ODOMETRY, ODOMETRY_EVERY, self._see)
-                self._wait_for_odometry(self._odom)
+                self._seen = None
+                self._listen(self._odom, ODOMETRY, self._see)
+            if self._laser is not None:
+                self._listen(self._laser, SCAN, self._sectors.take)
         except BaseException:
             self._bridge.close()
             raise
@@ -196,7 +235,8 @@ class Ros:
             "kind": "ros",
             "url": self._bridge.url,
             "cmd_vel": self._topic,
-            "odom": self._odom,
+            "odom": None if self._odom is None else self._odom.topic,
+            "laser": None if self._laser is None else {"topic": self._laser.topic, **self._scans},
             "stamped": self._stamped,
             "rate": round(1 / self._period, 6),
             "stops_after": self._stops_after,
@@ -265,9 +305,10 @@ class Ros:
 
     # Topics
 
-    def _others(self, role: Literal["subscribers", "publishers"], topic: str, kind: str) -> list:
+    def _others(
+        self, role: Literal["subscribers", "publishers"], topic: str, kind: str, option: str
+    ) -> list:
         """Return the nodes at the other end of a topic of the right type."""
-        option = "--cmd-vel" if role == "subscribers" else "--odom"
         nodes = self._bridge.call(f"/rosapi/{role}", topic=topic).get(role)
         if not nodes or not isinstance(nodes, list):
             does = "subscribes to" if role == "subscribers" else "publishes"
@@ -286,36 +327,59 @@ class Ros:
             )
         return nodes
 
-    def _wait_for_odometry(self, topic: str) -> None:
-        self._seen, end = None, self.clock.now() + ODOMETRY_WITHIN
-        while self._seen is None:
+    def _listen(self, feed: _Feed, kind: str, take: Callable[[dict[str, Any]], bool]) -> None:
+        """Have the messages of a topic taken, and wait for the first."""
+        self._others("publishers", feed.topic, kind, feed.option)
+        feed.seen = None
+
+        def taken(message: dict[str, Any]) -> None:
+            if take(message):
+                feed.seen = self.clock.now()
+
+        self._bridge.subscribe(feed.topic, kind, EVERY, taken)
+        end = self.clock.now() + WITHIN
+        while feed.seen is None:
             if self.clock.now() >= end:
                 raise RobotError(
-                    f"nothing comes on {topic} within {ODOMETRY_WITHIN:g} s: start the driver of "
-                    f"the base, or leave odometry out with --odom {NONE}"
+                    f"nothing comes on {feed.topic} within {WITHIN:g} s: start {feed.source}, or "
+                    f"leave it out with {feed.option} {NONE}"
                 )
             self.clock.sleep_until(self.clock.now() + 0.05)
             self._bridge.sync()
-        self._seen_at = self.clock.now()
 
-    def _see(self, message: dict[str, Any]) -> None:
-        """Take a message of odometry: how far each wheel went since the last."""
+    def _fresh(self, feed: _Feed) -> None:
+        """Take what has come; see that the messages of a topic go on coming.
+
+        Raises:
+            LinkLost: if they do not.
+        """
+        self._bridge.sync()
+        silent = 0.0 if feed.seen is None else self.clock.now() - feed.seen
+        if silent > WITHIN:
+            raise self._bridge.lose(
+                f"nothing has come on {feed.topic} for {silent:.1f} s: does {feed.source} still "
+                "run?"
+            )
+
+    def _see(self, message: dict[str, Any]) -> bool:
+        """Take a message of odometry: how far each wheel went since the last; whether it is one."""
         try:
             pose = message["pose"]["pose"]
             place, turn = pose["position"], pose["orientation"]
             heading = 2 * math.atan2(float(turn["z"]), float(turn["w"]))
             now = np.array([float(place["x"]), float(place["y"]), heading])
         except (KeyError, TypeError, ValueError):
-            return
+            return False
         if not np.isfinite(now).all():
-            return
+            return False
         if self._seen is not None:
             moved = se2.between(self._seen, now)
             moved[2] = se2.wrapped(moved[2])
             forward, _, angle = se2.log(moved)
             aside = angle * self.geometry.wheel_base / 2
             self._ways += (forward - aside, forward + aside)
-        self._seen, self._new = now, True
+        self._seen = now
+        return True
 
     def _read_counts(self) -> tuple[int, int]:
         """Read both counters, left and right, in pulses.
@@ -323,16 +387,9 @@ class Ros:
         Raises:
             LinkLost: if no odometry comes any more.
         """
+        assert self._odom is not None
         with self._lock:
-            self._bridge.sync()
-            now = self.clock.now()
-            if self._new:
-                self._seen_at, self._new = now, False
-            if now - self._seen_at > ODOMETRY_WITHIN:
-                raise self._bridge.lose(
-                    f"nothing has come on {self._odom} for {now - self._seen_at:.1f} s: does the "
-                    "driver of the base still run?"
-                )
+            self._fresh(self._odom)
             left, right = (round(PER_METRE * way) for way in self._ways - self._zeros)
         return left, right
 
@@ -340,6 +397,17 @@ class Ros:
         """Set both counters, in pulses; the base's odometry goes on."""
         self._read_counts()
         self._zeros = self._ways - np.array([int(left), int(right)]) / PER_METRE
+
+    def _read_sensors(self) -> dict[str, float]:
+        """Read all sensors, by name, from 0 (nothing within reach) to 1 (at the laser).
+
+        Raises:
+            LinkLost: if no scans come any more.
+        """
+        assert self._laser is not None
+        with self._lock:
+            self._fresh(self._laser)
+            return dict(zip(self.sensor_names, map(float, self._sectors.readings), strict=True))
 
 
 class _RepeatingClock:
