@@ -361,6 +361,13 @@ def test_the_e_puck_has_other_letters_and_its_own_order(line):
         assert script.heard[:4] == ["D,500,1000", "B,1", "P,1,2", "Q"]
 
 
+def test_an_e_puck_of_a_later_version_is_one(line):
+    script, path = line
+    script.table = {b"V": b"v,Version 2.0.0 January 2008\r\n", b"D": b"d\r\n"}
+    with Khepera(path, dialect="epuck", timeout=PATIENCE) as driver:
+        assert driver.describe()["version"] == "Version 2.0.0 January 2008"
+
+
 def test_an_e_puck_that_reboots(line):
     script, path = line
     script.table = {b"V": b"v,x\r\n", b"D": b"d\r\n", b"N": b"n,0,0,0,0,0,0,0,0\r\n"}

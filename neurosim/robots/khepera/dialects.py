@@ -180,7 +180,7 @@ EPUCK = Dialect(
     full_speed=1000,
     max_speed=1000,
     geometry=Geometry(radius=0.035, wheel_base=0.053),
-    not_this=("Version 2", "epuck2"),
+    not_this=("Version 2.0 January 2018", "epuck2"),  # an e-puck's may be 2.0.0 of 2008
 )
 
 #: e-puck2: as the e-puck, but P is answered and sets nothing, and its sensors are read in turn 100
