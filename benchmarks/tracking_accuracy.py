@@ -17,8 +17,9 @@ camera (benchmarks/tracking_scenes.py). Markers stand 10 cm above the board and 
   - false: poses where less than a tenth of a marker is in view, and poses more than 1 cm or 5
     degrees off; swapped: of these, those with front and back exchanged.
 
-Beside it OpenCV's ArUco detector with its corners refined, on the same ways and in otherwise the
-same pictures, in which the robot carries one 4 x 4 marker with a side of 6 cm (``--aruco``).
+Beside it, on the same ways and in otherwise the same pictures, a robot that carries one tag with a
+side of 6 cm (``--side``), a 4 x 4 ArUco marker (``--tag``). "tag" is the tracker of
+``--markers aruco``, "OpenCV" is OpenCV's detector alone, with its corners refined.
 With ``--recording`` the poses of a recording made in the virtual lab are compared with the truth
 that was kept beside it, calibration included. A constant offset and a lag of the clock (the radio's
 delay, which displacements between two stops do not see) are told apart from the scatter.
@@ -39,65 +40,84 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tracking_scenes import ARUCO, DICTIONARY, FPS, MARKERS, SCENARIOS, Clip, Frame
+from tracking_scenes import FPS, MARKERS, SCENARIOS, TAG_PLACE, Clip, Frame
 
 from neurosim.lab.nxt.world import read_truth
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording
 from tracking.markers.colours import parse_colour
+from tracking.markers.pair import Geometry
+from tracking.markers.tag_tracker import TagTracker
+from tracking.markers.tags import KINDS, Tag
 from tracking.markers.tracker import Tracker
-from tracking.poses import board_poses, marker_geometry
+from tracking.poses import marker_geometry, marker_poses
 
 #: A pose further off than this (m, rad) is a false one.
 FALSE = (0.01, math.radians(5.0))
 
 
-class Ours:
-    """The tracker, frame by frame, as ``neurosim track`` runs it."""
+class Colours:
+    """The tracker of two colours, frame by frame, as ``neurosim track`` runs it."""
 
-    name = "ours"
+    name = "colours"
 
-    def __init__(self, camera: CameraModel):
-        self._camera = camera
+    def __init__(self, camera: CameraModel, markers: dict | None = None):
+        self._camera, self._markers = camera, markers or MARKERS
+        self._tracker = self._look_for(marker_geometry(self._markers, camera))
+
+    def _look_for(self, geometry: Geometry) -> Tracker | TagTracker:
         front, rear = (parse_colour(MARKERS[m]["colour"]) for m in ("front", "rear"))
-        self._tracker = Tracker(front, rear, marker_geometry(MARKERS, camera))
+        return Tracker(front, rear, geometry)
 
     def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
         """Return the pose [3] in the next picture."""
         seen = self._tracker.update(picture, time)
         if not seen.found:
             return None
-        seen = replace(seen, front=seen.front[None], rear=seen.rear[None])
-        return board_poses(seen, MARKERS, self._camera)[0]
+        return marker_poses(seen.front[None], seen.rear[None], self._markers, self._camera)[0]
 
 
-class ArUco:
-    """OpenCV's detector, with its corners refined to fractions of a pixel."""
+class OneTag(Colours):
+    """The tracker of one tag."""
 
-    name = "ArUco"
+    name = "tag"
 
-    def __init__(self, camera: CameraModel):
-        self._camera = camera
+    def __init__(self, camera: CameraModel, tag: Tag, side: float):
+        self._tag = tag
+        x, y = TAG_PLACE
+        ends = {"front": {"x": x + side / 2, "y": y}, "rear": {"x": x - side / 2, "y": y}}
+        super().__init__(camera, {**ends, "height": MARKERS["height"]})
+
+    def _look_for(self, geometry: Geometry) -> Tracker | TagTracker:
+        return TagTracker(self._tag, geometry)
+
+
+class OpenCV:
+    """OpenCV's detector of tags, with its corners refined to fractions of a pixel."""
+
+    name = "OpenCV"
+
+    def __init__(self, camera: CameraModel, tag: Tag, side: float):
+        self._camera, self._tag = camera, tag
         settings = cv2.aruco.DetectorParameters()
         settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
-        self._detector = cv2.aruco.ArucoDetector(dictionary, settings)
+        self._detector = cv2.aruco.ArucoDetector(tag.words, settings)
 
     def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
         """Return the pose [3] in the next picture."""
         corners, ids, _ = self._detector.detectMarkers(picture)
         for corner, number in zip(corners, [] if ids is None else ids.ravel(), strict=True):
-            if number == 7:
+            if number == self._tag.number:
                 points = self._camera.to_board(corner[0], MARKERS["height"])
                 break
         else:
             return None
         # Corners: left ahead, right ahead, right behind, left behind.
-        ahead = points[1] + points[2] - points[0] - points[3]
+        ahead = points[0] + points[1] - points[2] - points[3]
         theta = math.atan2(ahead[1], ahead[0])
         cos, sin = math.cos(theta), math.sin(theta)
         middle = points.mean(axis=0)
-        x, y = ARUCO
+        x, y = TAG_PLACE
         return np.array([middle[0] - cos * x + sin * y, middle[1] - sin * x - cos * y, theta])
 
 
@@ -108,7 +128,8 @@ def main() -> None:
     parser.add_argument("--clips", type=int, default=3, help="of every scenario")
     parser.add_argument("--seconds", type=float, default=5.2, help="of a clip")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--aruco", type=float, default=0.06, help="side in m; 0 leaves it out")
+    parser.add_argument("--tag", default="aruco", help="kind of tag; none leaves tags out")
+    parser.add_argument("--side", type=float, default=0.06, help="of the tag, in m")
     parser.add_argument("--quick", action="store_true", help="one clip of each, 640x480")
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--renders", type=Path, help="keep the clips here, to run again quickly")
@@ -122,19 +143,21 @@ def main() -> None:
     if options.quick:
         options.sizes, options.clips = "640x480", 1
     chosen = options.scenarios.split(",")
+    name = KINDS.get(options.tag, options.tag)
+    known = None if name == "none" else Tag(name, 7)
     rows = []
     if not options.json:
         print(_line("", "", "position", "worst", "heading", "tracked", "false", "swapped"))
     for size in options.sizes.split(","):
         width, height = (int(side) for side in size.split("x"))
         for scenario in (s for s in SCENARIOS if s.name in chosen):
-            for method in (Ours, ArUco) if options.aruco else (Ours,):
+            for method in (Colours, OneTag, OpenCV) if known else (Colours,):
                 seen, bits = [], 0.0
+                carried = () if method is Colours else (known, options.side)
                 for seed in range(options.seed, options.seed + options.clips):
-                    aruco = options.aruco if method is ArUco else None
-                    clip = Clip(scenario, (width, height), seed, options.seconds, aruco)
-                    estimate = method(clip.camera)
-                    frames, bits = frames_of(clip, seed, aruco, options.renders)
+                    clip = Clip(scenario, (width, height), seed, options.seconds, *carried)
+                    estimate = method(clip.camera, *carried)
+                    frames, bits = frames_of(clip, seed, options.renders)
                     seen += [(frame, estimate(frame.picture, frame.time)) for frame in frames]
                 row = {"size": size, "scenario": scenario.name, "method": method.name}
                 row |= rate(seen) | ({"bit_rate": bits} if bits else {})
@@ -150,15 +173,13 @@ def main() -> None:
         print(json.dumps({"frames_a_second": FPS, "rows": rows}))
 
 
-def frames_of(
-    clip: Clip, seed: int, aruco: float | None, renders: Path | None
-) -> tuple[Iterable[Frame], float]:
+def frames_of(clip: Clip, seed: int, renders: Path | None) -> tuple[Iterable[Frame], float]:
     """Return a clip's frames, compressed if the scenario says so, and the bit rate if it does."""
     frames: Iterable[Frame] = clip
     if renders is not None:
         renders.mkdir(parents=True, exist_ok=True)
         width, height = clip.size
-        what = f"{clip.scenario.name}-{width}x{height}-{seed}-{clip.frames}-{aruco or 'pair'}"
+        what = f"{clip.scenario.name}-{width}x{height}-{seed}-{clip.frames}-{clip.carried}"
         frames = _kept(clip, renders / f"{what}.npz")
     return _compressed(frames, clip.size) if clip.scenario.compressed else (frames, 0.0)
 

@@ -2,8 +2,8 @@
 
 The board, its floor and its camera are the virtual lab's; what goes on in front of the camera is
 made here: light, colour casts, long exposures, other things of the markers' colours, hands and
-cables, other cameras. A robot may carry two coloured markers or one ArUco marker in the middle,
-in otherwise the same scene. Everything of the robot is painted in the plane of its markers.
+cables, other cameras. A robot may carry two coloured markers or one tag in the middle, in
+otherwise the same scene. Everything of the robot is painted in the plane of its markers.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from neurosim.lab.camera import scene
 from neurosim.lab.camera.optics import Optics
 from neurosim.lab.nxt.params import CameraParams
 from tracking.camera.camera_model import CameraModel
+from tracking.markers.tags import QUIET, Tag
 
 FPS = 30.0
 MARKERS = {
@@ -28,9 +29,8 @@ MARKERS = {
     "diameter": scene.MARKER_DIAMETER,
     "height": scene.MARKER_HEIGHT,
 }
-DICTIONARY = cv2.aruco.DICT_4X4_50
-#: Where the ArUco marker's centre is in the robot frame (m).
-ARUCO = (-0.01, 0.0)
+#: Where the tag's centre is in the robot frame (m).
+TAG_PLACE = (-0.01, 0.0)
 
 PINK, BLUE = (150.0, 60.0, 232.0), (205.0, 85.0, 25.0)  # BGR, as on the lab's robot
 WHITE, BLACK = (238.0, 240.0, 240.0), (20.0, 20.0, 21.0)
@@ -108,7 +108,7 @@ class Frame:
         time: of the middle of the exposure, s.
         picture: BGR uint8 [H, W, 3].
         pose: the robot's at that time, [3] (m, m, rad).
-        visible: share of the front and of the rear marker that shows, [2].
+        visible: share of the front and of the rear marker that shows, [2]; twice that of a tag.
     """
 
     time: float
@@ -125,7 +125,8 @@ class Clip:
         size: width and height in pixels.
         seed: of the robot's way and of all noise.
         seconds: how long it is.
-        aruco: side of the ArUco marker that the robot carries instead of its two, in m.
+        tag: that the robot carries instead of its two markers.
+        side: of the tag's black square, in m.
     """
 
     def __init__(
@@ -134,7 +135,8 @@ class Clip:
         size: tuple[int, int],
         seed: int,
         seconds: float,
-        aruco: float | None = None,
+        tag: Tag | None = None,
+        side: float = 0.06,
     ):
         self.scenario, self.size, self.frames = scenario, size, round(seconds * FPS)
         rng = np.random.default_rng([seed, 0x7AC])
@@ -151,7 +153,10 @@ class Clip:
             self.optics.plane_map(0.0), scene.grain(rng, room=1.5), 0.0, 0.18
         )
         self._still_colour, self._still_share = None, None
-        self._texture = robot_texture(scenario.shape, aruco)
+        #: What the robot carries, in a word.
+        self.carried = "pair" if tag is None else f"{tag.dictionary}-{tag.number}-{side}"
+        self._tag_side = None if tag is None else side
+        self._texture = robot_texture(scenario.shape, tag, side)
         self._way = way(scenario, rng, seconds)
         if scenario.others:
             self._litter(rng)
@@ -304,16 +309,20 @@ class Clip:
         return self.optics.project(_on_robot(pose, np.array([[*_at("front")], [*_at("rear")]])))
 
     def _visible(self, pose: NDArray, mask: NDArray) -> NDArray:
-        angle = np.arange(24) * math.pi / 12
-        ring = np.concatenate(
-            [r * np.stack([np.cos(angle), np.sin(angle)], axis=-1) for r in (0.0145, 0.023, 0.029)]
-        )
+        if self._tag_side is None:
+            angle = np.arange(24) * math.pi / 12
+            ring = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
+            disc = np.concatenate([radius * ring for radius in (0.0145, 0.023, 0.029)])
+            parts = [_at(name) + disc for name in ("front", "rear")]
+        else:
+            grid = self._tag_side * (np.arange(12) / 11 - 0.5)
+            parts = 2 * [TAG_PLACE + np.stack(np.meshgrid(grid, grid), axis=-1).reshape(-1, 2)]
         shares = []
-        for name in ("front", "rear"):
-            pixels = np.round(self.optics.project(_on_robot(pose, _at(name) + ring))).astype(int)
+        for part in parts:
+            pixels = np.round(self.optics.project(_on_robot(pose, part))).astype(int)
             inside = ((pixels >= 0) & (pixels < self.size)).all(axis=1)
             u, v = pixels[inside].T
-            shares.append((1.0 - mask[v, u]).sum() / len(ring))
+            shares.append((1.0 - mask[v, u]).sum() / len(part))
         return np.array(shares)
 
 
@@ -378,7 +387,7 @@ def _interpolator(poses: NDArray, step: float):
     return at
 
 
-def robot_texture(shape: str = "dot", aruco: float | None = None) -> NDArray:
+def robot_texture(shape: str = "dot", tag: Tag | None = None, side: float = 0.06) -> NDArray:
     """Return the robot's texture, BGR and cover premultiplied, row along y, column along x."""
     shapes: list[tuple] = [
         ("box", (0.0, 0.066), (0.028, 0.0135), (118.0, 118.0, 116.0)),
@@ -386,14 +395,15 @@ def robot_texture(shape: str = "dot", aruco: float | None = None) -> NDArray:
         ("box", (0.06, 0.0), (0.015, 0.102), (40.0, 38.0, 38.0)),
         ("box", (-0.01, 0.0), (0.118, 0.052), BLACK),
     ]
-    if aruco is not None:
-        shapes.append(("box", ARUCO, (0.5 * aruco * 8 / 6, 0.5 * aruco * 8 / 6), WHITE))
-        dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
-        modules = cv2.aruco.generateImageMarker(dictionary, 7, 6)
-        side = aruco / 6
-        for row, column in np.argwhere(modules == 0):
-            place = (ARUCO[0] + (column - 2.5) * side, ARUCO[1] - (row - 2.5) * side)
-            shapes.append(("box", place, (side / 2, side / 2), BLACK))
+    if tag is not None:
+        count = len(tag.cells)
+        cell = side / count
+        shapes.append(("box", TAG_PLACE, 2 * [0.5 * side + QUIET * cell], WHITE))
+        for row, column in np.argwhere(~tag.cells):
+            # The tag's upper edge is ahead, its left edge on the left.
+            ahead, left = (count - 1) / 2 - row, (count - 1) / 2 - column
+            place = (TAG_PLACE[0] + ahead * cell, TAG_PLACE[1] + left * cell)
+            shapes.append(("box", place, (cell / 2, cell / 2), BLACK))
         return shapes_texture(shapes)
     kind = {"dot": "fade", "plain": "disc", "square": "box"}[shape]
     size = (0.026, 0.026) if kind == "box" else 0.03

@@ -37,6 +37,30 @@ def paint_rectangle(image, centre, half, angle, colour):
     _paint(image, centre, float(np.hypot(*half)) + 2, cover)
 
 
+def paint_tag(image, tag, middle, heading, side, *, white=235.0):
+    """Paint a tag with a cell of white around it; return the middles of its front and rear edge.
+
+    ``heading`` of its upper edge, in radians, counter-clockwise as seen; ``side`` of its black
+    square in pixels.
+    """
+    cells = np.pad(tag.cells, 1, constant_values=True)
+    cos, sin = np.cos(heading), np.sin(heading)
+
+    def cover(du, dv):
+        up, right = cos * du - sin * dv, sin * du + cos * dv
+        row, column = (
+            np.floor(way * len(tag.cells) / side + len(cells) / 2).astype(int)
+            for way in (-up, right)
+        )
+        inside = (np.minimum(row, column) >= 0) & (np.maximum(row, column) < len(cells))
+        light = cells[np.clip(row, 0, len(cells) - 1), np.clip(column, 0, len(cells) - 1)]
+        return inside, np.where(light, white, BLACK)[..., None] * np.ones(3)
+
+    _paint(image, middle, side, cover)
+    ahead = side / 2 * np.array([cos, -sin])
+    return middle + ahead, middle - ahead
+
+
 def _disc(du, dv, radius, colour, fade, gain):
     distance = np.hypot(du, dv)
     share = np.clip(distance / radius, 0, 1)[..., None] if fade else 1.0

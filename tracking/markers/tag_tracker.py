@@ -1,0 +1,195 @@
+"""The tracker of one printed tag: found by OpenCV's detector, followed by a fit of its pattern."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tracking.markers.pair import LOST, Geometry, Motion, Sighting, lamp_luma, middle_of
+from tracking.markers.tag_fit import Placed, fit
+from tracking.markers.tags import QUIET, Tag
+
+#: Correlation with the pattern from which on a tag is believed, and share of it that must show.
+LEAST_LIKENESS, LEAST_SEEN = 0.7, 0.6
+#: Sides that are still believed, as a share of what is known, or was learned.
+SIDE_TOLERANCE = 0.08
+#: A tag is searched in a picture in which its side has about so many pixels, or all there are.
+SEARCH_SIDE = 36.0
+#: Pictures are enlarged for the search by this at most, and are of so many pixels then.
+MOST_ENLARGED, MOST_PIXELS = 3, 2_500_000
+#: While the tag is lost every frame is searched for a while, then only every few.
+SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
+
+
+class TagTracker:
+    """Tracks one tag through the frames of one video part, in order.
+
+    What is seen of it is the middles of the front and the rear edge of its black square: a pair of
+    points, as two markers are. Front is the upper edge, as the tag is printed.
+
+    Args:
+        tag: which.
+        geometry: what is known of the pair; its separation is the side of the black square.
+    """
+
+    def __init__(self, tag: Tag, geometry: Geometry | None = None):
+        self.tag = tag
+        self.geometry = geometry or Geometry()
+        settings = cv2.aruco.DetectorParameters()
+        settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+        self._detector = cv2.aruco.ArucoDetector(tag.words, settings)
+        self._side = self.geometry.separation
+        self._placed: Placed | None = None
+        self._motion: Motion | None = None
+        self._lost = 0
+        #: Numbers of other tags of the dictionary that were seen while this one was searched.
+        self.others: set[int] = set()
+        #: Frames in which there were several of this tag, and none was taken.
+        self.undecided = 0
+        #: Whether the tag was ever found.
+        self.ever_found = False
+
+    def update(self, frame: NDArray, time: float) -> Sighting:
+        """Find the tag in the next frame.
+
+        Args:
+            frame: BGR [H, W, 3] uint8.
+            time: in seconds, later than the frame before.
+        """
+        placed = self._follow(frame, time) if self._motion is not None and not self._lost else None
+        if placed is None and (self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0):
+            placed = self._search(frame)
+        if placed is None:
+            self._lost += 1
+            return LOST
+        pixels = self._ends(placed)
+        quality = self._quality(placed, pixels)
+        motion = None if self._lost else self._motion
+        self._motion = (
+            Motion(time, middle_of(pixels), pixels[0] - pixels[1])
+            if motion is None
+            else motion.after(time, pixels)
+        )
+        self._placed, self._lost, self.ever_found = placed, 0, True
+        apart = self.geometry.separation_of(pixels)
+        self._side = apart if self._side is None else self._side
+        if self.geometry.separation is None:
+            self._side += 0.03 * (apart - self._side)
+        rim = QUIET / len(self.tag.cells) * placed.side
+        return Sighting(*pixels, quality, lamp_luma(frame, pixels, self.geometry.lamp, rim))
+
+    def _follow(self, frame: NDArray, time: float) -> Placed | None:
+        """Return the tag near where it was, turned as it turned; None where it is not there."""
+        before = self._motion.pixels
+        ahead = self._motion.predict(time)
+        turn = _angle(ahead[0] - ahead[1]) - _angle(before[0] - before[1])
+        cos, sin = math.cos(turn), math.sin(turn)
+        guess = Placed(middle_of(ahead), np.array([[cos, -sin], [sin, cos]]) @ self._placed.axes)
+        fitted = self._fit(_grey_around(frame, guess, 1.0), guess)
+        if fitted is not None:
+            return fitted
+        part = _grey_around(frame, guess, 2.0 + 30.0 * (time - self._motion.time))
+        seen = self._detect(*part, min(_enlargement(guess.side), MOST_ENLARGED))
+        return seen[0] if len(seen) == 1 else None
+
+    def _search(self, frame: NDArray) -> Placed | None:
+        """Return the tag wherever it is in a frame; None where it is not, or there are several."""
+        part = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY), np.zeros(2, int)
+        for factor in self._enlargements(part[0]):
+            seen = self._detect(*part, factor)
+            self.undecided += len(seen) > 1
+            if seen:
+                return seen[0] if len(seen) == 1 else None
+        return None
+
+    def _enlargements(self, grey: NDArray) -> Iterator[int]:
+        """Yield by how much a picture is to be enlarged for a search, one after the other."""
+        most = max(1, min(MOST_ENLARGED, math.isqrt(MOST_PIXELS // grey.size)))
+        middle = (np.array(grey.shape[::-1]) - 1) / 2
+        if self._side is None:
+            yield from range(1, most + 1)
+        else:
+            side = self._side * self.geometry.pixels_per_unit(middle)
+            yield min(_enlargement(side), most)
+
+    def _detect(self, grey: NDArray, origin: NDArray, factor: int) -> list[Placed]:
+        """Return all of this tag in a part of a picture, from ``origin`` on, px, fitted."""
+        if min(grey.shape) < 8:
+            return []
+        large = grey
+        if factor > 1:
+            large = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+        corners, numbers, _ = self._detector.detectMarkers(large)
+        numbers = [] if numbers is None else np.ravel(numbers).tolist()
+        self.others |= {number for number in numbers if number != self.tag.number}
+        found = []
+        for number, corner in zip(numbers, corners, strict=True):
+            if number == self.tag.number:
+                at = (corner.reshape(4, 2).astype(float) + 0.5) / factor - 0.5 + origin
+                fitted = self._fit((grey, origin), Placed.of_corners(at))
+                found += [] if fitted is None else [fitted]
+        return found
+
+    def _fit(self, part: tuple[NDArray, NDArray], guess: Placed) -> Placed | None:
+        """Return the tag near a guess, in a part of a picture with its origin; None: not there."""
+        grey, origin = part
+        placed = fit(grey, self.tag, replace(guess, centre=guess.centre - origin))
+        if placed is None or placed.likeness < LEAST_LIKENESS or placed.seen < LEAST_SEEN:
+            return None
+        placed = replace(placed, centre=placed.centre + origin)
+        return placed if self._quality(placed, self._ends(placed)) > 0 else None
+
+    def _quality(self, placed: Placed, pixels: NDArray) -> float:
+        """Rate a tag, 1 as expected; 0 where its size is not to be believed."""
+        off = 0.0
+        if self._side is not None:
+            off = self.geometry.separation_of(pixels) / self._side - 1.0
+        if abs(off) > SIDE_TOLERANCE:
+            return 0.0
+        return placed.likeness * placed.seen * math.exp(-0.5 * (off / 0.04) ** 2)
+
+    def _ends(self, placed: Placed) -> NDArray:
+        """Return the middles of the front and the rear edge, [2, 2] px, of the best square.
+
+        In the plane in which its sides are equal, both axes of the tag say how it is turned.
+        """
+        steps = placed.centre + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+        zero, right, down = self.geometry.plane(steps)
+        plane = np.stack([right - zero, down - zero], axis=1)
+        (a, b), (c, d) = plane @ placed.axes
+        mirror = math.copysign(1.0, a * d - b * c)
+        angle = math.atan2(c - mirror * b, a + mirror * d)
+        cos, sin = math.cos(angle), math.sin(angle)
+        side = ((a + mirror * d) * cos + (c - mirror * b) * sin) / 2
+        half = np.linalg.solve(plane, mirror * side / 2 * np.array([sin, -cos]))
+        return np.array([placed.centre + half, placed.centre - half])
+
+
+def _enlargement(side: float) -> int:
+    """Return by how much a picture is enlarged to search a tag whose side has so many pixels."""
+    return max(1, math.ceil(SEARCH_SIDE / max(side, 1.0)))
+
+
+def _grey_around(frame: NDArray, placed: Placed, margin: float) -> tuple[NDArray, NDArray]:
+    """Return the part of a frame around a tag, grey, and where it begins (px).
+
+    Args:
+        frame: BGR [H, W, 3] uint8.
+        placed: the tag.
+        margin: beyond it, in its sides.
+    """
+    reach = (0.75 + margin) * placed.side
+    size = frame.shape[1::-1]
+    low = np.clip(np.floor(placed.centre - reach), 0, size).astype(int)
+    high = np.clip(np.ceil(placed.centre + reach), 0, size).astype(int)
+    part = frame[low[1] : high[1], low[0] : high[0]]
+    return (cv2.cvtColor(part, cv2.COLOR_BGR2GRAY) if part.size else part[..., 0]), low
+
+
+def _angle(axis: NDArray) -> float:
+    return math.atan2(axis[1], axis[0])
