@@ -40,7 +40,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tracking_scenes import FPS, MARKERS, SCENARIOS, TAG_PLACE, Clip, Frame
+from tracking_scenes import ARUCO, FPS, MARKERS, SCENARIOS, TAG_PLACE, Clip, Frame
 
 from neurosim.lab.nxt.world import read_truth
 from tracking.camera.camera_model import CameraModel
@@ -144,7 +144,7 @@ def main() -> None:
         options.sizes, options.clips = "640x480", 1
     chosen = options.scenarios.split(",")
     name = KINDS.get(options.tag, options.tag)
-    known = None if name == "none" else Tag(name, 7)
+    known = None if name == "none" else Tag(name, ARUCO.number)
     rows = []
     if not options.json:
         print(_line("", "", "position", "worst", "heading", "tracked", "false", "swapped"))

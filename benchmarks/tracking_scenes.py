@@ -29,6 +29,8 @@ MARKERS = {
     "diameter": scene.MARKER_DIAMETER,
     "height": scene.MARKER_HEIGHT,
 }
+#: A tag of few cells.
+ARUCO = Tag("4X4_50", 7)
 #: Where the tag's centre is in the robot frame (m).
 TAG_PLACE = (-0.01, 0.0)
 

@@ -7,10 +7,10 @@ Milliseconds a frame and ratios, the medians of rounds in which these take turns
 
   - decoding: every frame through ``VideoCapture.read`` and nothing else;
   - ours: the whole of ``neurosim track`` on the file, calibrated, from opening it to poses.csv;
+  - tag: the same of a robot with an ArUco marker, which is tracked as ``--markers aruco`` does;
   - usual: decoding, then the usual recipe on the full frame: HSV, two thresholds, opening,
     connected components with their centroids;
-  - ArUco: decoding, then OpenCV's detector with refined corners, on a clip in which the robot
-    carries an ArUco marker.
+  - ArUco: decoding, then OpenCV's detector with refined corners, on the clip with that marker.
 
 The robot of tracking_accuracy.py drives through every clip: 150 frames, forwards, backwards and
 forwards again. Other work on the machine spoils these figures.
@@ -29,10 +29,14 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from tracking_scenes import DICTIONARY, FPS, MARKERS, SCENARIOS, Clip
+from tracking_scenes import ARUCO, FPS, MARKERS, SCENARIOS, Clip
 
+from tracking.markers.sought import Sought
+from tracking.markers.tags import Tag
 from tracking.track import track_video
 
+COLOURS = ("pink", "blue")
+METHODS = ("decoding", "ours", "tag", "usual", "ArUco")
 CODECS = {"mp4v": ".mp4", "MJPG": ".avi"}
 #: HSV ranges of pink and blue, as one tunes them by hand.
 RANGES = (((150, 60, 50), (178, 255, 255)), ((100, 60, 40), (128, 255, 255)))
@@ -51,13 +55,16 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for text in options.sizes.split(","):
             width, height = (int(side) for side in text.split("x"))
-            clips = [make(Path(folder), (width, height), aruco) for aruco in (None, 0.06)]
+            clips = [make(Path(folder), (width, height), tag) for tag in (None, ARUCO)]
             camera = clips[0][1]
             for codec in CODECS:
                 pair, aruco = (files[codec] for files, _ in clips)
                 methods: dict[str, Callable[[], int]] = {
                     "decoding": lambda path=pair: decode(path, lambda frame: None),
-                    "ours": lambda path=pair, model=camera: ours(path, model, Path(folder)),
+                    "ours": lambda path=pair, model=camera: ours(
+                        path, COLOURS, model, Path(folder)
+                    ),
+                    "tag": lambda path=aruco, model=camera: ours(path, ARUCO, model, Path(folder)),
                     "usual": lambda path=pair: decode(path, usual),
                     "ArUco": lambda path=aruco: decode(path, aruco_detector()),
                 }
@@ -66,9 +73,9 @@ def main() -> None:
         machine = {"cores": os.cpu_count(), "opencv": cv2.__version__}
         print(json.dumps({"machine": machine, "rows": rows}))
         return
-    print(f"{'':18}{'decoding':>10}{'ours':>10}{'usual':>10}{'ArUco':>10}  ms a frame")
+    print(" " * 18 + "".join(f"{name:>10}" for name in METHODS) + "  ms a frame")
     for row in rows:
-        cells = "".join(f"{row[name]:10.2f}" for name in ("decoding", "ours", "usual", "ArUco"))
+        cells = "".join(f"{row[name]:10.2f}" for name in METHODS)
         print(
             f"{row['size'] + ' ' + row['codec']:18}{cells}  "
             f"ours / decoding {row['ours'] / row['decoding']:.2f}, "
@@ -76,13 +83,13 @@ def main() -> None:
         )
 
 
-def make(folder: Path, size: tuple[int, int], aruco: float | None) -> tuple[dict, object]:
+def make(folder: Path, size: tuple[int, int], tag: Tag | None) -> tuple[dict, object]:
     """Render a clip and write it with every codec; return the files and the camera."""
-    clip = Clip(SCENARIOS[0], size, 1, 5.0, aruco)
+    clip = Clip(SCENARIOS[0], size, 1, 5.0, tag)
     frames = [frame.picture for frame in clip]
     files = {}
     for codec, suffix in CODECS.items():
-        path = folder / f"{size[0]}-{aruco or 'pair'}-{codec}{suffix}"
+        path = folder / f"{size[0]}-{clip.carried}-{codec}{suffix}"
         writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*codec), FPS, size)
         for picture in (*frames, *frames[::-1], *frames):
             writer.write(picture)
@@ -103,13 +110,12 @@ def decode(path: Path, look: Callable[[np.ndarray], object]) -> int:
         count += 1
 
 
-def ours(path: Path, camera: object, folder: Path) -> int:
+def ours(path: Path, what: Sought | tuple[str, str], camera: object, folder: Path) -> int:
     """Track the file as ``neurosim track VIDEO --calibration FILE -o FOLDER`` does."""
     with tempfile.TemporaryDirectory(dir=folder) as out:
         result = track_video(
-            path, "pink", "blue", Path(out) / "poses",
-            calibration=camera, height=MARKERS["height"],
-        )  # fmt: skip
+            path, what, Path(out) / "poses", calibration=camera, height=MARKERS["height"]
+        )
     if result["found"] < 0.99:
         raise SystemExit(f"the robot was found in {100 * result['found']:.1f} % of {path.name}")
     return result["frames"]
@@ -132,8 +138,7 @@ def aruco_detector() -> Callable[[np.ndarray], object]:
     """Return OpenCV's detector with refined corners."""
     settings = cv2.aruco.DetectorParameters()
     settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    dictionary = cv2.aruco.getPredefinedDictionary(DICTIONARY)
-    return cv2.aruco.ArucoDetector(dictionary, settings).detectMarkers
+    return cv2.aruco.ArucoDetector(ARUCO.words, settings).detectMarkers
 
 
 def timed(methods: dict[str, Callable[[], int]], rounds: int) -> dict[str, float]:

@@ -1,4 +1,4 @@
-"""One video, from its first frame to its last: where both markers were seen in each."""
+"""One video, from its first frame to its last: where the markers were seen in each."""
 
 from __future__ import annotations
 
@@ -16,10 +16,12 @@ from neurosim.base.files import atomic_path
 from neurosim.base.progress import Progress
 from tracking.camera.video import Video
 from tracking.identity import doubtful
-from tracking.markers.colours import Colour, parse_colour
+from tracking.markers.colours import Colour
 from tracking.markers.pair import LOST, Geometry, Sighting
 from tracking.markers.palette import unless_still
 from tracking.markers.pointing import colour_at
+from tracking.markers.sought import Sought, drawn_with, tracker_of
+from tracking.markers.tag_tracker import TagTracker
 from tracking.markers.tracker import Tracker
 from tracking.overlay import Overlay, check_overlay
 
@@ -31,12 +33,14 @@ class Track:
     Attributes:
         frame: [N] index within the video.
         time: [N] camera time.
-        front, rear: [N, 2] pixels of the markers' centres, NaN where the pair was not found.
+        front, rear: [N, 2] pixels of the markers' centres, or of the middles of a tag's front and
+            rear edge; NaN where the pair was not found.
         quality: [N] 0 not found, up to 1.
         lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
         size: width and height of the video in pixels.
-        colours: of front and rear as found: name, rgb of the rim, hue, chroma, how sure, and
-            what speaks against them where they are not sure.
+        markers: as tracking.json has them. ``front`` and ``rear`` as found: name, rgb of the rim,
+            hue, chroma, how sure, and what speaks against them where they are not sure; or
+            ``tag``: its dictionary and id, and the ids of others that were seen.
         undecided: frames in which several pairs could have been the lost one; none was taken.
         missing: frames that the video should have after these, and has not: it was cut short.
     """
@@ -48,7 +52,7 @@ class Track:
     quality: NDArray
     lamp: NDArray
     size: tuple[int, int]
-    colours: tuple[dict[str, Any], dict[str, Any]]
+    markers: dict[str, dict[str, Any]]
     undecided: int = 0
     missing: int = 0
 
@@ -59,14 +63,18 @@ class Track:
 
     @cached_property
     def doubtful(self) -> NDArray:
-        """[N] whether what was followed may be another pair than that of the first frames."""
+        """[N] whether what was followed may be another pair than that of the first frames.
+
+        A tag is itself.
+        """
+        if "tag" in self.markers:
+            return np.zeros(len(self.time), bool)
         return doubtful(self.time, self.front, self.rear)
 
 
 def follow(
     path: str | Path,
-    front: Colour | str,
-    rear: Colour | str,
+    what: Sought | None,
     *,
     geometry: Geometry | None = None,
     times: NDArray | None = None,
@@ -74,12 +82,11 @@ def follow(
     expected_size: tuple[int, int] | None = None,
     clicks: ArrayLike | None = None,
 ) -> Track:
-    """Follow two coloured markers through a video.
+    """Follow two coloured markers, or a tag, through a video.
 
     Args:
         path: the video; one that was cut off is read as far as it goes.
-        front: the front marker's colour: a name, ``#rrggbb`` or ``hsv:h,s,v``.
-        rear: the rear marker's.
+        what: to look for; None where there are clicks.
         geometry: what is known of the pair.
         times: camera time [N] of the frames in seconds; without, the container's.
         overlay: write a video with the markers drawn over it here.
@@ -89,7 +96,7 @@ def follow(
 
     Raises:
         UserError: if the video cannot be read, has another size than expected, or shows no
-            such pair in any frame.
+            such pair, or tag, in any frame.
     """
     path = Path(path)
     rows: list[tuple] = []
@@ -97,10 +104,10 @@ def follow(
         video = stack.enter_context(Video(path, times))
         if clicks is not None:
             front, rear = (colour_at(video.first, click).colour for click in np.asarray(clicks))
-        colours = tuple(c if isinstance(c, Colour) else parse_colour(c) for c in (front, rear))
-        if colours[0].name == colours[1].name:
-            raise UserError(f"both markers are {colours[0].name}: front and rear need two colours")
-        tracker = Tracker(*colours, geometry, None if clicks is None else np.asarray(clicks, float))
+            what = front, rear
+        if isinstance(what, tuple) and what[0].name == what[1].name:
+            raise UserError(f"both markers are {what[0].name}: front and rear need two colours")
+        tracker = tracker_of(what, geometry, None if clicks is None else np.asarray(clicks, float))
         if expected_size is not None and video.size != tuple(expected_size):
             raise UserError(
                 f"{path} has {video.size[0]} x {video.size[1]} pixels, the calibration was made "
@@ -110,7 +117,7 @@ def follow(
         if overlay is not None:
             check_overlay(overlay, path)
             partial = stack.enter_context(atomic_path(overlay))
-            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, colours))
+            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, drawn_with(what)))
         progress = stack.enter_context(
             Progress(f"tracking {path.name}", video.frames or None, "frames")
         )
@@ -126,12 +133,12 @@ def follow(
                 drawing.write(frame, time, sighting)
             progress.advance()
     table = np.array(rows, float)
-    table[: tracker.begun, 2:] = _row(LOST)
-    founds = tracker.found
-    if founds is None or not table[:, 6].any():
-        raise UserError(_not_found(path, colours, tracker.seen, geometry is not None))
-    if clicks is None:
-        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
+    if isinstance(tracker, TagTracker):
+        if not tracker.ever_found:
+            raise UserError(_no_tag(path, tracker, geometry))
+        markers = {"tag": {**tracker.tag.as_dict(), "others": sorted(tracker.others)}}
+    else:
+        markers = _colours(path, tracker, table, geometry, by_hand=clicks is not None)
     return Track(
         table[:, 0].astype(int),
         table[:, 1],
@@ -140,7 +147,7 @@ def follow(
         table[:, 6],
         table[:, 7],
         video.size,
-        tuple(found.as_dict() for found in founds),
+        markers,
         tracker.undecided,
         video.missing,
     )
@@ -148,6 +155,30 @@ def follow(
 
 def _row(sighting: Sighting) -> tuple[float, ...]:
     return (*sighting.front, *sighting.rear, sighting.quality, sighting.lamp)
+
+
+def _colours(
+    path: Path, tracker: Tracker, table: NDArray, geometry: Geometry | None, *, by_hand: bool
+) -> dict[str, dict[str, Any]]:
+    """Return what was found of two colours; rows before the pair are taken out of the table."""
+    table[: tracker.begun, 2:] = _row(LOST)
+    founds = tracker.found
+    if founds is None or not table[:, 6].any():
+        raise UserError(_not_found(path, tracker.colours, tracker.seen, geometry is not None))
+    if not by_hand:
+        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
+    return {which: found.as_dict() for which, found in zip(("front", "rear"), founds, strict=True)}
+
+
+def _no_tag(path: Path, tracker: TagTracker, geometry: Geometry | None) -> str:
+    others = ", ".join(map(str, sorted(tracker.others)))
+    sized = geometry is not None and geometry.separation is not None
+    return (
+        f"{path}: {tracker.tag} was not found in any frame; "
+        + (f"of its dictionary {others} are in view: name one with --tag, or " if others else "")
+        + "check that it is flat, whole and in view"
+        + (", and that its size is as given" if sized else "")
+    )
 
 
 def _not_found(

@@ -10,10 +10,10 @@ from dataclasses import dataclass
 
 from numpy.typing import NDArray
 
-from tracking.markers.colours import Colour
 from tracking.markers.pair import Geometry, Sighting
 from tracking.markers.palette import Found
-from tracking.markers.tracker import Tracker
+from tracking.markers.sought import Sought, tracker_of
+from tracking.markers.tag_tracker import TagTracker
 
 #: Frames that may wait to be tracked; beyond it the oldest is passed over, so that what is known
 #: of the robot is never older than these.
@@ -31,6 +31,7 @@ class Seen:
         frame: the picture, BGR [H, W, 3] uint8; nobody may write to it.
         sighting: what the tracker found.
         colours: of front and rear as this camera sees them, once they were found.
+        others: numbers of tags that were seen beside the robot's.
     """
 
     index: int
@@ -39,10 +40,11 @@ class Seen:
     frame: NDArray
     sighting: Sighting
     colours: tuple[Found, Found] | None = None
+    others: frozenset[int] = frozenset()
 
 
 class LiveTracker:
-    """A :class:`tracking.markers.tracker.Tracker` at a camera.
+    """A tracker (:func:`tracking.markers.sought.tracker_of`) at a camera.
 
     Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
     thread: the same frames give the same sightings at the same moments. Others are tracked in a
@@ -50,7 +52,7 @@ class LiveTracker:
     Where a camera's time goes back, a video begins again, and tracking begins anew with it.
 
     Args:
-        colours: of front and rear.
+        what: it looks for.
         geometry: what is known of the pair.
         now: the clock for arrival times, in seconds.
         on_seen: called with every frame that was tracked, in the order of the frames.
@@ -59,18 +61,18 @@ class LiveTracker:
 
     def __init__(
         self,
-        colours: tuple[Colour, Colour],
+        what: Sought,
         geometry: Geometry | None,
         now: Callable[[], float],
         on_seen: Callable[[Seen], None],
         *,
         waits: bool = False,
     ):
-        self._colours, self._geometry = colours, geometry
+        self._what, self._geometry = what, geometry
         self._now = now
         self._on_seen = on_seen
         self._waits = waits
-        self._tracker = Tracker(*colours, geometry)
+        self._tracker = tracker_of(what, geometry)
         self._taken = 0
         self._last = -math.inf
         self.passed_over = 0
@@ -88,14 +90,12 @@ class LiveTracker:
         """Whether something went wrong while tracking; :meth:`close` raises it."""
         return self._error is not None
 
-    def look_for(
-        self, colours: tuple[Colour, Colour] | None = None, geometry: Geometry | None = None
-    ) -> None:
-        """Start afresh with other colours, another geometry, or both."""
+    def look_for(self, what: Sought | None = None, geometry: Geometry | None = None) -> None:
+        """Start afresh: look for something else, with another geometry, or both."""
         with self._change:
-            self._colours = colours or self._colours
+            self._what = what or self._what
             self._geometry = geometry or self._geometry
-            self._tracker = Tracker(*self._colours, self._geometry)
+            self._tracker = tracker_of(self._what, self._geometry)
 
     def take(self, time: float, frame: NDArray) -> None:
         """Take the camera's next frame; returns at once unless the camera waits."""
@@ -141,4 +141,5 @@ class LiveTracker:
         self._last = time
         tracker = self._tracker
         sighting = tracker.update(frame, time)
-        self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.found))
+        others = frozenset(tracker.others) if isinstance(tracker, TagTracker) else frozenset()
+        self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.found, others))

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import check_name
-from tracking.markers.colours import Colour
 from tracking.markers.pair import Sighting
 
 #: Frames for which the trail stays.
@@ -39,7 +38,7 @@ def check_overlay(overlay: str | Path, video: Path) -> None:
 class Overlay:
     """Writes the overlay frame by frame; use it as a context manager.
 
-    Markers are circled in their named colours, an arrow points from the rear to the front one,
+    Markers are circled, an arrow points from the rear to the front one,
     a trail follows the middle between them, and a line of text gives time and quality.
     """
 
@@ -48,9 +47,15 @@ class Overlay:
         path: str | Path,
         size: tuple[int, int],
         fps: float,
-        colours: tuple[Colour, Colour],
+        colours: tuple[tuple[int, int, int], tuple[int, int, int]],
     ):
         """Open the file.
+
+        Args:
+            path: of the file.
+            size: width and height in pixels.
+            fps: frames a second.
+            colours: of the circles around front and rear, BGR.
 
         Raises:
             UserError: if it cannot be written.
@@ -81,7 +86,7 @@ class Overlay:
             radius = max(4.0, 0.28 * float(np.hypot(*axis)))
             for centre, colour in zip((sighting.front, sighting.rear), self._colours, strict=True):
                 cv2.circle(
-                    picture, _fixed(centre), round(radius * 2**_BITS), colour.bgr, 1,
+                    picture, _fixed(centre), round(radius * 2**_BITS), colour, 1,
                     cv2.LINE_AA, _BITS,
                 )  # fmt: skip
                 for step in 2.0 * np.eye(2):

@@ -1,4 +1,4 @@
-"""A page to print and cut up: the two markers, and a chessboard for the camera's lens."""
+"""A page to print and cut up: two markers or a tag, and a chessboard for the camera's lens."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from msgspec import Meta
 
-from neurosim.base.declared import Checked, Metres
+from neurosim.base.declared import Checked, Metres, TagId
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
 from tracking.camera.targets import Pattern
 from tracking.markers.colours import Colour, colour_pair, parse_colour
 from tracking.markers.pointing import distinguishable
+from tracking.markers.tags import QUIET, Tag, kind_of
 
 #: Sheets of paper, width and height, m.
 PAPER = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794)}
@@ -41,30 +42,41 @@ class PageSettings(Checked):
     """What is on the page.
 
     Attributes:
-        colours: of the front and of the rear marker.
+        markers: colours of the front and of the rear marker, or a kind of tag.
         diameter: Diameter of a marker's coloured disc, m.
         square: side of a square of the chessboard, m.
         pattern: inner corners of the chessboard.
         paper: size of the sheet.
         plain: discs of one colour, which do not fade to white in their middle.
+        tag: Number of the tag.
+        side: Side of the tag's black square, m.
     """
 
-    colours: str = "pink,blue"
+    markers: str = "pink,blue"
     diameter: Annotated[float, Meta(ge=0.002, le=1)] = 0.060
     square: Metres = 0.018
     pattern: Pattern = (9, 6)
     paper: Literal["A4", "Letter"] = "A4"
     plain: bool = False
+    tag: TagId = 0
+    side: Annotated[float, Meta(ge=0.002, le=1)] = 0.080
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        front, rear = (parse_colour(name) for name in colour_pair(self.colours))
-        if not distinguishable(front, rear):
-            raise UserError(
-                f"{front.name} and {rear.name} are too much alike for a camera; choose others, "
-                "such as pink and blue"
-            )
+        if self.printed_tag is None:
+            front, rear = (parse_colour(name) for name in colour_pair(self.markers))
+            if not distinguishable(front, rear):
+                raise UserError(
+                    f"{front.name} and {rear.name} are too much alike for a camera; choose others, "
+                    "such as pink and blue"
+                )
         self._check_room()
+
+    @property
+    def printed_tag(self) -> Tag | None:
+        """The tag; None where there are two colours."""
+        kind = kind_of(self.markers)
+        return None if kind is None else Tag(kind, self.tag)
 
     @property
     def board(self) -> tuple[float, float]:
@@ -73,13 +85,22 @@ class PageSettings(Checked):
 
     @property
     def backing(self) -> float:
-        """Side of the black square under a marker, m."""
+        """Side of the black square under a marker, or of the white one under a tag, m."""
+        if (tag := self.printed_tag) is not None:
+            return self.side * (1 + 2 * QUIET / len(tag.cells))
         return self.diameter * (1 + 2 * BACKING)
 
     def _check_room(self) -> None:
         width, height = PAPER[self.paper]
         room = width - 2 * MARGIN
-        if 2 * self.backing + GAP > room:
+        if self.printed_tag is not None:
+            if self.backing > room:
+                most = room * self.side / self.backing
+                raise UserError(
+                    f"a tag of {1000 * self.side:g} mm does not fit on {self.paper}; the largest "
+                    f"that does is of {np.floor(1000 * most):g} mm"
+                )
+        elif 2 * self.backing + GAP > room:
             most = (room - GAP) / 2 / (1 + 2 * BACKING)
             raise UserError(
                 f"two markers of {1000 * self.diameter:g} mm do not fit on {self.paper}; the "
@@ -120,7 +141,7 @@ def write_page(out: str | Path, settings: PageSettings | None = None) -> None:
 def draw_page(settings: PageSettings) -> Figure:
     """Return the page as a figure of its true size.
 
-    From the top down: the chessboard, a ruler, the two markers, front on the left.
+    From the top down: the chessboard, a ruler, the two markers, front on the left, or the tag.
     """
     width, height = PAPER[settings.paper]
     figure = Figure((width / _INCH, height / _INCH))
@@ -138,7 +159,14 @@ def draw_page(settings: PageSettings) -> Figure:
         f'Print at 100 % ("actual size"): the line above must be {1000 * RULER:g} mm long.',
     )  # fmt: skip
     bottom = MARGIN + LINE
-    names = colour_pair(settings.colours)
+    if (tag := settings.printed_tag) is not None:
+        _draw_tag(axes, (width / 2, bottom + settings.backing / 2), tag, settings)
+        axes.text(
+            width / 2, MARGIN, f"{tag}, {1000 * settings.side:g} mm: this edge is at the back",
+            ha="center", va="bottom", fontsize=8,
+        )  # fmt: skip
+        return figure
+    names = colour_pair(settings.markers)
     middle = (settings.backing + GAP) / 2
     for side, which, name in ((-1, "front", names[0]), (1, "rear", names[1])):
         u = width / 2 + side * middle
@@ -174,6 +202,26 @@ def _draw_marker(
         share = 1.0 if settings.plain else ring / _RINGS
         paint = tuple(share * rim + (1 - share))
         axes.add_patch(Circle(middle, radius * ring / _RINGS, color=paint, linewidth=0))
+
+
+def _draw_tag(axes: Axes, middle: tuple[float, float], tag: Tag, settings: PageSettings) -> None:
+    cell, count = settings.side / len(tag.cells), len(tag.cells)
+    left, top = middle[0] - settings.side / 2, middle[1] + settings.side / 2
+    # Cells of a row in one piece, and rows that overlap a little: no seams in print.
+    for row, cells in enumerate(tag.cells):
+        edges = np.flatnonzero(np.diff(np.concatenate([[True], cells, [True]]).astype(int)))
+        for begin, end in edges.reshape(-1, 2):
+            below = (
+                0.01 * cell if row + 1 < count and not tag.cells[row + 1, begin:end].any() else 0
+            )
+            corner = left + begin * cell, top - (row + 1) * cell - below
+            shape = Rectangle(
+                corner, (end - begin) * cell, cell + below, color="black", linewidth=0
+            )
+            axes.add_patch(shape)
+    side = settings.backing
+    corner = middle[0] - side / 2, middle[1] - side / 2
+    axes.add_patch(Rectangle(corner, side, side, fill=False, edgecolor="0.75", linewidth=0.4))
 
 
 def _rgb(colour: Colour) -> np.ndarray:

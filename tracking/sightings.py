@@ -13,9 +13,11 @@ from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
 from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording
 from tracking.follow import Track
-from tracking.markers.colours import Colour, parse_colour
+from tracking.markers.colours import Colour
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import Found, together, unless_still
+from tracking.markers.sought import sought, tracker_of
+from tracking.markers.tags import Tag
 from tracking.markers.tracker import Tracker
 from tracking.poses import marker_geometry
 
@@ -58,7 +60,12 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         _fill(values, missing, times, recording.video(session), markers, camera)
     with Video(recording.video(session)) as video:
         size = video.size
-        told = _colours(video, values, markers, camera)
+        what = sought(markers)
+        told = (
+            {"tag": what.as_dict()}
+            if isinstance(what, Tag)
+            else _colours(video, values, what, marker_geometry(markers, camera))
+        )
     return Track(
         np.arange(len(times)),
         times,
@@ -96,18 +103,17 @@ def find_colours(
 
 
 def _colours(
-    video: Video, values: NDArray, markers: dict[str, Any], camera: CameraModel
-) -> tuple[dict[str, Any], dict[str, Any]]:
+    video: Video, values: NDArray, colours: tuple[Colour, Colour], geometry: Geometry
+) -> dict[str, dict[str, Any]]:
     """Return what some of the frames in which the pair was seen say of its colours."""
-    colours = tuple(parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
     seen = np.flatnonzero(values[:, 4] > 0)
     places = seen[np.linspace(0, len(seen) - 1, min(LOOKS, len(seen))).astype(int)]
     frames = [frame for index in places if (frame := video.at(int(index))) is not None]
-    founds = find_colours(frames, colours, marker_geometry(markers, camera)) if frames else None
+    founds = find_colours(frames, colours, geometry) if frames else None
     if founds is None:
-        return {"colour": colours[0].name}, {"colour": colours[1].name}
+        return {"front": {"colour": colours[0].name}, "rear": {"colour": colours[1].name}}
     front, rear = unless_still(founds, values[:, 0:2], values[:, 2:4])
-    return front.as_dict(), rear.as_dict()
+    return {"front": front.as_dict(), "rear": rear.as_dict()}
 
 
 def _fill(
@@ -118,8 +124,7 @@ def _fill(
     markers: dict[str, Any],
     camera: CameraModel,
 ) -> None:
-    front, rear = (parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
-    tracker = Tracker(front, rear, marker_geometry(markers, camera))
+    tracker = tracker_of(sought(markers), marker_geometry(markers, camera))
     wanted = set(missing.tolist())
     with Video(path, times) as video:
         for index, time, frame in video:

@@ -27,8 +27,11 @@ from tracking.datasets.recordings import (
     Recording,
 )
 from tracking.follow import Track, follow
+from tracking.markers.colours import Colour, parse_colour
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import STILL, warning
+from tracking.markers.sought import Sought, sought
+from tracking.markers.tags import Tag
 from tracking.poses import board_poses, marker_geometry, unwrap
 
 
@@ -80,7 +83,7 @@ def track(
     markers = markers or source.meta["markers"]
     camera = _camera(source, calibration)
     geometry = marker_geometry(markers, camera)
-    names = colours or (markers["front"]["colour"], markers["rear"]["colour"])
+    what = sought(markers) if colours is None else _pair_of(colours)
     lines = list(source.commands().itertuples())
     if sync is None:
         sync = "flash" if any(line.kind == "lamp-on" for line in lines) else "motion"
@@ -99,7 +102,7 @@ def track(
             _check_times(source, session, 0 if times is None else len(times))
         seen = (live or {}).get(session) or follow(
             path,
-            *names,
+            what,
             geometry=geometry,
             times=times,
             overlay=_overlay_of(overlay, session, source.sessions),
@@ -164,8 +167,7 @@ def track(
 
 def track_video(
     path: str | Path,
-    front: str,
-    rear: str,
+    what: Sought | tuple[str, str] | None,
     out: str | Path | None = None,
     *,
     markers: Mapping[str, Any] | None = None,
@@ -176,17 +178,17 @@ def track_video(
     doubtful: bool = False,
     partial: bool = False,
 ) -> dict[str, Any]:
-    """Track two coloured markers in any video, without a recording.
+    """Track two coloured markers, or a tag, in any video, without a recording.
 
     The pose is of the middle between the two markers, its heading from the rear to the front
-    one, counter-clockwise as seen, unwrapped. Without a calibration positions are in pixels,
+    one, counter-clockwise as seen, unwrapped; of a tag these are the middles of its lower and its
+    upper edge, as it is printed. Without a calibration positions are in pixels,
     ``u`` to the right and ``v`` down; with one in metres, ``x`` and ``y`` on the board. With a
     calibration of the lens alone they are in pixels of a picture without its distortion.
 
     Args:
         path: the video.
-        front: the front marker's colour.
-        rear: the rear marker's.
+        what: to look for: colours of the front and the rear marker, or a tag; None with clicks.
         out: a new folder for poses.csv (frame, time, u, v or x, y, theta, quality,
             doubtful, front_u, front_v, rear_u, rear_v) and tracking.json; None to write nothing.
         markers: where they are on the robot, as recording.json says it: what their distance, size
@@ -230,7 +232,7 @@ def track_video(
     with ExitStack() as stack:
         folder = None if out is None else stack.enter_context(new_folder(out))
         seen = follow(
-            path, front, rear,
+            path, what if isinstance(what, Tag | None) else _pair_of(what),
             geometry=geometry, overlay=overlay, expected_size=size, clicks=clicks,
         )  # fmt: skip
         if not partial:
@@ -266,7 +268,7 @@ def track_video(
             "frames_missing": seen.missing,
             "found": float(seen.found.mean()),
             "quality": float(np.median(seen.quality[seen.found])),
-            "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+            "markers": seen.markers,
             "undecided": seen.undecided,
             "doubtful": int(unclear.sum()),
         }
@@ -285,6 +287,11 @@ def describe_doubtful(summary: Mapping[str, Any]) -> str | None:
         "and one like it was found where it may not have come to by itself; they are marked as "
         "doubtful, and neurosim dataset leaves them out"
     )
+
+
+def _pair_of(colours: tuple[Colour | str, Colour | str]) -> tuple[Colour, Colour]:
+    front, rear = (c if isinstance(c, Colour) else parse_colour(c) for c in colours)
+    return front, rear
 
 
 def _videos(source: Recording, given: Sequence[str | Path]) -> list[Path]:
@@ -331,11 +338,13 @@ def _check_times(source: Recording, session: int, count: int) -> None:
 
 def _doubt_of(seen: Track, tracks: Sequence[tuple[str | Path, Track]]) -> str | None:
     """Return why a pair may not be the robot's; in one session of several it may stand still."""
-    moves = any(all(colour.get("doubt") is None for colour in one.colours) for _, one in tracks)
-    still = all(colour.get("doubt") in (None, STILL) for colour in seen.colours)
+    moves = any(
+        all(marker.get("doubt") is None for marker in one.markers.values()) for _, one in tracks
+    )
+    still = all(marker.get("doubt") in (None, STILL) for marker in seen.markers.values())
     if moves and still:
         return None
-    return warning({"front": seen.colours[0], "rear": seen.colours[1]})
+    return warning(seen.markers)
 
 
 def _refusal(path: str | Path, doubt: str) -> str:
@@ -403,7 +412,7 @@ def _session_summary(
         "video": path.name,
         "frames": len(seen.frame),
         "found": float(seen.found.mean()),
-        "markers": {"front": seen.colours[0], "rear": seen.colours[1]},
+        "markers": seen.markers,
         "undecided": seen.undecided,
         "clock": {
             "offset": clock.offset,

@@ -73,6 +73,8 @@ Fps = Annotated[float, Meta(ge=1, le=240)]
 Baud = Annotated[int, Meta(ge=300, le=4_000_000)]
 #: A TCP port.
 Port = Annotated[int, Meta(ge=1, le=65535)]
+#: The number of a printed tag.
+TagId = Annotated[int, Meta(ge=0, le=100_000)]
 #: Any number that can be computed with.
 Number = Annotated[float, Meta(ge=-1e9, le=1e9)]
 

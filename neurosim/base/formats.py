@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from neurosim.base.declared import Coordinate, Fraction, MetresOrNone
+from neurosim.base.declared import Coordinate, Fraction, MetresOrNone, TagId
 
 #: Poses of results are no farther away, m, and turn no more, rad: pictures of them are drawn.
 FARTHEST = 1e5
@@ -250,16 +250,32 @@ class MarkerSeen(Format):
     doubt: str | None = None
 
 
+class TagSeen(Format):
+    """A tag that was tracked.
+
+    Attributes:
+        dictionary: dictionary of the tag, by OpenCV's name without ``DICT_``.
+        id: its number in the dictionary.
+        others: numbers of other tags that were seen.
+    """
+
+    dictionary: str
+    id: int
+    others: list[int] | None = None
+
+
 class MarkersSeen(Format):
     """The markers of a session.
 
     Attributes:
         front: front marker.
         rear: rear marker.
+        tag: the tag.
     """
 
     front: MarkerSeen | None = None
     rear: MarkerSeen | None = None
+    tag: TagSeen | None = None
 
 
 class TrackedSession(Format):
@@ -299,21 +315,34 @@ class Place(Format):
 
 
 class Marker(Place):
-    """A marker on the robot.
+    """A marker on the robot; of a tag, the middle of its upper or of its lower edge.
 
     Attributes:
-        colour: colour, by name or as #rrggbb.
+        colour: colour, by name or as #rrggbb; none for the edge of a tag.
     """
 
-    colour: str
+    colour: str | None = None
+
+
+class TagName(Format):
+    """A tag, of the kinds that OpenCV knows.
+
+    Attributes:
+        dictionary: dictionary of the tag, by OpenCV's name without ``DICT_``.
+        id: its number in the dictionary.
+    """
+
+    dictionary: str
+    id: TagId
 
 
 class Markers(Format):
-    """The markers on a robot.
+    """The markers on a robot: two colours, or a tag.
 
     Attributes:
-        front: front marker.
-        rear: rear marker.
+        front: front marker, or upper edge of the tag.
+        rear: rear marker, or lower edge of the tag.
+        tag: the tag; none where there are two colours.
         lamp: place of the lamp.
         height: height of the markers above the board.
         diameter: diameter of a marker.
@@ -321,6 +350,7 @@ class Markers(Format):
 
     front: Marker
     rear: Marker
+    tag: TagName | None = None
     lamp: Place | None = None
     height: Coordinate | None = None
     diameter: Annotated[float, Meta(gt=0, le=1000)] | None = None

@@ -10,7 +10,7 @@ from typing import Any
 import click
 from click.core import ParameterSource
 
-from neurosim.base.declared import MetresOrNone, Seconds, Seed, Turn
+from neurosim.base.declared import MetresOrNone, Seconds, Seed, TagId, Turn
 from neurosim.base.files import plain
 from neurosim.cli._types import NEW, PATH, Option, Real, ranged
 
@@ -38,8 +38,12 @@ COLOUR_NAMES = (
 )
 markers_option = click.option(
     "--markers",
-    help="Colours FRONT,REAR of the robot's markers; or a markers.json, which says where they are, "
-    f"too.  [default: pink,blue]  Colours: {COLOUR_NAMES}.",
+    help="Colours FRONT,REAR of the robot's markers; or apriltag or aruco, a printed tag; or a "
+    "markers.json, which says where they are, too.  [default: pink,blue]  "
+    f"Colours: {COLOUR_NAMES}.",
+)
+tag_option = click.option(
+    "--tag", type=ranged(TagId), help="Number of the robot's tag; other tags are ignored.  [0]"
 )
 
 

@@ -17,6 +17,7 @@ from neurosim.cli._common import (
     next_step,
     resume_option,
     seed_option,
+    tag_option,
 )
 from neurosim.cli._options import SettingsCommand, given_options, settings_options
 from neurosim.cli._robots import camera_options, robot_option, without_camera
@@ -62,6 +63,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     "while it is recorded."
 )
 @markers_option
+@tag_option
 @click.option(
     "--live/--no-live", default=True, show_default=True, help="Track while recording, or later."
 )
@@ -92,6 +94,7 @@ def record(
     camera: dict[str, Any],
     calibration: Path | None,
     markers: str | None,
+    tag: int | None,
     live: bool,
     page: bool,
     guided: bool,
@@ -117,12 +120,17 @@ def record(
     from neurosim.trials.rig import Setup, open_rig
 
     commands = RandomCommands(**source, seed=seed)
-    how = RecordSettings(**settings, guard=Guard(**guard), markers=marker_settings(markers, robot))
+    how = RecordSettings(
+        **settings, guard=Guard(**guard), markers=marker_settings(markers, robot, tag)
+    )
+
+    def given(seed: int, start: tuple[float, float, float] | None) -> Setup:
+        return Setup(**camera, seed=seed, start=start, markers=how.markers)
 
     @contextmanager
     def opened(seed: int, start: tuple[float, float, float] | None) -> Iterator[Any]:
         with (
-            open_rig(robot, robot_options, Setup(**camera, seed=seed, start=start)) as rig,
+            open_rig(robot, robot_options, given(seed, start)) as rig,
             _page(page, rig.camera, how, calibration if live else None) as on_seen,
         ):
             yield rig, on_seen
@@ -198,14 +206,14 @@ def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
 
 
 def _words(result: dict[str, Any]) -> str:
-    from tracking.markers.palette import describe_colours
+    from tracking.markers.palette import describe_markers
 
-    colours = describe_colours(result["markers"])
+    markers = describe_markers(result["markers"])
     return (
         f"{result['recording']}: {result['commands']} commands ({result['sent']} sent, "
         f"{result['cut']} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
-        + (f"{colours}.\n" if colours else "")
+        + (f"{markers}.\n" if markers else "")
     )
 
 
@@ -226,7 +234,7 @@ def _page(
     from neurosim.base.errors import UserError
     from neurosim.watch import PageServer, Viewer
     from tracking.camera.camera_model import CameraModel
-    from tracking.markers.colours import parse_colour
+    from tracking.markers.sought import sought
 
     model = None if calibration is None else CameraModel.read(calibration)
     if camera is None or model is None or not model.has_board:
@@ -237,7 +245,7 @@ def _page(
     viewer = Viewer(
         camera.size,
         settings.markers,
-        tuple(parse_colour(settings.markers[which]["colour"]) for which in ("front", "rear")),
+        sought(settings.markers),
         camera=model,
         board=settings.board,
         label="recording",

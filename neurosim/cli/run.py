@@ -17,6 +17,7 @@ from neurosim.cli._common import (
     markers_option,
     next_step,
     seed_option,
+    tag_option,
 )
 from neurosim.cli._options import SettingsCommand, settings_options
 from neurosim.cli._robots import camera_options, robot_option
@@ -62,6 +63,7 @@ from neurosim.cli._types import PATH
     names={"generations": "replan-generations", "draws": "replan-draws"},
 )
 @markers_option
+@tag_option
 @seed_option
 @json_option
 def run(
@@ -78,6 +80,7 @@ def run(
     simulator: Path | None,
     replanning: dict[str, Any],
     markers: str | None,
+    tag: int | None,
     seed: int,
     as_json: bool,
 ) -> None:
@@ -108,8 +111,8 @@ def run(
     if again is not None and again[0].perimeter is not None:
         by, known = guard.get("by", "both"), again[0].perimeter
         again[0].perimeter = None if at_line == "ignore" else known.guarded(by)
-    setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved))
-    marked = marker_settings(markers, robot)
+    marked = marker_settings(markers, robot, tag)
+    setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved), markers=marked)
     with open_rig(robot, robot_options, setup) as rig:
         report = run_trial(
             controller,

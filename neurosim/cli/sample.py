@@ -19,6 +19,7 @@ from neurosim.cli._common import (
     next_step,
     resume_option,
     seed_option,
+    tag_option,
 )
 from neurosim.cli._options import (
     SettingsCommand,
@@ -69,6 +70,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 )
 @calibration_option("The camera's calibration.json, with its place above the floor.")
 @markers_option
+@tag_option
 @resume_option
 @seed_option
 @json_option
@@ -80,6 +82,7 @@ def sample(
     camera: str | None,
     calibration: Path | None,
     markers: str | None,
+    tag: int | None,
     resume: bool,
     seed: int,
     as_json: bool,
@@ -99,7 +102,7 @@ def sample(
 
     how, model = SampleSettings(**settings), None
     if camera is None:
-        for name in ("calibration", "markers"):
+        for name in ("calibration", "markers", "tag"):
             if is_given(name):
                 raise UserError(f"--{name} needs --camera")
     elif calibration is None:
@@ -109,7 +112,7 @@ def sample(
         )
     else:
         model = CameraModel.read(calibration)
-    carried = marker_settings(markers, robot)
+    carried = marker_settings(markers, robot, tag)
     arena, poses = sampling_places()
     setup = Setup(
         camera=camera or "none",
@@ -117,6 +120,7 @@ def sample(
         seed=seed,
         start=poses["open"],
         arena=arena,
+        markers=carried,
     )
     with open_rig(robot, robot_options, setup) as rig, rig.robot as driver:
         eye = None if model is None else Eye(rig.camera, model, carried, driver.clock)

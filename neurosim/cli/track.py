@@ -15,6 +15,7 @@ from neurosim.cli._common import (
     is_given,
     json_option,
     next_step,
+    tag_option,
 )
 from neurosim.cli._types import NEW, PATH, PIXEL, Option, ranged
 
@@ -25,9 +26,11 @@ from neurosim.cli._types import NEW, PATH, PIXEL, Option, ranged
     "--colours",
     "--markers",
     "markers",
-    help="Colours FRONT,REAR of the markers; or a markers.json, as neurosim watch saves it, which "
-    f"says where they are, too.  [default: as recorded, or pink,blue]  Colours: {COLOUR_NAMES}.",
+    help="Colours FRONT,REAR of the markers; or apriltag or aruco, a printed tag; or a "
+    "markers.json, as neurosim watch saves it, which says where they are, too.  "
+    f"[default: as recorded, or pink,blue]  Colours: {COLOUR_NAMES}.",
 )
+@tag_option
 @calibration_option("The camera's calibration.json.  [default: the one kept with the recording]")
 @click.option(
     "--overlay", type=NEW, help="Also write a video with the tracked markers drawn over it."
@@ -79,6 +82,7 @@ from neurosim.cli._types import NEW, PATH, PIXEL, Option, ranged
 def track(
     recording: Path,
     markers: str | None,
+    tag: int | None,
     calibration: Path | None,
     overlay: Path | None,
     videos: tuple[Path, ...],
@@ -90,21 +94,20 @@ def track(
     height: float | None,
     as_json: bool,
 ) -> None:
-    """Find the two markers in every frame of RECORDING, or of a video file by itself.
+    """Find the markers, or the tag, in every frame of RECORDING, or of a video file by itself.
 
     The poses of a recording go into its poses.csv, in metres, on the robot's clock. A video file
     needs -o. Without a calibration, or with one of the lens alone, its poses are in pixels.
     """
-    from tracking.datasets.recordings import read_markers
-    from tracking.markers.colours import colour_pair
-    from tracking.markers.palette import describe_colours, least_confident, warning
+    from neurosim.recording.markers import marker_settings
+    from tracking.datasets.recordings import Recording
+    from tracking.markers.palette import describe_markers, least_confident, warning
+    from tracking.markers.sought import sought
     from tracking.track import describe_doubtful, track_video
     from tracking.track import track as track_
 
     if not recording.exists():
         raise UserError(f"{recording}: no recording or video file has this name")
-    known = read_markers(markers) if markers and markers.endswith(".json") else None
-    pair = colour_pair(markers) if markers and known is None else None
     if recording.is_file():
         for name in ("sync", "videos"):
             if is_given(name):
@@ -114,25 +117,25 @@ def track(
                 )
         if out is None:
             raise UserError(f"{recording} is a video file; name a folder for its poses with -o")
-        if clicks and markers:
-            raise UserError("--click takes the colours from the picture; leave out --colours")
+        if clicks and (markers or tag is not None):
+            raise UserError("--click takes the colours from the picture; leave out --markers")
         if len(clicks) not in (0, 2):
             raise UserError("--click: give it twice, for the front marker, then for the rear one")
         pixels = [list(pixel) for pixel in clicks]
-        if known is not None:
-            pair = known["front"]["colour"], known["rear"]["colour"]
-        front, rear = pair or ("pink", "blue")
+        known = marker_settings(markers, tag=tag)
+        what = None if clicks else sought(known)
+        placed = known if markers and markers.endswith(".json") else None
         result = track_video(
-            recording, front, rear, out, markers=known,
+            recording, what, out, markers=placed,
             calibration=calibration, height=height, overlay=overlay, clicks=pixels or None,
             doubtful=doubtful, partial=partial,
         )  # fmt: skip
         result.pop("poses")
         where, found, then = out, result["markers"], ""
-        remedy = "click on each with --click U,V, or name others with --colours"
+        remedy = "click on each with --click U,V, or name others with --markers"
     else:
         if clicks:
-            raise UserError("--click is for video files; set a recording's colours with --colours")
+            raise UserError("--click is for video files; set a recording's colours with --markers")
         if out is not None:
             raise UserError("-o is for video files; a recording's poses go into its own folder")
         if height is not None:
@@ -140,8 +143,9 @@ def track(
                 "--height is for video files; a recording's markers have theirs in recording.json, "
                 "or in a markers.json (--markers)"
             )
+        known = marker_settings(markers, tag=tag, recorded=Recording(recording).meta["markers"])
         result = track_(
-            recording, pair, calibration, overlay, videos, markers=known,
+            recording, None, calibration, overlay, videos, markers=known,
             partial=partial, sync=sync, doubtful=doubtful,
         )  # fmt: skip
         for session in result["sessions"]:
@@ -149,11 +153,11 @@ def track(
                 click.echo(f"session {session['session']}: {session['warning']}", err=True)
         where, found = recording, least_confident(result["sessions"])
         then = "\n" + next_step("dataset", recording, "-o", "DATASET")
-        remedy = "name others with --colours; neurosim watch shows what a click on each finds"
+        remedy = "name others with --markers; neurosim watch shows what a click on each finds"
     if result["undecided"]:
         click.echo(
             f"{recording}: in {result['undecided']} frames after the robot was lost, several "
-            "pairs fitted the robot, and none was accepted",
+            "pairs, or tags, fitted the robot, and none was accepted",
             err=True,
         )
     problem = warning(found)
@@ -166,5 +170,5 @@ def track(
         result,
         as_json,
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
-        f"median quality {result['quality']:.2f}.\n{describe_colours(found)}.{then}",
+        f"median quality {result['quality']:.2f}.\n{describe_markers(found)}.{then}",
     )

@@ -21,6 +21,7 @@ from neurosim.cli._common import (
     markers_option,
     next_step,
     page_options,
+    tag_option,
 )
 from neurosim.cli._types import PATH, SIZE, Option, ranged
 
@@ -35,6 +36,7 @@ from neurosim.cli._types import PATH, SIZE, Option, ranged
 @click.option("--camera-size", cls=Option, type=SIZE, help="Frame size.  [lab: 640x480]")
 @click.option("--fps", type=ranged(Fps), help="Frame rate.  [lab: 30]")
 @markers_option
+@tag_option
 @calibration_option("A calibration.json of the camera, or of its lens alone.")
 @click.option(
     "-o",
@@ -56,6 +58,7 @@ def watch(
     camera_size: tuple[int, int] | None,
     fps: float | None,
     markers: str | None,
+    tag: int | None,
     calibration: Path | None,
     out: Path,
     film: Path | None,
@@ -75,12 +78,12 @@ def watch(
     from tracking.camera.cameras import Film
     from tracking.datasets.recordings import DEFAULT_BOARD
     from tracking.live import LiveTracker
-    from tracking.markers.colours import parse_colour
     from tracking.markers.pair import Geometry
+    from tracking.markers.sought import sought
     from tracking.poses import marker_geometry
 
-    known = marker_settings(markers)
-    colours = tuple(parse_colour(known[which]["colour"]) for which in ("front", "rear"))
+    known = marker_settings(markers, tag=tag)
+    what = sought(known)
     model = None if calibration is None else CameraModel.read(calibration)
 
     def geometry(model: CameraModel | None) -> Geometry:
@@ -88,7 +91,7 @@ def watch(
             return Geometry()
         return marker_geometry(known, model)
 
-    with _open_camera(camera, camera_size, fps) as source:
+    with _open_camera(camera, camera_size, fps, known) as source:
         if model is not None and tuple(model.image_size) != tuple(source.size):
             raise UserError(
                 f"{calibration} is for pictures of {model.image_size[0]}x{model.image_size[1]}, "
@@ -98,16 +101,16 @@ def watch(
         viewer = Viewer(
             source.size,
             known,
-            colours,
+            what,
             camera=model,
             board=DEFAULT_BOARD,
-            look_for=lambda colours, model: tracker.look_for(colours, geometry(model)),
+            look_for=lambda what, model: tracker.look_for(what, geometry(model)),
             calibration_file=out,
             markers_file=out.with_name("markers.json"),
             label="virtual lab" if camera == "lab" else f"camera {camera}",
         )
         tracker = LiveTracker(
-            colours,
+            what,
             geometry(model),
             time.monotonic,
             viewer.show,
@@ -165,9 +168,10 @@ def _wait(source: Any, tracker: Any, seconds: float | None) -> None:
 
 
 @contextmanager
-def _open_camera(name: str, size: Any, fps: float | None) -> Iterator[Any]:
+def _open_camera(name: str, size: Any, fps: float | None, markers: dict[str, Any]) -> Iterator[Any]:
     if name == "lab":
         with _lab_camera(size or (640, 480), fps or 30.0) as camera:
+            camera.carry(markers)
             yield camera
         return
     from tracking.camera.cameras import VideoCamera, open_camera

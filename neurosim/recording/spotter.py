@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from neurosim.base.files import LineLog
 from tracking.camera.camera_model import CameraModel
 from tracking.live import LiveTracker, Seen
-from tracking.markers.colours import parse_colour
 from tracking.markers.palette import Found, warning
+from tracking.markers.sought import sought
 from tracking.poses import marker_geometry, marker_poses
 
 #: The user is told when the robot was not seen for so long, s.
@@ -49,14 +49,15 @@ class Spotter:
         self._log, self._session = log, session
         self._say = say
         self._on_seen = on_seen
+        self._by = f" ({sought(markers)})" if markers.get("tag") else ""
         self._lock = threading.Lock()
         self._last: tuple[float, NDArray] | None = None
         self._since = now()
         self._warned = False
         self._judged = False
-        front, rear = (parse_colour(markers[which]["colour"]) for which in ("front", "rear"))
+        self._others: frozenset[int] = frozenset()
         self._tracker = LiveTracker(
-            (front, rear), marker_geometry(markers, model), now, self._look, waits=waits
+            sought(markers), marker_geometry(markers, model), now, self._look, waits=waits
         )
         self.take = self._tracker.take
 
@@ -86,6 +87,10 @@ class Spotter:
             self._session, seen.index, *sighting.front, *sighting.rear, sighting.quality,
             sighting.lamp,
         )  # fmt: skip
+        if seen.others - self._others:
+            self._others |= seen.others
+            named = ", ".join(map(str, sorted(self._others)))
+            self._say(f"other tags are in view, and ignored: {named}")
         if sighting.found:
             pose = marker_poses(
                 sighting.front[None], sighting.rear[None], self._markers, self._model
@@ -100,7 +105,7 @@ class Spotter:
                 self._warned = False
         elif not self._warned and self.unseen(seen.arrived) > WARN_AFTER:
             self._warned = True
-            self._say("the robot is lost from sight: is it covered, or off the board?")
+            self._say(f"the robot{self._by} is lost from sight: is it covered, or off the board?")
         if self._on_seen is not None:
             self._on_seen(seen)
 

@@ -18,7 +18,7 @@ from neurosim.robots.base import Clock
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
 from tracking.live import LiveTracker, Seen
-from tracking.markers.colours import parse_colour
+from tracking.markers.sought import sought
 from tracking.poses import marker_geometry, marker_poses, unwrap
 
 #: Pictures that arrive now may be so old, s.
@@ -63,9 +63,8 @@ class Eye:
         self._tracker: LiveTracker | None = None
 
     def __enter__(self) -> Eye:
-        front, rear = (parse_colour(self._markers[which]["colour"]) for which in ("front", "rear"))
         self._tracker = LiveTracker(
-            (front, rear),
+            sought(self._markers),
             marker_geometry(self._markers, self._model),
             self._clock.now,
             self._look,

@@ -53,6 +53,7 @@ class Setup(Checked):
         start: Pose at which a person puts the robot; in the virtual lab, where it is put (m, m,
             rad); None: where that lab puts it.
         arena: What stands in the virtual Khepera's lab; by default the arena of its paper.
+        markers: What a virtual robot carries, as recording.json has it; by default its two colours.
     """
 
     camera: str | None = None
@@ -61,6 +62,7 @@ class Setup(Checked):
     seed: Seed = 0
     start: Pose | None = None
     arena: LabArena | None = None
+    markers: dict[str, Any] | None = None
 
 
 @contextmanager
@@ -86,6 +88,8 @@ def open_rig(
         except TypeError as error:
             raise UserError(f"the robot {robot} does not take these options: {error}") from None
         with opened as rig:
+            if setup.markers is not None and rig.camera is not None:
+                rig.camera.carry(setup.markers)
             yield rig
         return
     if setup.camera == "lab":

@@ -158,13 +158,18 @@ function tell() {
   else if (state.stale) status("bad", "the camera gives no pictures");
   else if (state.lost) status("bad", `the robot is lost, for ${state.lost_for.toFixed(1)} s`);
   else if (!state.apart) status("bad", "the two markers' colours are too much alike");
-  else if (!state.ever_found) status("bad", "the robot was not found yet; are the colours right?");
+  else if (!state.ever_found) {
+    status("bad", `the robot was not found yet; ${state.tag ? `is ${state.tag} in view?` : "are the colours right?"}`);
+  }
   else status("good", "the robot is seen");
   const pose = state.pose;
   text("place", pose ? `${pose.x.toFixed(3)}, ${pose.y.toFixed(3)} m` : "–");
   text("heading", pose ? `${pose.degrees.toFixed(1)}°` : "–");
   text("quality", state.found ? state.quality.toFixed(2) : "–");
   text("fps", state.fps.toFixed(1));
+  element("tag").hidden = !state.tag;
+  element("how").hidden = element("colours").hidden = Boolean(state.tag);
+  if (state.tag) text("tag", `The robot carries ${state.tag}.`);
   for (const which of ["front", "rear"]) {
     const colour = state.colours[which];
     element(`${which}-swatch`).style.background = colour.swatch;

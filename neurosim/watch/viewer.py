@@ -19,9 +19,10 @@ from tracking.camera.board import camera_over_board, corner_points
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import write_markers
 from tracking.live import Seen
-from tracking.markers.colours import Colour
 from tracking.markers.palette import Found
 from tracking.markers.pointing import Pointed, colour_at, distinguishable
+from tracking.markers.sought import Sought, drawn_with
+from tracking.markers.tags import Tag
 from tracking.poses import marker_poses
 
 #: Where the corners lie, in halves of the board's length and width, as one looks at a picture in
@@ -38,7 +39,7 @@ GRID = 0.5
 LOST_AFTER, STALE_AFTER = 0.5, 2.0
 JPEG_QUALITY = 85
 
-LookFor = Callable[[tuple[Colour, Colour], CameraModel | None], None]
+LookFor = Callable[[Sought, CameraModel | None], None]
 
 
 class Viewer:
@@ -47,11 +48,11 @@ class Viewer:
     Args:
         size: of the camera's pictures.
         markers: as in recording.json.
-        colours: of front and rear.
+        what: is looked for: the colours of front and rear, or a tag.
         camera: the calibration, or None; with a place over the board, or of the lens alone.
         board: ``length`` and ``width`` in metres.
-        look_for: called with new colours and calibration when they were set on the page; None
-            for a page on which nothing can be set.
+        look_for: called with what is looked for, and a calibration, when they were set on the
+            page; None for a page on which nothing can be set.
         calibration_file: where the calibration is saved.
         markers_file: where the markers are saved.
         label: the camera's name, for the page's heading.
@@ -61,7 +62,7 @@ class Viewer:
         self,
         size: tuple[int, int],
         markers: Mapping[str, Any],
-        colours: tuple[Colour, Colour],
+        what: Sought,
         *,
         camera: CameraModel | None = None,
         board: Mapping[str, float],
@@ -72,7 +73,7 @@ class Viewer:
     ):
         self.size = size
         self._markers = dict(markers)
-        self._colours = colours
+        self._what = what
         self._lens = camera
         self._camera = camera if camera is not None and camera.has_board else None
         self._board = {"length": float(board["length"]), "width": float(board["width"])}
@@ -164,10 +165,10 @@ class Viewer:
             "rear": _pixel(seen.sighting.rear) if found else None,
             "pose": self._pose(seen) if found else None,
             "colours": {
-                which: self._describe(which, colour)
-                for which, colour in zip(("front", "rear"), self._colours, strict=True)
+                which: self._describe(which, place) for place, which in enumerate(("front", "rear"))
             },
-            "apart": distinguishable(*self._colours),
+            "tag": str(self._what) if isinstance(self._what, Tag) else None,
+            "apart": isinstance(self._what, Tag) or distinguishable(*self._what),
             "corners": self.corners,
             "board": {**self._board, "height": self._height},
             "calibrated": self._camera is not None,
@@ -177,10 +178,14 @@ class Viewer:
             "saved": sorted(self._saved),
         }
 
-    def _describe(self, which: str, colour: Colour) -> dict[str, Any]:
+    def _describe(self, which: str, place: int) -> dict[str, Any]:
         """Say what a marker's colour is, and what it looks like to this camera."""
         pointed, found = self._pointed.get(which), self._found(which)
-        named = colour.name if colour.name.startswith("#") else _hex(colour.bgr)
+        named = _hex(drawn_with(self._what)[place])
+        if isinstance(self._what, Tag):
+            return {"name": "", "swatch": named, "found": None, "sure": None, "doubt": None}
+        colour = self._what[place]
+        named = colour.name if colour.name.startswith("#") else named
         sure = found or pointed
         return {
             "name": colour.name,
@@ -226,11 +231,13 @@ class Viewer:
         Raises:
             UserError: if there is no colour there.
         """
+        if isinstance(self._what, Tag):
+            raise UserError(f"the robot is found by {self._what}, not by colours")
         pointed = colour_at(self._newest(), (u, v))
         with self._change:
-            front, rear = self._colours
-            self._colours = (pointed.colour, rear) if which == "front" else (front, pointed.colour)
-            apart = distinguishable(*self._colours)
+            front, rear = self._what
+            self._what = (pointed.colour, rear) if which == "front" else (front, pointed.colour)
+            apart = distinguishable(*self._what)
             self._pointed[which] = pointed
             self._saved.discard("markers")
         self._start_afresh()
@@ -283,17 +290,22 @@ class Viewer:
             self._camera.write(path)
             then = f"--calibration {path}"
         else:
-            if not distinguishable(*self._colours):
-                raise UserError("the two markers' colours are too much alike; set them first")
-            named = {
-                which: {**self._markers[which], "colour": colour.name, **self._told(which)}
-                for which, colour in zip(("front", "rear"), self._colours, strict=True)
-            }
-            write_markers(path, {**self._markers, **named})
+            write_markers(path, {**self._markers, **self._named()})
             then = f"--markers {path}"
         with self._change:
             self._saved.add(what)
         return f"{path} is written; record with {then}"
+
+    def _named(self) -> dict[str, Any]:
+        """Return front and rear with their colours, as markers.json has them; nothing of a tag."""
+        if isinstance(self._what, Tag):
+            return {}
+        if not distinguishable(*self._what):
+            raise UserError("the two markers' colours are too much alike; set them first")
+        return {
+            which: {**self._markers[which], "colour": colour.name, **self._told(which)}
+            for which, colour in zip(("front", "rear"), self._what, strict=True)
+        }
 
     def _told(self, which: str) -> dict[str, Any]:
         found = self._found(which)
@@ -323,9 +335,9 @@ class Viewer:
     def _start_afresh(self) -> None:
         with self._change:
             self._found_at = None
-            colours, camera = self._colours, self._camera
+            what, camera = self._what, self._camera
         if self._look_for is not None:
-            self._look_for(colours, camera)
+            self._look_for(what, camera)
 
     def _newest(self) -> NDArray:
         with self._change:

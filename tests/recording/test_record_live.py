@@ -243,7 +243,8 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
 def test_what_was_seen_live_and_is_doubted_is_looked_at_again_in_the_video(tmp_path, monkeypatch):
     def doubted(recording, session, model):
         seen = seen_live(recording, session, model)
-        return replace(seen, colours=[one | {"doubt": "it is grey"} for one in seen.colours])
+        grey = {which: one | {"doubt": "it is grey"} for which, one in seen.markers.items()}
+        return replace(seen, markers=grey)
 
     monkeypatch.setattr("neurosim.recording.record.seen_live", doubted)
     recording, said, _ = make(tmp_path / "r", STEADY, 2)

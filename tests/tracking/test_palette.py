@@ -13,7 +13,7 @@ from tracking.markers.palette import (
     OTHER_HUE,
     RIVAL,
     STILL,
-    describe_colours,
+    describe_markers,
     found_colour,
     least_confident,
     together,
@@ -137,7 +137,7 @@ def test_the_session_that_is_least_sure_is_told():
         return {which: {"colour": "red", "rgb": "#ff0000", "sure": sure} for which in "ab"}
 
     sessions = [{"markers": markers(0.9)}, {"left_out": "no"}, {"markers": markers(0.4)}]
-    assert describe_colours(least_confident(sessions)).startswith(
+    assert describe_markers(least_confident(sessions)).startswith(
         "a red is #ff0000 here (confidence: 40 %), b "
     )
-    assert describe_colours(least_confident([])) == ""
+    assert describe_markers(least_confident([])) == ""

@@ -48,7 +48,7 @@ def test_what_is_on_the_page_has_its_true_size(settings):
     places = []
     # A marker is a small part of a picture.
     around = cv2.copyMakeBorder(image, 600, 600, 600, 600, cv2.BORDER_REPLICATE)
-    for name in settings.colours.split(","):
+    for name in settings.markers.split(","):
         (disc, *others) = Picture(around, factor=1).blobs(parse_colour(name))
         assert not others
         across = 2 * disc.radius / PER_MM / 1000
@@ -58,6 +58,30 @@ def test_what_is_on_the_page_has_its_true_size(settings):
     assert places[0][0] < places[1][0]
     backing = 8 / 6 * 1000 * settings.diameter * PER_MM
     assert math.dist(*places) > backing
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [PageSettings("apriltag"), PageSettings("aruco", tag=3, side=0.050, paper="Letter")],
+    ids=["apriltag", "aruco"],
+)
+def test_a_tag_on_the_page_has_its_true_size_and_its_front_up(settings):
+    grey = cv2.cvtColor(picture_of(settings), cv2.COLOR_BGR2GRAY)
+    detector = cv2.aruco.ArucoDetector(settings.printed_tag.words)
+    corners, numbers, _ = detector.detectMarkers(grey)
+    assert numbers.ravel().tolist() == [settings.tag]
+    left_ahead, right_ahead, right_behind, left_behind = corners[0].reshape(4, 2)
+    side = 1000 * PER_MM * settings.side
+    np.testing.assert_allclose(right_ahead - left_ahead, (side, 0), atol=2)
+    np.testing.assert_allclose(left_behind - left_ahead, (0, side), atol=2)
+    np.testing.assert_allclose(right_behind - right_ahead, (0, side), atol=2)
+    # The white around it is its own, and nothing else is printed on it.
+    low = np.floor(left_ahead - side / len(settings.printed_tag.cells) + 2).astype(int)
+    high = np.ceil(right_behind + side / len(settings.printed_tag.cells) - 2).astype(int)
+    plate = grey[low[1] : high[1], low[0] : high[0]].copy()
+    inner = np.floor(left_ahead - low - 2).astype(int)
+    plate[inner[1] : -inner[1], inner[0] : -inner[0]] = 255
+    assert plate.min() > 250
 
 
 @pytest.mark.slow
@@ -89,8 +113,11 @@ def test_the_page_is_written_once_and_always_the_same(tmp_path):
         ({"diameter": 0.09}, "largest that do are of 68 mm"),
         ({"diameter": 0.0005}, "diameter: expected a number from 0.002"),
         ({"diameter": math.nan}, "diameter: .* found nan"),
-        ({"colours": "pink,magenta"}, "too much alike"),
-        ({"colours": "pink,mauve"}, "'mauve' is not known"),
+        ({"markers": "pink,magenta"}, "too much alike"),
+        ({"markers": "pink,mauve"}, "'mauve' is not known"),
+        ({"markers": "apriltag", "side": 0.2}, "a tag of 200 mm does not fit on A4.* 152 mm"),
+        ({"markers": "aruco", "tag": 50}, "no tag 50: its tags are 0 to 49"),
+        ({"markers": "pink"}, "'pink': expected two different colours"),
         ({"pattern": (1, 5)}, r"pattern\[0\]: expected a whole number from 2"),
     ],
 )

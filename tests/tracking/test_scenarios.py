@@ -4,18 +4,19 @@ import math
 
 import numpy as np
 import pytest
-from tracking_accuracy import ArUco, Ours, rate
-from tracking_scenes import ARUCO, MARKERS, SCENARIOS, Clip
+from tracking_accuracy import Colours, OneTag, OpenCV, rate
+from tracking_scenes import ARUCO, MARKERS, SCENARIOS, TAG_PLACE, Clip
 
+from tracking.markers.tags import Tag
 from tracking.poses import board_poses
 
 SIZE = (640, 480)
 BY_NAME = {scenario.name: scenario for scenario in SCENARIOS}
 
 
-def tracked(name, seconds, method=Ours, every=1, seed=1, aruco=None):
-    clip = Clip(BY_NAME[name], SIZE, seed, seconds, aruco)
-    estimate = method(clip.camera)
+def tracked(name, seconds, method=Colours, *carried, every=1, seed=1):
+    clip = Clip(BY_NAME[name], SIZE, seed, seconds, *carried)
+    estimate = method(clip.camera, *carried)
     frames = [frame for i, frame in enumerate(clip) if i % every == 0]
     return rate([(frame, estimate(frame.picture, frame.time)) for frame in frames])
 
@@ -29,6 +30,16 @@ def test_a_millimetre_and_a_third_of_a_degree(name):
     assert seen["false"] == 0
 
 
+@pytest.mark.parametrize("tag", [ARUCO, Tag(number=7)], ids=str)
+@pytest.mark.parametrize("name", ["clean", "blur", "tilted"])
+def test_a_tag_to_a_fifth_of_a_millimetre_and_of_a_degree(name, tag):
+    seen = tracked(name, 0.7, OneTag, tag, 0.06)
+    assert seen["tracked"] == 1
+    assert seen["position_mm"] < 0.2
+    assert seen["heading_deg"] < 0.2
+    assert seen["false"] == 0
+
+
 def test_colours_that_drift_from_purple_to_red_are_followed():
     seen = tracked("cast", 3.0)
     assert seen["tracked"] == 1
@@ -36,8 +47,9 @@ def test_colours_that_drift_from_purple_to_red_are_followed():
 
 
 @pytest.mark.slow
-def test_hands_and_cables_make_no_pose_and_the_robot_is_found_again():
-    seen = tracked("covered", 5.2, every=2)
+@pytest.mark.parametrize("what", [(Colours,), (OneTag, ARUCO, 0.06)], ids=["colours", "tag"])
+def test_hands_and_cables_make_no_pose_and_the_robot_is_found_again(what):
+    seen = tracked("covered", 5.2, *what, every=2)
     assert seen["false"] == 0
     assert seen["swapped"] == 0
     assert seen["worst_mm"] < 1
@@ -45,19 +57,20 @@ def test_hands_and_cables_make_no_pose_and_the_robot_is_found_again():
 
 
 @pytest.mark.slow
-def test_out_of_the_picture_and_back():
-    seen = tracked("leaves", 5.2, every=2)
+@pytest.mark.parametrize("what", [(Colours,), (OneTag, ARUCO, 0.06)], ids=["colours", "tag"])
+def test_out_of_the_picture_and_back(what):
+    seen = tracked("leaves", 5.2, *what, every=2)
     assert seen["whole"] < seen["frames"]
     assert seen["false"] == 0
     assert seen["tracked"] > 0.9
 
 
 def test_the_truth_of_the_scenes_is_where_an_independent_detector_sees_it():
-    seen = tracked("clean", 0.5, ArUco, aruco=0.1)
+    seen = tracked("clean", 0.5, OpenCV, ARUCO, 0.1)
     assert seen["tracked"] == 1
     assert seen["position_mm"] < 1
     assert seen["heading_deg"] < 1.5
-    assert ARUCO[0] == pytest.approx((MARKERS["front"]["x"] + MARKERS["rear"]["x"]) / 2)
+    assert TAG_PLACE[0] == pytest.approx((MARKERS["front"]["x"] + MARKERS["rear"]["x"]) / 2)
 
 
 def test_rating_by_hand():

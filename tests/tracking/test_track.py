@@ -222,7 +222,7 @@ def test_other_colours_than_the_recording_says(recording):
 
 def test_bare_video_in_pixels(frames, tmp_path):
     write_video(tmp_path / "bare.avi", frames[70:])
-    summary = track_video(tmp_path / "bare.avi", "pink", "blue", tmp_path / "out")
+    summary = track_video(tmp_path / "bare.avi", ("pink", "blue"), tmp_path / "out")
     assert summary["units"] == {"u": "pixel", "v": "pixel", "theta": "rad", "time": "s"}
     names = ("frame", "time", "u", "v", "theta", "quality", "front_u", "rear_v")
     table = read_csv(tmp_path / "out" / "poses.csv", dict.fromkeys(names, number))
@@ -236,12 +236,12 @@ def test_bare_video_in_pixels(frames, tmp_path):
     document = json.loads((tmp_path / "out" / "tracking.json").read_text())
     assert document["markers"]["front"]["colour"] == "pink"
     with pytest.raises(UserError, match="not empty"):
-        track_video(tmp_path / "bare.avi", "pink", "blue", tmp_path / "out")
+        track_video(tmp_path / "bare.avi", ("pink", "blue"), tmp_path / "out")
 
 
 def test_bare_video_in_metres(frames, tmp_path):
     write_video(tmp_path / "bare.avi", frames[120:])
-    poses = track_video(tmp_path / "bare.avi", "pink", "blue", calibration=CAMERA, height=HEIGHT)[
+    poses = track_video(tmp_path / "bare.avi", ("pink", "blue"), calibration=CAMERA, height=HEIGHT)[
         "poses"
     ]
     x, y, theta = np.transpose([pose_at(i / FPS) for i in range(120, FRAMES)])
@@ -253,7 +253,7 @@ def test_a_lens_alone_gives_pixels_without_its_distortion(frames, tmp_path):
     path = tmp_path / "bare.avi"
     write_video(path, frames[120:])
     lens = replace(CAMERA, rotation=None, translation=None, distortion=[-1.5, 0, 0, 0, 0])
-    summary = track_video(path, "pink", "blue", calibration=lens)
+    summary = track_video(path, ("pink", "blue"), calibration=lens)
     assert summary["units"]["u"] == "pixel"
     poses = summary["poses"]
     ends = [np.transpose([poses[f"{end}_u"], poses[f"{end}_v"]]) for end in ("front", "rear")]
@@ -262,9 +262,9 @@ def test_a_lens_alone_gives_pixels_without_its_distortion(frames, tmp_path):
     np.testing.assert_allclose(found, middle, atol=1e-3)
     assert np.abs(found - np.mean(ends, axis=0)).max() > 0.5
     with pytest.raises(UserError, match="a height over the board needs"):
-        track_video(path, "pink", "blue", calibration=lens, height=HEIGHT)
+        track_video(path, ("pink", "blue"), calibration=lens, height=HEIGHT)
     with pytest.raises(UserError, match="a height over the board needs"):
-        track_video(path, "pink", "blue", height=HEIGHT)
+        track_video(path, ("pink", "blue"), height=HEIGHT)
 
 
 def test_markers_as_watch_saves_them(recording, frames, tmp_path):
@@ -317,8 +317,7 @@ def test_a_height_is_no_option_of_a_recording(recording):
 def test_footage_as_a_user_would(shared_data, tmp_path):
     summary = track_video(
         shared_data / "footage" / "marker-pushed.avi",
-        "green",
-        "blue",
+        ("green", "blue"),
         tmp_path / "out",
         overlay=tmp_path / "seen.mkv",
     )
@@ -417,7 +416,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
 def test_a_video_that_begins_without_the_robot(frames, tmp_path):
     empty = np.full_like(frames[0], 140)
     write_video(tmp_path / "late.avi", [empty] * 40 + list(frames[70:150]))
-    summary = track_video(tmp_path / "late.avi", "pink", "blue")
+    summary = track_video(tmp_path / "late.avi", ("pink", "blue"))
     assert summary["found"] == pytest.approx(80 / 120, abs=0.04)
     assert min(seen["sure"] for seen in summary["markers"].values()) > 0.9
 
@@ -428,7 +427,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
         (["--click", "422,178"], "give it twice"),
         (["--click", "5,5", "--click", "9,9"], "only grey"),
         (["--click", "9000,5", "--click", "9,9"], "outside of the picture"),
-        (["--click", "5,5", "--click", "9,9", "--colours", "red,blue"], "leave out --colours"),
+        (["--click", "5,5", "--click", "9,9", "--colours", "red,blue"], "leave out --markers"),
     ],
 )
 def test_clicks_that_will_not_do(tmp_path, frames, clicks, says):
@@ -453,19 +452,19 @@ def test_a_click_is_two_numbers(tmp_path, frames, click):
 
 def test_bare_video_that_will_not_do(tmp_path, frames):
     with pytest.raises(FileError, match="no such video"):
-        track_video(tmp_path / "absent.avi", "pink", "blue", tmp_path / "out")
+        track_video(tmp_path / "absent.avi", ("pink", "blue"), tmp_path / "out")
     write_video(tmp_path / "none.avi", [])
     with pytest.raises(FileError, match=r"none\.avi"):
-        track_video(tmp_path / "none.avi", "pink", "blue", tmp_path / "out")
+        track_video(tmp_path / "none.avi", ("pink", "blue"), tmp_path / "out")
     write_video(tmp_path / "bare.avi", frames[:3])
     with pytest.raises(UserError, match="name the overlay video"):
-        track_video(tmp_path / "bare.avi", "pink", "blue", overlay=tmp_path / "seen.txt")
+        track_video(tmp_path / "bare.avi", ("pink", "blue"), overlay=tmp_path / "seen.txt")
     before = (tmp_path / "bare.avi").read_bytes()
     with pytest.raises(UserError, match="is the video itself"):
-        track_video(tmp_path / "bare.avi", "pink", "blue", overlay=tmp_path / "bare.avi")
+        track_video(tmp_path / "bare.avi", ("pink", "blue"), overlay=tmp_path / "bare.avi")
     assert (tmp_path / "bare.avi").read_bytes() == before
     with pytest.raises(UserError, match="not a number"):
-        track_video(tmp_path / "bare.avi", "pink", "blue", height=math.nan)
+        track_video(tmp_path / "bare.avi", ("pink", "blue"), height=math.nan)
     done = CliRunner().invoke(verb, [str(tmp_path / "absent.mp4"), "-o", str(tmp_path / "out")])
     assert "no recording or video file" in str(done.exception)
     assert not (tmp_path / "out").exists()

@@ -90,6 +90,18 @@ KHEPERA_MARKERS: dict[str, Any] = {
     "height": 0.020,
     "diameter": 0.012,
 }
+#: A printed tag of 80 mm on the same robot, behind its lamp, and as much smaller on a Khepera.
+DEFAULT_TAG: dict[str, Any] = {
+    "front": {"x": -0.032, "y": 0.0},
+    "rear": {"x": -0.112, "y": 0.0},
+    "height": 0.10,
+    "lamp": {"x": -0.01, "y": 0.0},
+}
+KHEPERA_TAG: dict[str, Any] = {
+    "front": {"x": -0.0064, "y": 0.0},
+    "rear": {"x": -0.0224, "y": 0.0},
+    "height": 0.020,
+}
 #: The paper's board (section 6.1), in metres.
 DEFAULT_BOARD = asdict(Board())
 
@@ -437,7 +449,7 @@ def read_markers(path: str | Path) -> dict[str, Any]:
     """
     document = read_json(path, MARKERS_FORMAT, VERSION, formats.Markers)
     _check_markers(Path(path), document)
-    return {name: value for name, value in document.items() if name in DEFAULT_MARKERS}
+    return {name: value for name, value in document.items() if name in {*DEFAULT_MARKERS, "tag"}}
 
 
 def write_markers(path: str | Path, markers: Mapping[str, Any]) -> None:
@@ -464,5 +476,11 @@ def _kind(text: str) -> str:
 
 
 def _check_markers(path: Path, markers: Mapping[str, Any]) -> None:
-    if markers["front"]["colour"] == markers["rear"]["colour"]:
+    if markers.get("tag") is not None:
+        return
+    front, rear = (markers[which].get("colour") for which in ("front", "rear"))
+    if front is None or rear is None:
+        which = "front" if front is None else "rear"
+        raise FileError(path, "is missing: name a colour, or a tag", field=f"{which}.colour")
+    if front == rear:
         raise UserError(f"{path}: the two markers need different colours")

@@ -96,7 +96,10 @@ def colour_pair(text: str) -> tuple[str, str]:
     """
     words = [word.strip() for word in re.findall(r"hsv[:(][^,]*,[^,]*,[^,]*|[^,]+", text)]
     if len(words) != 2 or words[0] == words[1]:
-        raise UserError(f"{text!r}: expected two different colours, such as pink,blue")
+        raise UserError(
+            f"{text!r}: expected two different colours, such as pink,blue, or a kind of tag, such "
+            "as apriltag"
+        )
     for word in words:
         parse_colour(word)  # says what colours there are
     return words[0], words[1]

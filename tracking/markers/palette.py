@@ -129,8 +129,14 @@ def least_confident(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mappi
     return min(found, key=confidence, default={})
 
 
-def describe_colours(markers: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what files hold of the colours of ``front`` and ``rear``, in a line."""
+def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return what files hold of the colours of ``front`` and ``rear``, or of a tag, in a line."""
+    tag = markers.get("tag")
+    if tag:
+        others = ", ".join(map(str, tag.get("others") or ()))
+        return f"tag {tag['id']} of {tag['dictionary']}" + (
+            f", others in view: {others}" if others else ""
+        )
     return ", ".join(
         f"{where} {seen['colour']} is {seen['rgb']} here (confidence: {100 * seen['sure']:.0f} %)"
         for where, seen in markers.items()

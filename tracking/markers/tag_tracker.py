@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from tracking.markers.pair import LOST, Geometry, Motion, Sighting, lamp_luma, middle_of
 from tracking.markers.tag_fit import Placed, fit
-from tracking.markers.tags import QUIET, Tag
+from tracking.markers.tags import Tag
 
 #: Correlation with the pattern from which on a tag is believed, and share of it that must show.
 LEAST_LIKENESS, LEAST_SEEN = 0.7, 0.6
@@ -54,6 +54,11 @@ class TagTracker:
         #: Whether the tag was ever found.
         self.ever_found = False
 
+    @property
+    def found(self) -> None:
+        """A tag has no colours that could be mistaken."""
+        return None
+
     def update(self, frame: NDArray, time: float) -> Sighting:
         """Find the tag in the next frame.
 
@@ -80,8 +85,7 @@ class TagTracker:
         self._side = apart if self._side is None else self._side
         if self.geometry.separation is None:
             self._side += 0.03 * (apart - self._side)
-        rim = QUIET / len(self.tag.cells) * placed.side
-        return Sighting(*pixels, quality, lamp_luma(frame, pixels, self.geometry.lamp, rim))
+        return Sighting(*pixels, quality, lamp_luma(frame, pixels, self.geometry.lamp, 0.0))
 
     def _follow(self, frame: NDArray, time: float) -> Placed | None:
         """Return the tag near where it was, turned as it turned; None where it is not there."""

@@ -43,6 +43,10 @@ class Tag:
     def __str__(self) -> str:
         return f"tag {self.number} of {self.dictionary}"
 
+    def as_dict(self) -> dict[str, str | int]:
+        """Return what files hold of it."""
+        return {"dictionary": self.dictionary, "id": self.number}
+
     @cached_property
     def words(self) -> cv2.aruco.Dictionary:
         """The dictionary itself."""
@@ -55,20 +59,26 @@ class Tag:
         return cv2.aruco.generateImageMarker(self.words, self.number, side) > 0
 
 
+def kind_of(text: str) -> str | None:
+    """Return the dictionary that a person means, by its name in OpenCV; None: no dictionary."""
+    wanted = f"DICT_{KINDS.get(text.strip().lower(), text.strip())}".upper()
+    names = sorted(name for name in _names() if name.upper() == wanted)
+    return names[-1].removeprefix("DICT_") if names else None
+
+
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
     """Return a dictionary by its name in OpenCV, without ``DICT_``; upper and lower case alike.
 
     Raises:
         UserError: if there is none of this name.
     """
-    wanted = f"DICT_{name}".upper()
-    for own in _names():
-        if own.upper() == wanted:
-            return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, own))
-    raise UserError(
-        f"there is no dictionary of tags {name!r}; use {' or '.join(KINDS)}, or a name of OpenCV's "
-        "such as APRILTAG_25h9 or 5X5_100"
-    )
+    known = kind_of(name)
+    if known is None:
+        raise UserError(
+            f"there is no dictionary of tags {name!r}; use {' or '.join(KINDS)}, or a name of "
+            "OpenCV's such as APRILTAG_25h9 or 5X5_100"
+        )
+    return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, f"DICT_{known}"))
 
 
 def _names() -> Iterator[str]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from typing import Any
 
@@ -72,6 +72,7 @@ class RoofCamera(Camera):
         shape = (_NOISE_TILE, _NOISE_TILE, 3)
         self._noise = params.noise * self._rng.standard_normal(shape, np.float32)
         self._bank = self._noisy_grounds()
+        self._carried = scene.NO_TAG
         self._on_frame: OnFrame | None = None
         self._begun = 0.0
         self._frame = 0
@@ -112,6 +113,14 @@ class RoofCamera(Camera):
     def stop(self) -> None:
         """Deliver no more frames; one that is being exposed is lost."""
         self._on_frame = None
+
+    def carry(self, markers: Mapping[str, Any]) -> None:
+        """Let the robot carry these markers from now on, as recording.json has them.
+
+        Raises:
+            UserError: if a tag does not lie on the robot.
+        """
+        self._carried = scene.plate_of(markers) if markers.get("tag") else scene.NO_TAG
 
     @property
     def due(self) -> float:
@@ -185,6 +194,7 @@ class RoofCamera(Camera):
             min(max(lamp, 0.0), 1.0),
             grain,
             shift,
+            *self._carried,
         )
         return frame
 

@@ -10,13 +10,18 @@ pixel, and the next pose the other two.
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from typing import Any
 
 import cv2
 import numpy as np
 from numba import njit
 
 from neurosim.base.closed_line import distance_to
+from neurosim.base.errors import UserError
 from neurosim.lab.nxt.params import BOARD
+from tracking.markers.sought import sought
+from tracking.markers.tags import QUIET
 
 #: Markers and lamp in the robot frame (m).
 FRONT_MARKER = (0.07, 0.0)
@@ -46,6 +51,9 @@ _DOT_RADIUS = 0.003
 _WHEEL_COLOUR = (118.0, 118.0, 116.0)
 _SENSOR_COLOUR = (40.0, 38.0, 38.0)
 _BODY_COLOUR = (20.0, 20.0, 21.0)
+#: What :func:`paint_robot` takes for a robot with its two coloured markers.
+NO_TAG = np.zeros((0, 0)), np.array([0.0, 0.0, 1.0, 0.0, 1.0])
+_TAG_BLACK = (30.0, 30.0, 31.0)
 #: Boxes in the robot frame: x from and to, y from and to (m). The right wheel mirrors the left.
 _WHEEL = (-0.028, 0.028, 0.052, 0.079)
 _SENSOR_ARM = (0.045, 0.075, -0.102, 0.102)
@@ -162,8 +170,40 @@ def print_line(picture, light, plane, points, line_width):
                 picture[v, u, c] += share * (ink - picture[v, u, c])
 
 
+def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
+    """Return what :func:`paint_robot` takes for a robot that carries a tag.
+
+    Args:
+        markers: as recording.json has them, with a ``tag``.
+
+    Returns:
+        Its cells with the white around them, [N, N], 0 black, 1 white; and its plate: the centre
+        (m, robot frame), cosine and sine of the angle of its upper edge, and its side (m).
+
+    Raises:
+        UserError: if it is not on the robot.
+    """
+    tag = sought(markers)
+    ends = np.array([[markers[which][axis] for axis in "xy"] for which in ("front", "rear")], float)
+    ahead, (x, y) = ends[0] - ends[1], ends.mean(axis=0)
+    cells = np.pad(tag.cells, round(QUIET), constant_values=True).astype(float)
+    side = float(np.hypot(*ahead))
+    plate = side * len(cells) / len(tag.cells)
+    cos, sin = ahead / side
+    reach = 0.5 * plate * (abs(cos) + abs(sin))
+    inside = _BODY[0] <= x - reach and x + reach <= _BODY[1] and abs(y) + reach <= _BODY[3] + 1e-9
+    if not inside:
+        raise UserError(
+            f"a tag of {1000 * side:.0f} mm in this place does not lie on the virtual robot; leave "
+            "the places in markers.json as neurosim watch saves them"
+        )
+    return cells, np.array([x, y, cos, sin, plate])
+
+
 @njit(cache=True)
-def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise, shift):
+def paint_robot(
+    frame, ground, light, plane, window, poses, weights, lamp, noise, shift, cells, plate
+):
     """Paint the robot into a picture of the empty board, blurred over its poses.
 
     Args:
@@ -177,6 +217,7 @@ def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise
         lamp: the lamp's mean brightness over the exposure, 0..1.
         noise: sensor noise, float32 [N, N, 3], repeated over the picture.
         shift: rows and columns by which the noise is shifted.
+        cells, plate: of the tag that it carries, as :func:`plate_of` returns them, or NO_TAG.
     """
     height, width = plane.shape[:2]
     size = noise.shape[0]
@@ -212,7 +253,9 @@ def paint_robot(frame, ground, light, plane, window, poses, weights, lamp, noise
                     along = 1.0 if sample % 2 == 0 else -1.0
                     down = along if (sample // 2 + k) % 2 == 0 else -along
                     to_x, to_y = along * ax + down * bx, along * ay + down * by
-                    seen = _robot_colour(x + to_x, y + to_y, breadth, under, lit, lamp)
+                    seen = _robot_colour(
+                        x + to_x, y + to_y, breadth, under, lit, lamp, cells, plate
+                    )
                     blue += share * seen[0]
                     green += share * seen[1]
                     red += share * seen[2]
@@ -244,7 +287,31 @@ def _lit(colour, light):
 
 
 @njit(cache=True)
-def _robot_colour(x, y, breadth, under, light, lamp):
+def _on_tag(x, y, breadth, cells, plate):
+    """Return how much of a sample is white, and how much of it the plate covers."""
+    count = cells.shape[0]
+    px, py = x - plate[0], y - plate[1]
+    up, left = plate[2] * px + plate[3] * py, plate[2] * py - plate[3] * px
+    half = 0.5 * plate[4]
+    cover = _edge(half - abs(up), breadth) * _edge(half - abs(left), breadth)
+    if cover <= 0.0:
+        return 0.0, 0.0
+    # In cells; a sample's breadth of them counts by the area.
+    row, column = (half - up) * count / plate[4], (half - left) * count / plate[4]
+    reach = 0.5 * breadth * count / plate[4]
+    white = whole = 0.0
+    for i in range(max(int(row - reach), 0), min(int(row + reach), count - 1) + 1):
+        tall = min(row + reach, i + 1.0) - max(row - reach, float(i))
+        for j in range(max(int(column - reach), 0), min(int(column + reach), count - 1) + 1):
+            wide = min(column + reach, j + 1.0) - max(column - reach, float(j))
+            area = max(tall, 0.0) * max(wide, 0.0)
+            whole += area
+            white += area * cells[i, j]
+    return white / max(whole, 1e-12), cover
+
+
+@njit(cache=True)
+def _robot_colour(x, y, breadth, under, light, lamp, cells, plate):
     """Return what is seen at a point of the robot frame, over the ground's colour there."""
     colour = under
     body = _box(x, y, _BODY, breadth)
@@ -257,6 +324,10 @@ def _robot_colour(x, y, breadth, under, light, lamp):
             colour = _blend(colour, _lit(_SENSOR_COLOUR, light), share)
     if body > 0.0:
         colour = _blend(colour, _lit(_BODY_COLOUR, light), body)
+    if cells.shape[0] > 0:
+        white, cover = _on_tag(x, y, breadth, cells, plate)
+        colour = _blend(colour, _lit(_blend(_TAG_BLACK, _WHITE, white), light), cover)
+    elif body > 0.0:
         front = x > LAMP[0]
         marker = FRONT_MARKER if front else REAR_MARKER
         rim = _PINK if front else _BLUE

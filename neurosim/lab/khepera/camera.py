@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,14 @@ class KheperaCamera(RoofCamera):
     ) -> None:
         super().__init__(params, seed, now)
         self._centre = np.array([*centre, 0.0])
+
+    def carry(self, markers: Mapping[str, Any]) -> None:
+        """Let the robot carry these markers; see :meth:`RoofCamera.carry`."""
+        ends = {
+            which: {**markers[which], **{axis: markers[which][axis] / SCALE for axis in "xy"}}
+            for which in ("front", "rear")
+        }
+        super().carry({**markers, **ends})
 
     def look(self, pose: np.ndarray, lamp_light: float) -> None:
         """Take in the world at :attr:`due`; see :meth:`RoofCamera.look`."""

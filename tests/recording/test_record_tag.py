@@ -1,0 +1,86 @@
+"""A robot of the lab that carries a printed tag: recorded in sight, and tracked again."""
+
+import shutil
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from neurosim.base.errors import UserError
+from neurosim.cli.track import track as verb
+from neurosim.lab import read_truth
+from neurosim.recording.commands import Command, FixedCommands
+from neurosim.recording.markers import marker_settings
+from neurosim.recording.record import RecordSettings, record
+from neurosim.trials.rig import Setup, open_rig
+from tracking.camera.camera_model import CameraModel
+from tracking.datasets.recordings import Recording, write_markers
+
+DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command((-50, -50), 0.5)])
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("tag")
+    markers, said = marker_settings("apriltag", "virtual", 5), []
+    with open_rig("virtual", {}, Setup(markers=markers)) as rig:
+        optics = rig.camera.optics
+        CameraModel(
+            rig.camera.size, optics.matrix, optics.distortion, optics.rotation, optics.translation
+        ).write(folder / "calibration.json")
+        made = record(
+            folder / "r", rig, DRIVES, RecordSettings(3, markers=markers),
+            calibration=folder / "calibration.json", say=said.append,
+        )  # fmt: skip
+    assert said == []
+    return made
+
+
+def misses(recording):
+    poses, truth = recording.poses(), read_truth(recording.path)
+    assert (poses.quality > 0.5).all()
+    return poses.pose - truth.pose_at(poses.time)
+
+
+@pytest.mark.slow
+def test_its_poses_are_where_it_was(kept):
+    off = misses(kept)
+    # The clock is known to two milliseconds, in which it drives a millimetre.
+    assert np.sqrt((off[:, :2] ** 2).mean()) < 2e-3
+    assert np.degrees(np.sqrt((off[:, 2] ** 2).mean())) < 0.6
+    assert kept.meta["markers"]["tag"] == {"dictionary": "APRILTAG_36h11", "id": 5}
+    (session,) = kept.tracked_sessions()
+    assert session["markers"]["tag"]["id"] == 5
+    # The lamp beside it was seen to flash.
+    assert session["clock"]["flashes"]
+    assert session["clock"]["residual"] < 0.012
+
+
+@pytest.mark.slow
+def test_the_video_says_the_same_once_more(kept, tmp_path):
+    shutil.copytree(kept.path, tmp_path / "again")
+    done = CliRunner().invoke(verb, [str(tmp_path / "again")])
+    assert done.exit_code == 0, done.exception
+    assert "tag 5 of APRILTAG_36h11" in done.stdout
+    live, again = kept.poses().pose, Recording(tmp_path / "again").poses().pose
+    assert np.abs(live - again)[:, :2].max() < 1e-3
+
+
+@pytest.mark.slow
+def test_another_tag_is_not_there(kept, tmp_path):
+    shutil.copytree(kept.path, tmp_path / "again")
+    done = CliRunner().invoke(verb, [str(tmp_path / "again"), "--tag", "6"])
+    assert isinstance(done.exception, UserError)
+    assert "tag 6 of APRILTAG_36h11 was not found in any frame" in str(done.exception)
+    assert "of its dictionary 5 are in view: name one with --tag" in str(done.exception)
+
+
+def test_a_tag_of_the_lab_lies_on_the_robot(tmp_path):
+    away = {"front": {"x": 0.1, "y": 0.0}, "rear": {"x": 0.0, "y": 0.0}, "height": 0.1}
+    write_markers(tmp_path / "m.json", {**away, "tag": {"dictionary": "4X4_50", "id": 0}})
+    markers = marker_settings(str(tmp_path / "m.json"), "virtual")
+    with (
+        pytest.raises(UserError, match="a tag of 100 mm in this place does not lie on the virtual"),
+        open_rig("virtual", {}, Setup(markers=markers)),
+    ):
+        pass
