@@ -70,7 +70,8 @@ class OpenCVCamera(Camera):
 
     A frame's time is when it arrived, on the clock that is handed in; the pipeline's constant
     latency is taken out later by the flash. That thread alone uses OpenCV's object once it runs,
-    which does not survive being closed while it waits for a frame.
+    which does not survive being closed while it waits for a frame. Of a URL, such as a phone's, it
+    reads from the beginning: frames that nobody takes would wait in the network, and come late.
     """
 
     def __init__(
@@ -84,9 +85,13 @@ class OpenCVCamera(Camera):
         self._now = now
         self._capture = cv2.VideoCapture(check_name(source) if isinstance(source, str) else source)
         if not self._capture.isOpened():
+            what = (
+                "is the program that sends it running, and is it in the same network?"
+                if _is_url(source)
+                else "is it plugged in and not in use elsewhere?"
+            )
             raise UserError(
-                f"camera {source!r} cannot be opened: is it plugged in and not in use elsewhere? "
-                "Name another with --camera"
+                f"camera {source!r} cannot be opened: {what} Name another with --camera"
             )
         if size:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])
@@ -102,15 +107,26 @@ class OpenCVCamera(Camera):
         self._running = threading.Event()
         self._thread: threading.Thread | None = None
         self._arrived = 0.0
+        self._on_frame: OnFrame | None = None
+        if _is_url(source):
+            self._begin()
 
     @property
     def stalled(self) -> bool:
         """Whether no frame has come for too long since it was started."""
         patience = max(STALLED, STALLED_FRAMES / self.fps)
-        return self._running.is_set() and _time.monotonic() - self._arrived > patience
+        started = self._running.is_set() and self._on_frame is not None
+        return started and _time.monotonic() - self._arrived > patience
 
     def start(self, on_frame: OnFrame) -> None:
         """Deliver every frame from a thread; ``failed`` is set when the camera stops."""
+        self._arrived = _time.monotonic()
+        self._on_frame = on_frame
+        if self._thread is None:
+            self._begin()
+
+    def _begin(self) -> None:
+        """Read frames from now on, for whoever takes them."""
         capture = self._capture
 
         def read() -> None:
@@ -124,14 +140,14 @@ class OpenCVCamera(Camera):
                         return
                     self._arrived = _time.monotonic()
                     try:
-                        on_frame(self._now(), frame)
+                        if self._on_frame is not None:
+                            self._on_frame(self._now(), frame)
                     except UserError:  # who takes the frames has kept it, to tell at the end
                         self.failed = True
                         return
             finally:
                 capture.release()
 
-        self._arrived = _time.monotonic()
         self._running.set()
         self._thread = threading.Thread(target=read, name="camera", daemon=True)
         self._thread.start()
@@ -152,6 +168,10 @@ class OpenCVCamera(Camera):
             "size": list(self.size),
             "fps": self.fps,
         }
+
+
+def _is_url(source: int | str) -> bool:
+    return isinstance(source, str) and "://" in source
 
 
 def open_camera(
