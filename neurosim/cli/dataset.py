@@ -18,9 +18,7 @@ _ONLY: dict[str, tuple[str, ...]] = {
     "as_sent": ("recording",),
     "mixed": ("recording",),
     "doubtful": ("recording",),
-    **dict.fromkeys(
-        ("longest", "shortest", "longest_gap", "delay", "step", "windows"), ("mrclam", "csv")
-    ),
+    **dict.fromkeys(("longest", "shortest", "longest_gap", "delay", "step"), ("mrclam", "csv")),
     **dict.fromkeys(
         (
             "columns",
@@ -135,8 +133,8 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "--windows/--held",
     default=None,
     help=(
-        "csv, mrclam: learn from windows of the log with all their commands, or only from "
-        "commands that were held.  [default: windows where few commands were held]"
+        "Learn from windows of the log with all their commands, or only from commands that were "
+        "held.  [default: windows where few commands were held]"
     ),
 )
 @_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")
@@ -185,7 +183,14 @@ def dataset(
             raise UserError(f"{option} is for --from {' or '.join(sources)}, not {source}")
     if source == "recording":
         parts = [part for folder in recordings for part in parts_of(folder)]
-        made = build(parts, out, correct_delay=not as_sent, mixed=mixed, doubtful=doubtful)
+        made = build(
+            parts,
+            out,
+            correct_delay=not as_sent,
+            mixed=mixed,
+            doubtful=doubtful,
+            windows=windows,
+        )
     else:
         pieces = Settings(shortest, longest, longest_gap, step, windows, keep, delay)
         if source == "mrclam":

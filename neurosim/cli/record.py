@@ -12,6 +12,7 @@ import click
 from neurosim.cli._common import (
     calibration_option,
     emit,
+    is_given,
     json_option,
     markers_option,
     next_step,
@@ -24,6 +25,7 @@ from neurosim.cli._robots import camera_options, robot_option, without_camera
 from neurosim.cli._types import PATH
 
 if TYPE_CHECKING:
+    from neurosim.recording.by_hand import Hand
     from tracking.datasets.recordings import Recording
 
 
@@ -78,6 +80,18 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     is_flag=True,
     help="Choose the commands in rounds, where the simulator learned so far is most uncertain.",
 )
+@click.option(
+    "--by-hand",
+    is_flag=True,
+    help="Drive by keyboard or game pad, on a page with the camera's picture.",
+)
+@click.option(
+    "--by-network",
+    "controller",
+    type=PATH,
+    help="Drive with this closed-loop controller (a folder from evolve), for the steps of its task "
+    "or --commands of them. Put the robot at its start.",
+)
 @settings_options(
     "rounds", "neurosim.recording.rounds:Rounds", only=("size",), names={"size": "round"}
 )
@@ -98,6 +112,8 @@ def record(
     live: bool,
     page: bool,
     guided: bool,
+    by_hand: bool,
+    controller: Path | None,
     rounds: dict[str, Any],
     resume: bool,
     seed: int,
@@ -111,27 +127,36 @@ def record(
     With --guided, OUT has one recording for each round. An ensemble is learned from all rounds so
     far, and the next commands are those about which its members disagree most. This needs a camera
     and its --calibration.
+
+    With --by-hand, a person drives on a page in the browser; its address is printed. Commands are
+    recorded as they are given. --max-speed limits them. The robot stops if the page is closed or
+    hidden, and at the board's edge.
     """
     from neurosim.base.errors import UserError
+    from neurosim.controllers import read_controller
+    from neurosim.recording.by_hand import Hand
     from neurosim.recording.commands import RandomCommands
     from neurosim.recording.markers import marker_settings
     from neurosim.recording.record import record as record_
     from neurosim.recording.settings import Guard, RecordSettings
+    from neurosim.trials.driver import driver_of
     from neurosim.trials.rig import Setup, open_rig
 
+    _check_who_drives(guided=guided, by_hand=by_hand, by_network=controller is not None)
     commands = RandomCommands(**source, seed=seed)
+    hand = Hand(commands.max_speed) if by_hand else None
     how = RecordSettings(
         **settings, guard=Guard(**guard), markers=marker_settings(markers, robot, tag)
     )
 
     def given(seed: int, start: tuple[float, float, float] | None) -> Setup:
-        return Setup(**camera, seed=seed, start=start, markers=how.markers)
+        return Setup(**camera, seed=seed, start=start, markers=how.markers, real_time=by_hand)
 
     @contextmanager
     def opened(seed: int, start: tuple[float, float, float] | None) -> Iterator[Any]:
         with (
             open_rig(robot, robot_options, given(seed, start)) as rig,
-            _page(page, rig.camera, how, calibration if live else None) as on_seen,
+            _page(page, rig.camera, how, calibration if live else None, hand) as on_seen,
         ):
             yield rig, on_seen
 
@@ -163,13 +188,19 @@ def record(
             _words(result) + next_step("dataset", out, "-o", "DATASET"),
         )
         return
+    saved = None if controller is None else read_controller(controller)
     # Each session of a resumed recording meets other noise, as it would on a real robot.
     session = _sessions(out) if resume else 0
-    with opened(seed + 1000 * session, None) as (rig, on_seen):
+    with opened(seed + 1000 * session, saved and saved.start) as (rig, on_seen):
+        drives: Any = hand or commands
+        if saved is not None:
+            drives = driver_of(
+                controller, rig, calibration if live else None, settings.get("commands")
+            )
         recording = record_(
             out,
             rig,
-            commands,
+            drives,
             how,
             calibration=calibration,
             live=live,
@@ -177,7 +208,8 @@ def record(
             resume=resume,
             options=given_options(),
         )
-    result = _summary(out, how.commands, [recording])
+    count = how.commands if drives is commands else None
+    result = _summary(out, count, [recording])
     emit(
         result,
         as_json,
@@ -188,14 +220,34 @@ def record(
         click.get_current_context().exit(1)
 
 
-def _summary(out: Path, commands: int, made: list[Recording]) -> dict[str, Any]:
+def _check_who_drives(**ways: bool) -> None:
+    """Refuse options that do not go with who drives."""
+    from neurosim.base.errors import UserError
+
+    chosen = [name for name, is_chosen in ways.items() if is_chosen]
+    if len(chosen) > 1:
+        both = " and ".join(f"--{name.replace('_', '-')}" for name in chosen)
+        raise UserError(f"{both} do not go together: choose who drives")
+    meant_for_others = {
+        "by_hand": ("commands", "durations", "straight", "stopped", "round", "resume"),
+        "by_network": ("durations", "straight", "stopped", "max_speed", "round", "resume"),
+    }
+    for way in chosen:
+        for name in meant_for_others.get(way, ()):
+            if is_given(name):
+                option = f"--{name.replace('_', '-')}"
+                raise UserError(f"{option} is not for --{way.replace('_', '-')}: leave it out")
+
+
+def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str, Any]:
+    """Return what was recorded; without a number of commands, those that were sent count."""
     from tracking.markers.palette import least_confident
 
     lines = [part.commands() for part in made]
     kinds = [kind for part in lines for kind in part["kind"]]
     return {
         "recording": str(out),
-        "commands": commands,
+        "commands": kinds.count("command") if commands is None else commands,
         "sent": kinds.count("command"),
         "cut": kinds.count("cut"),
         "sessions": sum(part.sessions for part in made),
@@ -225,10 +277,13 @@ def _next(out: Path, tracked: bool, calibration: Path | None) -> str:
 
 @contextmanager
 def _page(
-    wanted: bool, camera: Any, settings: Any, calibration: Path | None
+    wanted: bool, camera: Any, settings: Any, calibration: Path | None, hand: Hand | None = None
 ) -> Iterator[Callable[[Any], None] | None]:
-    """Serve a page with what is seen while a recording is made; give what to show it with."""
-    if not wanted:
+    """Serve a page with what is seen while a recording is made; give what to show it with.
+
+    With a hand, the robot is driven there.
+    """
+    if not wanted and hand is None:
         yield None
         return
     from neurosim.base.errors import UserError
@@ -237,21 +292,24 @@ def _page(
     from tracking.markers.sought import sought
 
     model = None if calibration is None else CameraModel.read(calibration)
-    if camera is None or model is None or not model.has_board:
+    tracked = camera is not None and model is not None and model.has_board
+    if not tracked and hand is None:
         raise UserError(
             "--watch needs live tracking: give a camera and a --calibration with points on the "
             "board"
         )
     viewer = Viewer(
-        camera.size,
+        (640, 480) if camera is None else camera.size,
         settings.markers,
         sought(settings.markers),
         camera=model,
         board=settings.board,
         label="recording",
+        seen_by="tracker" if tracked else "nobody" if camera is None else "camera",
+        hand=hand,
     )
     with PageServer(viewer) as server:
-        click.echo(f"Watch at {server.url}", err=True)
+        click.echo(f"{'Watch' if hand is None else 'Drive'} at {server.url}", err=True)
         yield viewer.show
         viewer.end("the recording has ended")
 

@@ -5,12 +5,15 @@ from __future__ import annotations
 import math
 import threading
 from collections import deque
+from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.recording.perimeter import Reckoning
+from tracking.live import Seen
+from tracking.markers.pair import LOST
 
 #: What is seen is later than what was commanded, by the delays of radio, motor and camera: up to so
 #: much, s, or up to that where light sensors guard the robot, and a slow camera may be used.
@@ -44,6 +47,12 @@ class Agreement:
         self._seen: deque[tuple[float, NDArray]] = deque()
         self._full_speed = full_speed
         self._fastest: deque[tuple[float, float]] = deque([(-math.inf, 0.0)])
+
+    def afresh(self) -> Agreement:
+        """Return one of the same robot that remembers nothing."""
+        other = Agreement(self._full_speed, self._arm)
+        other.slowest = self.slowest
+        return other
 
     def sent(self, time: float, twist: NDArray) -> None:
         """Remember that the robot was commanded a twist [3] (m/s, m/s, rad/s) at a time (s)."""
@@ -101,9 +110,13 @@ class Pictures:
 
     ``last``, as a :class:`~neurosim.recording.spotter.Spotter` has it, is when the last picture
     arrived (s), and [3] where its number stands for a place far from the others.
+
+    Args:
+        on_seen: is shown every picture, in which nothing was found.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, on_seen: Callable[[Seen], None] | None = None) -> None:
+        self._on_seen, self._taken = on_seen, 0
         self._lock = threading.Lock()
         self._picture: NDArray | None = None
         self._number = 0
@@ -122,3 +135,6 @@ class Pictures:
             self._picture = picture.copy()
         with self._lock:
             self._last = time, np.array([float(self._number), 0.0, 0.0])
+        if self._on_seen is not None:
+            self._on_seen(Seen(self._taken, time, time, picture, LOST))
+        self._taken += 1

@@ -18,7 +18,7 @@ import numpy as np
 from neurosim.base.perimeter import UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.commands import Observation, SeeingSource
-from neurosim.recording.session import LINES, Session
+from neurosim.recording.session import BATTERY_EVERY, LINES, Session
 from neurosim.robots.base import Counters, Robot, Sensors
 from neurosim.robots.odometry import Odometry
 from tracking.datasets.recordings import Recording
@@ -32,8 +32,6 @@ REHEARSED = 0.5
 MARGIN = 1.1
 #: A command that is later than this share of its duration has missed its deadline.
 LATE = 0.1
-#: The battery is asked so often, s.
-BATTERY_EVERY = 30.0
 
 
 @dataclass

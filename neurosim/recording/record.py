@@ -17,8 +17,10 @@ from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import atomic_path, check_new_folder, check_no_links, locked
 from neurosim.base.provenance import robot_kind
 from neurosim.recording.agreement import Pictures
+from neurosim.recording.by_hand import Hand
 from neurosim.recording.closed_loop import ClosedLoopSession, missing
 from neurosim.recording.commands import CommandSource, RandomCommands, SeeingSource
+from neurosim.recording.hand_session import HandSession
 from neurosim.recording.session import FLASHES, BatteryLow, Session
 from neurosim.recording.settings import Guard, RecordSettings, Rig
 from neurosim.recording.spotter import Spotter
@@ -37,7 +39,7 @@ __all__ = ["BatteryLow", "Guard", "RecordSettings", "Rig", "record"]
 def record(
     out: str | Path,
     rig: Rig,
-    source: CommandSource | SeeingSource,
+    source: CommandSource | SeeingSource | Hand,
     settings: RecordSettings,
     *,
     calibration: str | Path | None = None,
@@ -53,12 +55,13 @@ def record(
         out: folder of the recording; new, or with ``resume`` one that was interrupted.
         rig: the robot, not connected yet, and its camera, if it has one (a video from elsewhere is
             joined when tracking).
-        source: where commands come from; one that sees is asked in closed loop.
+        source: where commands come from; one that sees is asked in closed loop, a hand drives
+            until it says that the drive is over.
         settings: the rest.
         calibration: calibration.json of the camera, copied into the recording.
         live: with a camera and its place over the board, track while recording: the robot is
             kept on the board by its position, and poses.csv is there when the recording ends.
-        on_seen: is shown every frame that was tracked.
+        on_seen: is shown every frame that was tracked; without live tracking every frame.
         resume: go on where the recording stopped, in a new session.
         options: kept in recording.json, for whoever resumes.
         say: takes messages for the user.
@@ -74,8 +77,13 @@ def record(
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
     _check_guard(settings, robot, camera, live and calibration is not None)
+    if resume and isinstance(source, SeeingSource | Hand):
+        raise UserError(
+            "a recording in closed loop or by hand cannot be resumed: start a new one; neurosim "
+            "dataset takes several recordings"
+        )
     if isinstance(source, SeeingSource):
-        _check_source(source, robot, camera if live else None, calibration, resume)
+        _check_source(source, robot, camera if live else None, calibration)
     if isinstance(source, RandomCommands):
         source = replace(source, takes=robot.commands)
     wanted = {**_wanted(robot, camera, source, settings), "virtual_lab": rig.lab}
@@ -125,10 +133,9 @@ def record(
                         )
                         stack.callback(spotter.close)
                     else:
-                        pictures = Pictures()
+                        pictures = Pictures(on_seen)
                     camera.start(_to_both(sink, spotter or pictures))
-                kind = ClosedLoopSession if isinstance(source, SeeingSource) else Session
-                driven = kind(
+                driven = _kind_of(source)(
                     recording, session, robot, source, settings, log, say, camera, spotter, pictures
                 )
                 try:
@@ -185,17 +192,21 @@ def _check_source(
     robot: Robot,
     camera: Camera | None,
     calibration: str | Path | None,
-    resume: bool,
 ) -> None:
     """Refuse what a controller cannot be driven with, before anything moves."""
-    if resume:
-        raise UserError("a closed-loop recording cannot be resumed: start a new recording")
     sees = (
         camera is not None and calibration is not None and CameraModel.read(calibration).has_board
     )
     lacks = missing(source, robot, sees=sees)
     if lacks:
         raise UserError("; ".join(lacks))
+
+
+def _kind_of(source: CommandSource | SeeingSource | Hand) -> type[Session]:
+    """Return which session drives with the commands of a source."""
+    if isinstance(source, Hand):
+        return HandSession
+    return ClosedLoopSession if isinstance(source, SeeingSource) else Session
 
 
 def _model(out: Path) -> CameraModel | None:
@@ -247,7 +258,7 @@ def _stop_quietly(robot: Robot) -> None:
 def _wanted(
     robot: Robot,
     camera: Camera | None,
-    source: CommandSource | SeeingSource,
+    source: CommandSource | SeeingSource | Hand,
     settings: RecordSettings,
 ) -> dict[str, Any]:
     wanted = {

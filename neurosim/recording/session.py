@@ -1,6 +1,7 @@
 """One session of a recording: what is sent to the robot, and how it is kept on the board.
 
-Commands are sent here as a list; :mod:`.closed_loop` asks for them one by one.
+Commands are sent here as a list; :mod:`.closed_loop` asks for them one by one, and in
+:mod:`.hand_session` a person gives them.
 
 Section 5.1 and 6.1 of Pretorius, du Plessis and Cilliers (2009): random commands, motors that
 go straight from one command into the next, a perimeter line that the light sensors guard, and a
@@ -26,6 +27,7 @@ from neurosim.base.files import LineLog
 from neurosim.base.perimeter import EDGE, LINE, UNSEEN
 from neurosim.base.progress import Progress
 from neurosim.recording.agreement import SLOWEST_GUARDED, Agreement, Pictures
+from neurosim.recording.by_hand import Hand
 from neurosim.recording.commands import Command, CommandSource, SeeingSource
 from neurosim.recording.homing import Homing, bearing
 from neurosim.recording.perimeter import PositionGuard, Stop
@@ -44,6 +46,8 @@ STILL = 0.5
 LINES = ("line_left", "line_right")
 #: Without light sensors the robot's place is looked at so often, s.
 LOOK_EVERY = 1 / 30
+#: Where commands do not wait in a list, the battery is asked so often, s.
+BATTERY_EVERY = 30.0
 #: A robot that is lost has so long to be put into view again, s.
 PATIENCE = 60.0
 #: A frame is written into the video so long after it was taken, at most, s.
@@ -89,7 +93,7 @@ class Session:
         recording: Recording,
         session: int,
         robot: Robot,
-        source: CommandSource | SeeingSource,
+        source: CommandSource | SeeingSource | Hand,
         settings: RecordSettings,
         log: LineLog,
         say: Callable[[str], None],
@@ -225,13 +229,18 @@ class Session:
             self._since = now
             if kind in ("cut", "stop"):
                 self._robot.stop()
-            elif duration is None:
-                self._robot.drive(numbers)
             else:
-                drive_for(self._robot, numbers, duration)
+                self._send(numbers, duration)
             self._numbers = numbers
             self._running = number if kind == "command" else None
         self._sent = now
+
+    def _send(self, numbers: tuple[float, ...], duration: float | None) -> None:
+        """Have the robot drive a command that is to last so long (s); None: until the next."""
+        if duration is None:
+            self._robot.drive(numbers)
+        else:
+            drive_for(self._robot, numbers, duration)
 
     @property
     def _rest(self) -> tuple[float, ...]:

@@ -13,17 +13,26 @@ import torch
 
 from neurosim.base.commands import TWO_WHEELS, Commands
 from neurosim.base.errors import UserError
+from neurosim.base.files import sha256
 from neurosim.base.trajectory import Episode
-from neurosim.controllers import FixedPlan, Plan, SavedController, make_controller
+from neurosim.controllers import (
+    FixedPlan,
+    Plan,
+    SavedController,
+    make_controller,
+    read_controller,
+)
 from neurosim.controllers.base import observe
 from neurosim.controllers.goals import Goals
 from neurosim.loop.replan import Clock, Replanner, ReplanSettings
 from neurosim.networks.control import NOT_READINGS, OF_GOALS, POSE_INPUTS
 from neurosim.recording import closed_loop
 from neurosim.recording.commands import Command, Observation, SeeingSource
+from neurosim.recording.settings import Rig
 from neurosim.robots.base import Counters, Robot, Sensors
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Task
+from neurosim.tasks.registry import make_task
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.cameras import Camera
 
@@ -118,6 +127,44 @@ class Driver:
     def describe(self) -> dict[str, Any]:
         """Return kind and origin of the controller."""
         return {"kind": self._family.kind, "controller": self._about}
+
+
+def driver_of(
+    controller: str | Path,
+    rig: Rig,
+    calibration: str | Path | None = None,
+    steps: int | None = None,
+) -> Driver:
+    """Return what drives a robot with a saved controller in closed loop, for a recording.
+
+    Args:
+        controller: its folder.
+        rig: the robot, and what films it.
+        calibration: the camera's, where the robot is tracked while it drives.
+        steps: how many commands; by default those of its task.
+
+    Raises:
+        UserError: if it is a plan, or the robot lacks what it needs.
+    """
+    saved = read_controller(controller)
+    if saved.controller.blind:
+        raise UserError(
+            f"{controller} is a {saved.kind}, which drives in open loop: neurosim run records it"
+        )
+    task = make_task(saved.task)
+    driver = Driver(saved, task.episode, source_of(Path(controller)), rig.robot.commands)
+    driver.steps = steps or driver.steps
+    lacks = missing(saved, rig.robot, rig.camera, task, calibration=calibration, source=driver)
+    if lacks:
+        raise UserError("; ".join(lacks))
+    return driver
+
+
+def source_of(folder: Path) -> dict[str, str]:
+    """Return what names a controller: where it is, and what its files hold."""
+    found = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
+    weights = folder / "weights.safetensors"
+    return {**found, "weights_sha256": sha256(weights)} if weights.exists() else found
 
 
 class Replanned:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -54,6 +54,7 @@ class Setup(Checked):
             rad); None: where that lab puts it.
         arena: What stands in the virtual Khepera's lab; by default the arena of its paper.
         markers: What a virtual robot carries, as recording.json has it; by default its two colours.
+        real_time: The virtual lab's time is the wall clock's, as where a person drives.
     """
 
     camera: str | None = None
@@ -63,6 +64,7 @@ class Setup(Checked):
     start: Pose | None = None
     arena: LabArena | None = None
     markers: dict[str, Any] | None = None
+    real_time: bool = False
 
 
 @contextmanager
@@ -139,20 +141,16 @@ def virtual(
     if push:
         direction = np.random.default_rng([setup.seed, 0x9054]).uniform(-math.pi, math.pi)
         hand = Push(push, push_after, float(direction))
+    common = _common(replace(setup, real_time=real_time or setup.real_time))
     with (
         VirtualRig(
             lab_seed,
-            noise_seed=setup.seed,
-            start=setup.start or (0.0, 0.0, 0.0),
-            camera=_has_camera(setup),
-            camera_size=setup.size or (640, 480),
-            fps=setup.fps or 30.0,
             lamp=None if lamp == "none" else lamp,
-            real_time=real_time,
             line=None if line is None or line == "none" else printed_line(line),
             push=hand,
+            **common,
         ) as rig,
-        Pacer(rig.lab) if real_time else nullcontext(),
+        _paced(rig.lab, common["real_time"]),
     ):
         yield Rig.of_lab(rig)
 
@@ -191,14 +189,18 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
     camera = None
     if _has_camera(setup):
         camera = CameraParams(size=setup.size or (640, 480), fps=setup.fps or 30.0)
-    with VirtualKheperaRig(
-        lab_seed,
-        noise_seed=setup.seed,
-        arena=setup.arena,
-        start=setup.start or START,
-        baud=baud or dialect_named("khepera").baud,
-        camera=camera,
-    ) as rig:
+    with (
+        VirtualKheperaRig(
+            lab_seed,
+            noise_seed=setup.seed,
+            arena=setup.arena,
+            start=setup.start or START,
+            baud=baud or dialect_named("khepera").baud,
+            camera=camera,
+            real_time=setup.real_time,
+        ) as rig,
+        _paced(rig.lab, setup.real_time),
+    ):
         yield Rig(rig.robot, rig.camera, None, rig.describe(), rig.lab.place)
 
 
@@ -213,8 +215,11 @@ def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's cars.
     """
-    with VirtualLinesRig(lab_seed, kind="car", **_common(setup)) as rig:
-        yield _connected(rig)
+    with (
+        VirtualLinesRig(lab_seed, kind="car", **_common(setup)) as rig,
+        _connected(rig, setup) as connected,
+    ):
+        yield connected
 
 
 @contextmanager
@@ -228,8 +233,11 @@ def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's bases.
     """
-    with VirtualLinesRig(lab_seed, kind="omni", **_common(setup)) as rig:
-        yield _connected(rig)
+    with (
+        VirtualLinesRig(lab_seed, kind="omni", **_common(setup)) as rig,
+        _connected(rig, setup) as connected,
+    ):
+        yield connected
 
 
 @contextmanager
@@ -243,8 +251,8 @@ def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's Thymios.
     """
-    with VirtualThymioRig(lab_seed, **_common(setup)) as rig:
-        yield _connected(rig)
+    with VirtualThymioRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
+        yield connected
 
 
 @contextmanager
@@ -256,8 +264,8 @@ def virtual_ros(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
         setup: the rest.
         lab_seed: Which of the virtual lab's bases.
     """
-    with VirtualRosRig(lab_seed, **_common(setup)) as rig:
-        yield _connected(rig)
+    with VirtualRosRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
+        yield connected
 
 
 def _common(setup: Setup) -> dict[str, Any]:
@@ -268,13 +276,23 @@ def _common(setup: Setup) -> dict[str, Any]:
         "camera": _has_camera(setup),
         "camera_size": setup.size or (640, 480),
         "fps": setup.fps or 30.0,
+        "real_time": setup.real_time,
     }
 
 
-def _connected(rig: VirtualLinesRig | VirtualThymioRig | VirtualRosRig) -> Rig:
-    """Return the robot and its camera; what it takes and has is known from now on."""
-    rig.robot.connect()
-    return Rig.of_lab(rig)
+def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:
+    """Return what keeps a lab in step with the wall clock, where it is to be."""
+    return Pacer(lab) if real_time else nullcontext()
+
+
+@contextmanager
+def _connected(
+    rig: VirtualLinesRig | VirtualThymioRig | VirtualRosRig, setup: Setup
+) -> Iterator[Rig]:
+    """Give the robot and its camera; what it takes and has is known from now on."""
+    with _paced(rig.lab, setup.real_time):
+        rig.robot.connect()
+        yield Rig.of_lab(rig)
 
 
 def _has_camera(setup: Setup) -> bool:

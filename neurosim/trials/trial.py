@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import formats, se2
 from neurosim.base.errors import UserError
-from neurosim.base.files import read_json, sha256, write_json
+from neurosim.base.files import read_json, write_json
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.provenance import is_virtual
 from neurosim.base.trajectory import RUN_DOWN, Trajectory
@@ -33,7 +33,7 @@ from neurosim.robots.base import Counters, Robot, WholeSpeeds
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.registry import make_task
-from neurosim.trials.driver import Driver, Replanned, missing, plan_of
+from neurosim.trials.driver import Driver, Replanned, missing, plan_of, source_of
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.displacements import Track
 from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
@@ -95,7 +95,7 @@ def run_trial(
         )
     source: CommandSource | SeeingSource | None = None
     if replan is not None:
-        about = _source(Path(controller))
+        about = source_of(Path(controller))
         source = Replanned(saved, task, *replan, clock=robot.clock, about=about, seed=seed)
     lacks = missing(saved, robot, camera, task, calibration=calibration, source=source)
     if lacks:
@@ -106,7 +106,7 @@ def run_trial(
         source = FixedCommands(plan_of(saved))
         count = len(source.commands)
     else:
-        source = Driver(saved, task.episode, _source(Path(controller)), robot.commands)
+        source = Driver(saved, task.episode, source_of(Path(controller)), robot.commands)
         count = source.steps
     known = _perimeter_of(saved)
     board = {} if known is None else {"board": asdict(known.board)}
@@ -132,7 +132,7 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
             not seen at its start.
     """
     saved, recording = read_controller(controller), Recording(out)
-    source, plan = _source(Path(controller)), plan_of(saved)
+    source, plan = source_of(Path(controller)), plan_of(saved)
     driven, foreseen = _Drive.read(recording), _read_foreseen(recording.path / FORESEEN)
     by_command = bool(plan)
     if foreseen is not None:
@@ -428,10 +428,3 @@ def _error(number: int, was: list[float], now: list[float] | None) -> dict[str, 
         # The tracker's first heading is known up to whole turns only.
         "heading": math.remainder(turn, 2 * math.pi),
     }
-
-
-def _source(folder: Path) -> dict[str, str]:
-    """Return what names a controller: where it is, and what its files hold."""
-    found = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
-    weights = folder / "weights.safetensors"
-    return {**found, "weights_sha256": sha256(weights)} if weights.exists() else found

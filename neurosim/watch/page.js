@@ -155,7 +155,9 @@ function text(id, words) {
 function tell() {
   text("label", state.label);
   if (state.ended) status("bad", state.ended);
+  else if (state.seen_by === "nobody") status("good", "no camera");
   else if (state.stale) status("bad", "the camera gives no pictures");
+  else if (state.seen_by === "camera") status("good", "filmed, not tracked");
   else if (state.lost) status("bad", `the robot is lost, for ${state.lost_for.toFixed(1)} s`);
   else if (!state.apart) status("bad", "the two markers' colours are too much alike");
   else if (!state.ever_found) {
@@ -186,7 +188,9 @@ function tell() {
   }
   element("panel").hidden = !state.settable;
   element("keys").hidden = element("says").hidden = !state.settable;
-  document.querySelector("main").classList.toggle("alone", !state.settable);
+  document.querySelector("main").classList.toggle("alone", !state.settable && !state.hand);
+  document.querySelector(".view").hidden = state.seen_by === "nobody";
+  if (state.hand) showHand(state.hand); // hand.js
   for (const name of ["length", "width", "height"]) {
     const field = element(name);
     if (field.dataset.touched || document.activeElement === field) continue;
@@ -304,6 +308,7 @@ canvas.addEventListener("pointermove", (event) => {
 canvas.addEventListener("pointerleave", () => { cross = null; draw(); magnify(); });
 canvas.addEventListener("click", (event) => { if (picture) set(...placeOf(event)); });
 canvas.addEventListener("keydown", (event) => {
+  if (!state || !state.settable) return;
   const steps = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
   if (event.key === "Enter" && cross && picture) set(...cross);
   else if (event.key === "Escape") choose(null);

@@ -28,7 +28,7 @@ from neurosim.base.errors import UserError
 from neurosim.watch.viewer import CORNERS, Viewer
 
 HOST = "127.0.0.1"
-#: A request's body is a click; nothing is as long as this.
+#: A request's body is a click, or where levers are; nothing is as long as this.
 LONGEST_BODY = 4096
 #: So many connections are held at once; a browser has six. One too many takes the place of the
 #: oldest that has not shown the secret yet.
@@ -42,6 +42,7 @@ _PAGES = {
     "": ("page.html", "text/html; charset=utf-8"),
     "page.css": ("page.css", "text/css; charset=utf-8"),
     "page.js": ("page.js", "text/javascript; charset=utf-8"),
+    "hand.js": ("hand.js", "text/javascript; charset=utf-8"),
 }
 _HEADERS = {
     "Cache-Control": "no-store",
@@ -256,6 +257,12 @@ class _Handler(BaseHTTPRequestHandler):
 
     def _post(self, what: str) -> tuple[bytes, str, dict[str, str]]:
         asked = self._body()
+        if what in ("drive", "end") and (hand := self.viewer.hand) is not None:
+            if what == "end":
+                hand.end()
+            else:
+                hand.take(*_levers(asked))
+            return *_json(hand.state()), {}
         if not self.viewer.settable:
             raise UserError("nothing can be set while the robot is recorded")
         viewer = self.viewer
@@ -307,6 +314,19 @@ def _number(asked: dict[str, Any], name: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) < 1e6:
         raise _Refused(HTTPStatus.BAD_REQUEST, f"{name}: expected a number")
     return float(value)
+
+
+def _levers(asked: dict[str, Any]) -> tuple[str, list[float] | None, float]:
+    """Return which page says where the levers are, where, and the speed; None: it goes away."""
+    page, levers = asked.get("page"), asked.get("levers")
+    if not isinstance(page, str):
+        raise _Refused(HTTPStatus.BAD_REQUEST, "page: expected a name")
+    if levers is None:
+        return page, None, 0.0
+    if not isinstance(levers, list):
+        raise _Refused(HTTPStatus.BAD_REQUEST, "levers: expected a list")
+    named = {f"lever {place}": value for place, value in enumerate(levers)}
+    return page, [_number(named, name) for name in named], _number(asked, "speed")
 
 
 def _place(asked: dict[str, Any]) -> tuple[float, float]:

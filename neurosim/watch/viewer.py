@@ -8,13 +8,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.recording.by_hand import Hand
 from tracking.camera.board import camera_over_board, corner_points
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import write_markers
@@ -56,6 +57,8 @@ class Viewer:
         calibration_file: where the calibration is saved.
         markers_file: where the markers are saved.
         label: the camera's name, for the page's heading.
+        seen_by: who sees the robot: the ``tracker``, only the ``camera``, or ``nobody``.
+        hand: by which a person drives the robot on the page, or None.
     """
 
     def __init__(
@@ -70,6 +73,8 @@ class Viewer:
         calibration_file: Path = Path("calibration.json"),
         markers_file: Path = Path("markers.json"),
         label: str = "camera",
+        seen_by: Literal["tracker", "camera", "nobody"] = "tracker",
+        hand: Hand | None = None,
     ):
         self.size = size
         self._markers = dict(markers)
@@ -83,7 +88,8 @@ class Viewer:
         self._look_for = look_for
         self._files = {"calibration": Path(calibration_file), "markers": Path(markers_file)}
         self._saved: set[str] = set()
-        self._label = label
+        self._label, self._seen_by = label, seen_by
+        self.hand = hand
         self._ended = ""
         self._change = threading.Condition()
         self._seen: Seen | None = None
@@ -150,6 +156,8 @@ class Viewer:
         return {
             "number": self._number,
             "label": self._label,
+            "seen_by": self._seen_by,
+            "hand": None if self.hand is None else self.hand.state(),
             "size": list(self.size),
             "settable": self.settable,
             "ended": self._ended,

@@ -84,11 +84,12 @@ class Tab:
         ))  # fmt: skip
 
     def press(self, key, text="", modifiers=0):
-        for kind in ("keyDown", "keyUp"):
-            self.call(
-                "Input.dispatchKeyEvent", type=kind, key=key, code=key, text=text,
-                modifiers=modifiers,
-            )  # fmt: skip
+        for kind in ("Down", "Up"):
+            self.key(kind, key, text=text, modifiers=modifiers)
+
+    def key(self, kind, key, **others):
+        """Have a key go ``Down`` or ``Up``."""
+        self.call("Input.dispatchKeyEvent", type=f"key{kind}", key=key, code=key, **others)
 
     def type(self, text):
         self.call("Input.insertText", text=text)

@@ -29,6 +29,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
+from tracking.datasets import driven, logs
 from tracking.datasets import readings as sensor_readings
 from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
@@ -263,8 +264,11 @@ def build(
     correct_delay: bool = True,
     mixed: bool = False,
     doubtful: bool = False,
+    windows: bool | None = None,
 ) -> Dataset:
     """Turn tracked recordings into a dataset: one row for every complete, well-tracked command.
+
+    Where commands change all the time, rows follow one another (:mod:`tracking.datasets.driven`).
 
     Args:
         recordings: folders with commands.csv and poses.csv, in the order of their recording.
@@ -274,6 +278,9 @@ def build(
             rather than from when the commands were sent.
         mixed: whether recordings may be of different robots.
         doubtful: whether poses of what may not be the robot count as well.
+        windows: whether rows follow one another, to be learned from by windows; None: where a
+            person gave the commands, or most of a recording's last less than 0.5 s and fewer than
+            100 of all last longer.
 
     Raises:
         FileError: if a recording's files are missing or wrong, or its clock goes backwards.
@@ -295,9 +302,17 @@ def build(
     readings: list[pd.DataFrame] = []
     sources, robots, perimeters, virtual = [], [], [], False
     inputs: dict[str, str] = {}
+    chained = _changes_fast(recordings, windows)
+    drives: list[logs.Log] = []
+    warnings: list[str] = []
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
         found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
+        if chained:
+            found.corrected.clear()  # the delay is learned with the rest
+            stretches, said = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
+            drives += stretches
+            warnings += [f"{name}: {sentence}" for sentence in said]
         rows += [{"recording": name, **row} for row in found.rows]
         sent += found.sent
         seen = sensor_readings.readings_of(recording, name, doubtful=doubtful)
@@ -331,14 +346,19 @@ def build(
                 f"{recordings[0]} and {path} have other commands ({', '.join(inputs)}; "
                 f"{', '.join(own)}): make a dataset of each"
             )
+    if chained:
+        names_of = [name for name in inputs if f"prev_{name}" in inputs]
+        rows, counts, _ = logs.any_rows_of(drives, names_of, logs.Settings(windows=True))
+        how = {"reasons": logs.REASONS, "windows": True, "warnings": warnings}
+    else:
+        counts, how = left_out, {"reasons": REASONS, "cutting": cutting(sent)}
     dataset = make(
         rows,
         inputs,
         sources=sources,
-        left_out=left_out,
+        left_out=counts,
         settings=asdict(settings),
-        reasons=REASONS,
-        cutting=cutting(sent),
+        **how,
         motor_delays=delays,
         clocks=clocks,
         markers=markers,
@@ -350,6 +370,26 @@ def build(
     dataset.readings = sensor_readings.joined(readings)
     dataset.write(out)
     return dataset
+
+
+def _changes_fast(recordings: Sequence[Path], windows: bool | None) -> bool:
+    """Return whether rows are to follow one another.
+
+    Raises:
+        UserError: if they are not to, and nobody planned how long commands last.
+    """
+    every = [Recording(path) for path in recordings]
+    if windows is None:
+        counts = [driven.lasting(recording, logs.Settings().shortest) for recording in every]
+        fast = any(short > held for held, short in counts)
+        few = sum(held for held, _ in counts) < logs.FEW
+        return any(recording.by_hand for recording in every) or (fast and few)
+    by_hand = next((recording for recording in every if recording.by_hand), None)
+    if not windows and by_hand is not None:
+        raise UserError(
+            f"{by_hand.path} was driven by hand, where no command is held: leave out --held"
+        )
+    return windows
 
 
 #: What of a robot's description tells it from another, or its commands from another's.

@@ -47,6 +47,8 @@ from neurosim.base.perimeter import Board
 from tracking.camera.video import Video
 
 FORMAT, VERSION = "neurosim-recording", 1
+#: The kind of source whose commands a person gives: each holds until the next line.
+BY_HAND = "by-hand"
 #: A command lasts no longer, s.
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
@@ -54,7 +56,7 @@ TRACKING_FORMAT = "neurosim-tracking"
 
 #: What a line of commands.csv can be.
 KINDS = (
-    "command",  # a numbered command, with its planned duration
+    "command",  # a numbered command, with its planned duration (none where a person drives)
     "cut",  # the motors stopped early, at a line; carries the number of the command it cut
     "manoeuvre",  # driving that is no data: getting back inside
     "stop",
@@ -245,6 +247,12 @@ class Recording:
                 self.path / "recording.json", f"describes no commands: {error}", field="commands"
             ) from None
 
+    @property
+    def by_hand(self) -> bool:
+        """Whether a person drove: no command has a duration, each holds until the next line."""
+        source = (self.meta.get("settings") or {}).get("source") or {}
+        return source.get("kind") == BY_HAND
+
     def save_meta(self) -> None:
         """Write ``meta`` back to recording.json."""
         content = {k: v for k, v in self.meta.items() if k not in ("format", "version")}
@@ -320,6 +328,8 @@ class Recording:
             numbers=list(map(tuple, numbers.tolist())), forward=percent[:, 0], turn=percent[:, 1]
         )
         lasts = table["duration"].between(0, LONGEST, inclusive="right")
+        if self.by_hand:
+            lasts |= table["duration"].isna()
         refuse(
             (table["kind"] == "command") & ((table["command"] == -1) | ~lasts),
             f"a command needs a number and a duration above 0 and up to {LONGEST:g} s",

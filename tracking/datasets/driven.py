@@ -1,0 +1,113 @@
+"""Recordings in which commands change all the time, as logs: driven by hand, or by a network.
+
+A stretch is a run of commands that follow one another, up to the line that ends the last: what
+happens after a robot was stopped, until its next command, is no data (it may be carried), nor are
+manoeuvres of the guard. Commands stand at the times at which they were sent; how late the motors
+answer is learned with the rest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from tracking.datasets.logs import Log, Settings
+from tracking.datasets.recordings import CommandLine, Poses, Recording
+from tracking.datasets.sessions import sessions_of
+
+#: A log begins so long, s, before its first command: where the robot was then is known by frames
+#: before it.
+LEAD = 0.25
+
+
+def lasting(recording: Recording, shortest: float) -> tuple[int, int]:
+    """Return how many commands were planned to last so long (s) or longer, and how many shorter."""
+    table = recording.commands()
+    planned = table.loc[table["kind"] == "command", "duration"]
+    return int((planned >= shortest).sum()), int((planned < shortest).sum())
+
+
+def logs_of(
+    recording: Recording, name: str, settings: Settings, *, doubtful: bool = False
+) -> tuple[list[Log], list[str]]:
+    """Return the stretches of a tracked recording as logs.
+
+    Args:
+        recording: tracked.
+        name: of it, for the rows.
+        settings: as for any log.
+        doubtful: whether poses of what may not be the robot count as well.
+
+    Returns:
+        Logs, and a sentence for whatever was odd about their poses.
+
+    Raises:
+        FileError: if commands.csv or poses.csv is missing or wrong somewhere.
+    """
+    lines = [line for line in recording.commands().itertuples() if line.is_motor]
+    every = recording.poses()
+    every = every if doubtful else every.certain()
+    logs: list[Log] = []
+    said: list[str] = []
+    for number, (run, before, since) in enumerate(_runs(lines, recording.takes.rest()), start=1):
+        poses = every.of_session(run[0].session)
+        found, why = _log_of(run, before, since, poses, f"{name}/{number}", settings)
+        logs += found
+        said += [f"stretch {number}: {sentence}" for sentence in why]
+    return logs, said
+
+
+def _runs(
+    lines: list[CommandLine], rest: tuple[float, ...]
+) -> Iterator[tuple[list[CommandLine], tuple[float, ...], float]]:
+    """Give the commands of each stretch with the line that ends it.
+
+    With it the command before, and since when that was driven, s. The last command of a session
+    that was interrupted has no end: it ends the stretch.
+    """
+    run: list[CommandLine] = []
+    session, last = None, (rest, -np.inf)
+    before, since = last
+    for line in [*lines, None]:
+        if line is None or line.session != session:
+            if len(run) > 1:
+                yield run, before, since
+            if line is None:
+                return
+            run, session, last = [], line.session, (rest, -np.inf)
+        if line.kind == "command":
+            if not run:
+                before, since = last
+            run.append(line)
+        elif run:
+            yield [*run, line], before, since
+            run = []
+        last = (line.numbers, line.time)
+
+
+def _log_of(
+    run: list[CommandLine],
+    before: tuple[float, ...],
+    since: float,
+    poses: Poses,
+    name: str,
+    settings: Settings,
+) -> tuple[list[Log], list[str]]:
+    """Return a stretch as a log: a sample at each command, and at each frame meanwhile."""
+    sent = np.array([line.time for line in run])
+    begin = max(since, sent[0] - LEAD)
+    frames = (poses.time >= begin) & (poses.time <= sent[-1])
+    time, places = np.unique(np.concatenate([sent, poses.time[frames]]), return_inverse=True)
+    where = np.full((len(time), 3), np.nan)
+    where[places[len(sent) :]] = poses.pose[frames]
+    if not np.isfinite(where).all(axis=1).any():
+        return [], []
+    numbers = np.array([before, *(line.numbers for line in run)], float)
+    logs, said = sessions_of(
+        name, time, numbers[np.searchsorted(sent, time, side="right")], where, settings
+    )
+    if logs and logs[0].before is None:
+        logs[0] = replace(logs[0], before=numbers[0])
+    return logs, said
