@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import new_folder, write_csv, write_json
+from neurosim.base.progress import Progress
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
 from tracking.clock.motion import disagreement, fit_clock_to_motion, follows_commands
@@ -31,8 +32,12 @@ from tracking.markers.colours import Colour, parse_colour
 from tracking.markers.pair import Geometry
 from tracking.markers.palette import STILL, warning
 from tracking.markers.sought import Sought, sought
+from tracking.markers.tag_tracker import TagTracker, numbers_in
 from tracking.markers.tags import Tag
 from tracking.poses import board_poses, marker_geometry, unwrap
+
+#: A video is searched for tags so often, s.
+LOOK_FOR_TAGS_EVERY = 0.5
 
 
 def track(
@@ -276,6 +281,57 @@ def track_video(
             write_csv(folder / "poses.csv", columns)
             write_json(folder / "tracking.json", TRACKING_FORMAT, VERSION, summary)
     return {**summary, "poses": columns}
+
+
+def track_tags(
+    path: str | Path,
+    kind: str,
+    out: str | Path,
+    *,
+    overlay: str | Path | None = None,
+    **options: Any,
+) -> dict[int, dict[str, Any]]:
+    """Track every tag of a dictionary that is in a video: several robots at once.
+
+    Args:
+        path: the video.
+        kind: the dictionary, as OpenCV names it, without ``DICT_``.
+        out: a new folder, for one of each tag: ``tag-3`` and so on, as :func:`track_video`
+            writes it.
+        overlay: write a video for each tag here; its number is added to the name.
+        **options: of :func:`track_video`.
+
+    Returns:
+        What :func:`track_video` returns, by the tag's number.
+
+    Raises:
+        UserError: if there is no such tag in the video, or as :func:`track_video` does.
+    """
+    path, any_one = Path(path), Tag(kind)
+    seen: set[int] = set()
+    with (
+        Video(path) as video,
+        Progress(f"tags in {path.name}", video.frames or None, "frames") as progress,
+    ):
+        every = max(1, round(LOOK_FOR_TAGS_EVERY * video.fps))
+        for index, _, frame in video:
+            if index % every == 0:
+                fresh = numbers_in(frame, any_one) - seen
+                # What the detector takes for a tag may be none: its pattern must fit.
+                seen |= {n for n in fresh if TagTracker(Tag(kind, n)).update(frame, 0.0).found}
+            progress.advance()
+    if not seen:
+        raise UserError(f"{path}: no tag of {any_one.dictionary} was found in any frame")
+    tracked: dict[int, dict[str, Any]] = {}
+    with new_folder(out) as folder:
+        for number in sorted(seen):
+            drawn = None
+            if overlay is not None:
+                drawn = Path(overlay).with_stem(f"{Path(overlay).stem}-tag-{number}")
+            tracked[number] = track_video(
+                path, Tag(kind, number), folder / f"tag-{number}", overlay=drawn, **options
+            )
+    return tracked
 
 
 def describe_doubtful(summary: Mapping[str, Any]) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -31,6 +32,11 @@ from neurosim.cli._types import NEW, PATH, PIXEL, Option, ranged
     f"[default: as recorded, or pink,blue]  Colours: {COLOUR_NAMES}.",
 )
 @tag_option
+@click.option(
+    "--all-tags",
+    is_flag=True,
+    help="Video files: track every tag of the dictionary in view, each into a folder of its own.",
+)
 @calibration_option("The camera's calibration.json.  [default: the one kept with the recording]")
 @click.option(
     "--overlay", type=NEW, help="Also write a video with the tracked markers drawn over it."
@@ -83,6 +89,7 @@ def track(
     recording: Path,
     markers: str | None,
     tag: int | None,
+    all_tags: bool,
     calibration: Path | None,
     overlay: Path | None,
     videos: tuple[Path, ...],
@@ -122,9 +129,20 @@ def track(
         if len(clicks) not in (0, 2):
             raise UserError("--click: give it twice, for the front marker, then for the rear one")
         pixels = [list(pixel) for pixel in clicks]
-        known = marker_settings(markers, tag=tag)
+        known = marker_settings(markers, tag=0 if all_tags and markers is None else tag)
+        if all_tags:
+            if tag is not None or "tag" not in known:
+                raise UserError(
+                    "--all-tags tracks all tags of a dictionary: give --markers apriltag or aruco "
+                    "with it, and no --tag"
+                )
+            _track_all(
+                recording, known, out, as_json, markers=known if _is_file(markers) else None,
+                calibration=calibration, height=height, overlay=overlay, partial=partial,
+            )  # fmt: skip
+            return
         what = None if clicks else sought(known)
-        placed = known if markers and markers.endswith(".json") else None
+        placed = known if _is_file(markers) else None
         result = track_video(
             recording, what, out, markers=placed,
             calibration=calibration, height=height, overlay=overlay, clicks=pixels or None,
@@ -143,6 +161,8 @@ def track(
                 "--height is for video files; a recording's markers have theirs in recording.json, "
                 "or in a markers.json (--markers)"
             )
+        if all_tags:
+            raise UserError("--all-tags is for video files; choose a recording's tag with --tag")
         known = marker_settings(markers, tag=tag, recorded=Recording(recording).meta["markers"])
         result = track_(
             recording, None, calibration, overlay, videos, markers=known,
@@ -172,3 +192,24 @@ def track(
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
         f"median quality {result['quality']:.2f}.\n{describe_markers(found)}.{then}",
     )
+
+
+def _is_file(markers: str | None) -> bool:
+    return markers is not None and markers.endswith(".json")
+
+
+def _track_all(
+    video: Path, known: dict[str, Any], out: Path, as_json: bool, **options: Any
+) -> None:
+    """Track every tag of a dictionary in a video, and print what was found of each."""
+    from tracking.track import track_tags
+
+    tracked = track_tags(video, known["tag"]["dictionary"], out, **options)
+    lines = []
+    for number, result in tracked.items():
+        result.pop("poses")
+        lines.append(
+            f"{out / f'tag-{number}'}: {result['frames']} frames, tag {number} found in "
+            f"{100 * result['found']:.1f} %, median quality {result['quality']:.2f}."
+        )
+    emit({"tags": list(tracked.values())}, as_json, "\n".join(lines))

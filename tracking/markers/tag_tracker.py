@@ -40,9 +40,7 @@ class TagTracker:
     def __init__(self, tag: Tag, geometry: Geometry | None = None):
         self.tag = tag
         self.geometry = geometry or Geometry()
-        settings = cv2.aruco.DetectorParameters()
-        settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-        self._detector = cv2.aruco.ArucoDetector(tag.words, settings)
+        self._detector = _detector(tag)
         self._side = self.geometry.separation
         self._placed: Placed | None = None
         self._motion: Motion | None = None
@@ -113,7 +111,7 @@ class TagTracker:
 
     def _enlargements(self, grey: NDArray) -> Iterator[int]:
         """Yield by how much a picture is to be enlarged for a search, one after the other."""
-        most = max(1, min(MOST_ENLARGED, math.isqrt(MOST_PIXELS // grey.size)))
+        most = _most_enlarged(grey)
         middle = (np.array(grey.shape[::-1]) - 1) / 2
         if self._side is None:
             yield from range(1, most + 1)
@@ -125,17 +123,12 @@ class TagTracker:
         """Return all of this tag in a part of a picture, from ``origin`` on, px, fitted."""
         if min(grey.shape) < 8:
             return []
-        large = grey
-        if factor > 1:
-            large = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
-        corners, numbers, _ = self._detector.detectMarkers(large)
-        numbers = [] if numbers is None else np.ravel(numbers).tolist()
+        corners, numbers = _seen(self._detector, grey, factor)
         self.others |= {number for number in numbers if number != self.tag.number}
         found = []
         for number, corner in zip(numbers, corners, strict=True):
             if number == self.tag.number:
-                at = (corner.reshape(4, 2).astype(float) + 0.5) / factor - 0.5 + origin
-                fitted = self._fit((grey, origin), Placed.of_corners(at))
+                fitted = self._fit((grey, origin), Placed.of_corners(corner + origin))
                 found += [] if fitted is None else [fitted]
         return found
 
@@ -172,6 +165,36 @@ class TagTracker:
         side = ((a + mirror * d) * cos + (c - mirror * b) * sin) / 2
         half = np.linalg.solve(plane, mirror * side / 2 * np.array([sin, -cos]))
         return np.array([placed.centre + half, placed.centre - half])
+
+
+def numbers_in(frame: NDArray, tag: Tag) -> set[int]:
+    """Return the numbers of all tags in a frame, BGR [H, W, 3] uint8, of a tag's dictionary."""
+    grey = cv2.cvtColor(frame, cv2.COLOR_BGR2GRAY)
+    detector = _detector(tag)
+    factors = range(1, _most_enlarged(grey) + 1)
+    return {number for factor in factors for number in _seen(detector, grey, factor)[1]}
+
+
+def _detector(tag: Tag) -> cv2.aruco.ArucoDetector:
+    settings = cv2.aruco.DetectorParameters()
+    settings.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
+    return cv2.aruco.ArucoDetector(tag.words, settings)
+
+
+def _seen(
+    detector: cv2.aruco.ArucoDetector, grey: NDArray, factor: int
+) -> tuple[list[NDArray], list[int]]:
+    """Return the corners, [4, 2] px each, and the numbers of all tags in an enlarged picture."""
+    large = grey
+    if factor > 1:
+        large = cv2.resize(grey, None, fx=factor, fy=factor, interpolation=cv2.INTER_CUBIC)
+    corners, numbers, _ = detector.detectMarkers(large)
+    places = [(corner.reshape(4, 2).astype(float) + 0.5) / factor - 0.5 for corner in corners]
+    return places, [] if numbers is None else np.ravel(numbers).tolist()
+
+
+def _most_enlarged(grey: NDArray) -> int:
+    return max(1, min(MOST_ENLARGED, math.isqrt(MOST_PIXELS // grey.size)))
 
 
 def _enlargement(side: float) -> int:
