@@ -9,12 +9,16 @@ from click.testing import CliRunner
 from neurosim.base.errors import UserError
 from neurosim.cli.track import track as verb
 from neurosim.lab import read_truth
+from neurosim.lab.khepera.camera import SCALE
 from neurosim.recording.commands import Command, FixedCommands
 from neurosim.recording.markers import marker_settings
 from neurosim.recording.record import RecordSettings, record
 from neurosim.trials.rig import Setup, open_rig
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import Recording, write_markers
+from tracking.markers.sought import sought, tracker_of
+from tracking.markers.tags import KINDS
+from tracking.poses import marker_geometry, marker_poses
 
 DRIVES = FixedCommands([Command((40, 60), 0.7), Command((60, 30), 0.7), Command((-50, -50), 0.5)])
 
@@ -73,6 +77,25 @@ def test_another_tag_is_not_there(kept, tmp_path):
     assert isinstance(done.exception, UserError)
     assert "tag 6 of APRILTAG_36h11 was not found in any frame" in str(done.exception)
     assert "of its dictionary 5 are in view: name one with --tag" in str(done.exception)
+
+
+@pytest.mark.parametrize("robot", ["virtual", "virtual-khepera"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_lab_shows_the_tag_where_the_markers_say_it_is(robot, kind):
+    markers = marker_settings(kind, robot, 2)
+    with open_rig(robot, {}, Setup(markers=markers)) as rig:
+        scale = SCALE if robot == "virtual-khepera" else 1.0
+        optics, pose = rig.camera.optics, np.array([0.4, -0.3, 0.8])
+        model = CameraModel(
+            rig.camera.size, optics.matrix, optics.distortion, optics.rotation,
+            scale * optics.translation,
+        )  # fmt: skip
+        frame = rig.camera.render(pose)
+    tracker = tracker_of(sought(markers), marker_geometry(markers, model))
+    seen = tracker.update(frame, 0.0)
+    (found,) = marker_poses(seen.front[None], seen.rear[None], markers, model)
+    np.testing.assert_allclose(found[:2], scale * pose[:2], atol=4e-4 * scale)
+    assert found[2] == pytest.approx(pose[2], abs=0.005)
 
 
 def test_a_tag_of_the_lab_lies_on_the_robot(tmp_path):

@@ -191,7 +191,9 @@ def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     plate = side * len(cells) / len(tag.cells)
     cos, sin = ahead / side
     reach = 0.5 * plate * (abs(cos) + abs(sin))
-    inside = _BODY[0] <= x - reach and x + reach <= _BODY[1] and abs(y) + reach <= _BODY[3] + 1e-9
+    # It may be wider than the body, as its wheels and its sensors are.
+    along = _BODY[0] <= x - reach and x + reach <= _BODY[1]
+    inside = along and abs(y) + reach <= _SENSOR_ARM[3]
     if not inside:
         raise UserError(
             f"a tag of {1000 * side:.0f} mm in this place does not lie on the virtual robot; leave "
