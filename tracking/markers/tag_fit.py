@@ -27,8 +27,12 @@ _RIM = 0.6
 MOST_PIXELS = 56.0
 _STEPS = 8
 #: A pixel this far from the pattern (times the median, and as a share of white less black) is of
-#: something that covers it.
-_FAR, _FAR_LEVELS = 5.0, 0.25
+#: something that covers it; and where something does, one that is nearer.
+_FAR, _NEAR = (5.0, 0.25), (3.0, 0.15)
+#: The pixels of a tag that nothing covers correlate so well with its pattern.
+_WHOLE = 0.95
+#: How often the fit is repeated with what is left, at most.
+_ROUNDS = 6
 #: White is lighter than black by so many grey levels at least.
 _LEAST_CONTRAST = 8.0
 #: A step smaller than this (px) is the last one.
@@ -102,18 +106,22 @@ def fit(grey: NDArray, tag: Tag, guess: Placed) -> Placed | None:
     whole = (start.side * (1 + 2 * _RIM / cells)) ** 2
     pixels, seen = pixels[:, inside], window.ravel()[inside].astype(float)
     pattern = _pattern(tag.dictionary, tag.number, _blur_level(start.side / cells))
-    found = _steps(pattern, cells, pixels, seen, start)
-    if found is None:
-        return None
-    placed, misses, gain = found
-    clear = misses < max(_FAR * float(np.median(misses)), _FAR_LEVELS * gain)
-    if clear.sum() < 0.5 * whole:
-        return None
-    if not clear.all():
+    placed, clear = start, np.ones(len(seen), bool)
+    for _ in range(_ROUNDS):
         found = _steps(pattern, cells, pixels[:, clear], seen[clear], placed)
-        if found is None:
+        if found is None or np.abs(found[0].centre - start.centre).max() > 0.5 * start.side:
             return None
-        placed = found[0]
+        placed, white, black = found
+        places = np.linalg.solve(placed.axes, pixels - placed.centre[:, None])
+        misses = np.abs(seen - white * _sample(pattern, places, cells)[0] - black)
+        before = clear
+        whole_in_view = clear.all() and placed.likeness > _WHOLE
+        times, levels = _FAR if whole_in_view else _NEAR
+        clear = misses < max(times * float(np.median(misses)), levels * white)
+        if clear.sum() < 0.5 * whole:
+            return None
+        if (clear == before).all():
+            break
     return Placed(
         placed.centre * factor + shift,
         placed.axes * factor,
@@ -124,10 +132,10 @@ def fit(grey: NDArray, tag: Tag, guess: Placed) -> Placed | None:
 
 def _steps(
     pattern: NDArray, cells: int, pixels: NDArray, seen: NDArray, start: Placed
-) -> tuple[Placed, NDArray, float] | None:
-    """Return where the pattern fits pixels [2, N] of levels [N], by how much each misses, and gain.
+) -> tuple[Placed, float, float] | None:
+    """Return where the pattern fits pixels [2, N] of levels [N], with white less black, and black.
 
-    None where it does not: the fit departs too far, or black is not darker than white.
+    None where it does not: the size departs too far, or black is not darker than white.
     """
     centre, axes = start.centre, start.axes
     for _ in range(_STEPS):
@@ -153,12 +161,9 @@ def _steps(
             return None
         if np.abs(step[:2]).max() + 0.5 * np.abs(step[2:]).max() < _ENOUGH:
             break
-    if np.abs(centre - start.centre).max() > 0.5 * start.side:
-        return None
-    misses = np.abs(seen - gain * model - black)
     near, like = seen - seen.mean(), model - model.mean()
     likeness = float(near @ like / math.sqrt((near @ near) * (like @ like) + 1e-12))
-    return Placed(centre, axes, likeness), misses, float(gain)
+    return Placed(centre, axes, likeness), float(gain), float(black)
 
 
 def _blur_level(cell: float) -> int:

@@ -15,7 +15,9 @@ from tracking.markers.tag_fit import Placed, fit
 from tracking.markers.tags import Tag
 
 #: Correlation with the pattern from which on a tag is believed, and share of it that must show.
-LEAST_LIKENESS, LEAST_SEEN = 0.7, 0.6
+LEAST_LIKENESS, LEAST_SEEN = 0.8, 0.75
+#: After so long without a frame (s) its number is read again: another may be in its place.
+FOLLOWED_FOR = 0.5
 #: Sides that are still believed, as a share of what is known, or was learned.
 SIDE_TOLERANCE = 0.08
 #: A tag is searched in a picture in which its side has about so many pixels, or all there are.
@@ -64,7 +66,9 @@ class TagTracker:
             frame: BGR [H, W, 3] uint8.
             time: in seconds, later than the frame before.
         """
-        placed = self._follow(frame, time) if self._motion is not None and not self._lost else None
+        motion = self._motion
+        followed = motion is not None and not self._lost and time - motion.time < FOLLOWED_FOR
+        placed = self._follow(frame, time) if followed else None
         if placed is None and (self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0):
             placed = self._search(frame)
         if placed is None:
