@@ -29,7 +29,7 @@ _STEPS = 8
 #: A pixel this far from the pattern (times the median, and as a share of white less black) is of
 #: something that covers it; and where something does, one that is nearer.
 _FAR, _NEAR = (5.0, 0.25), (3.0, 0.15)
-#: The pixels of a tag that nothing covers correlate so well with its pattern.
+#: Of a tag that nothing covers so many pixels count, and they correlate so well with its pattern.
 _WHOLE = 0.95
 #: How often the fit is repeated with what is left, at most.
 _ROUNDS = 6
@@ -115,7 +115,7 @@ def fit(grey: NDArray, tag: Tag, guess: Placed) -> Placed | None:
         places = np.linalg.solve(placed.axes, pixels - placed.centre[:, None])
         misses = np.abs(seen - white * _sample(pattern, places, cells)[0] - black)
         before = clear
-        whole_in_view = clear.all() and placed.likeness > _WHOLE
+        whole_in_view = clear.mean() > _WHOLE and placed.likeness > _WHOLE
         times, levels = _FAR if whole_in_view else _NEAR
         clear = misses < max(times * float(np.median(misses)), levels * white)
         if clear.sum() < 0.5 * whole:
