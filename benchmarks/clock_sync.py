@@ -125,7 +125,7 @@ def correction(folder: Path) -> list[dict[str, Any]]:
             out = folder / f"dataset-{late}-{correct}"
             dataset = build([copy.path], out, correct_delay=correct)
             simulator = train(
-                out, folder / f"{out.name}-sim", members=1, noise=False, hidden=20, progress=False,
+                out, folder / f"{out.name}-sim", members=1, noise=False, progress=False,
             )  # fmt: skip
             found = simulator.meta["test_errors"]
             rows.append(

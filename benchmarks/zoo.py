@@ -25,7 +25,7 @@ that to the best peer at the output; over outputs and robots, geometric means. L
 ``+u``: on what the fitted unicycle leaves. Peers get the inputs that ours gets and whole commands.
 
 ``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_zone``, ``swing``,
-``product_units``, ``process`` (the Gaussian process), ``row_weights``, or the ``parts`` of
+``process`` (the Gaussian process), ``row_weights``, or the ``parts`` of
 commands, each in turn; columns ``-PART``.
 
 ``--outliers``: one row in a hundred, but at least one, ends 30 cm off in a random direction.

@@ -146,7 +146,6 @@ def made(tmp_path_factory):
     train(
         ROOT / "data" / "reference",
         folder / "simulator",
-        hidden=4,
         centres=20,
         most_parts=4000,
         progress=False,

@@ -59,7 +59,7 @@ AVOID = "evolve tables --task obstacle-avoidance -o out --generations 1 --popula
         )),
         "plan-check plan simulator --draws 1 --placing 1e6 360",
         "dataset --from csv log.csv -o out --shortest 0.001 --longest 100000",
-        "train dataset -o out --members 1 --ridge 1e-12 --floor 0.999 --limits -20..20",
+        "train dataset -o out --members 1 --part-weight 1e-6 --most-parts 1 --centres 1",
     ],
 )  # fmt: skip
 def test_numbers_at_the_ends_of_their_ranges_work(made, tmp_path, line):

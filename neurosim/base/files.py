@@ -443,15 +443,18 @@ def parse_json(text: str) -> Any:
         raise ValueError("is nested too deeply") from None
 
 
-def read_json(path: str | Path, format: str, version: int, kind: Any = None) -> dict[str, Any]:
+def read_json(
+    path: str | Path, format: str, version: int, kind: Any = None, oldest: int = 1
+) -> dict[str, Any]:
     """Read a JSON file of this ``format`` and ``version``.
 
     Args:
         path: the file.
         format: the expected value of the key ``format``.
-        version: the newest version this code reads; older ones are the caller's to refuse.
+        version: the newest version that this code reads.
         kind: what it holds, declared (:mod:`neurosim.base.formats`); keys that may be missing and
             are null are left out of what is returned.
+        oldest: the oldest version that this code reads.
 
     Raises:
         FileError: if the file is missing, cut short, of another format or version, or a field is
@@ -474,7 +477,7 @@ def read_json(path: str | Path, format: str, version: int, kind: Any = None) -> 
             path, f"expected {format!r}, found {document.get('format')!r}", field="format"
         )
     found = document.get("version")
-    if isinstance(found, bool) or not isinstance(found, int) or not 1 <= found <= version:
+    if isinstance(found, bool) or not isinstance(found, int) or not oldest <= found <= version:
         raise FileError(
             path,
             f"this neurosim reads version {version}, found {found!r}; "

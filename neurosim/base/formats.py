@@ -583,30 +583,18 @@ class WallClock(Format):
     training_seconds: float | None = None
 
 
-class Share(Format):
-    """Weights of the parts of a simulator in an output, 0 to 1.
+class Fractions(Format):
+    """Weights of a part of the simulator in each output, 0 to 1.
 
     Attributes:
-        product_units: weight of the product units.
-        process: weight of the Gaussian process.
+        dx: weight forward.
+        dy: weight to the left.
+        dtheta: weight in the turn.
     """
 
-    product_units: float
-    process: float
-
-
-class Shares(Format):
-    """Weights for each output.
-
-    Attributes:
-        dx: weights forward.
-        dy: weights to the left.
-        dtheta: weights in the turn.
-    """
-
-    dx: Share
-    dy: Share
-    dtheta: Share
+    dx: float
+    dy: float
+    dtheta: float
 
 
 class Composition(Format):
@@ -615,16 +603,14 @@ class Composition(Format):
     Attributes:
         actuators: laws of each actuator.
         delay: delay of all actuators, s.
-        product_units: number of product units of each output.
         kernel_units: number of units of the Gaussian process.
-        shares: weights of product units and Gaussian process.
+        process: weights of the Gaussian process.
     """
 
     actuators: dict[str, dict[str, float]]
     delay: float
-    product_units: Triple
     kernel_units: int
-    shares: Shares
+    process: Fractions
 
 
 class SensorLearned(Format):

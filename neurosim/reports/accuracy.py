@@ -86,24 +86,20 @@ def _composition(simulator: Artefact) -> list[Block]:
         [name, *(f"{each[law]:.3g}" if law in each else "-" for law in laws)]
         for name, each in made["actuators"].items()
     ]
-    learned = []
-    for name, units in zip(READABLE, made["product_units"], strict=True):
-        share = made["shares"][name]
-        shown = (f"{share[kind]:.0%}" for kind in ("product_units", "process"))
-        learned.append([AXES[name], f"{units:.0f}", *shown])
+    learned = [[AXES[name], f"{made['process'][name]:.0%}"] for name in READABLE]
     words = (
         f"{simulator.name}: laws of the actuators (lag and stick in s, rate in 1/s, speeds as "
         f"shares of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
-    units = f"shares of product units and of a Gaussian process of {made['kernel_units']} units"
     return [
         Table(
             words, ["actuator", *(law.replace("_", " ") for law in laws)], actuators, folded=True
         ),
         Table(
-            f"{simulator.name}: errors of the drive model, {units}",
-            ["output", "product units", "their share", "process"],
+            f"{simulator.name}: weights of a Gaussian process of {made['kernel_units']} units, "
+            "which corrects the drive model",
+            ["output", "weight of the process"],
             learned,
             folded=True,
         ),

@@ -10,8 +10,6 @@ import torch
 from msgspec import Meta
 from torch import Tensor
 
-from neurosim.base.declared import Checked, Count, CountOrNone, Fraction
-from neurosim.base.errors import UserError
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.network import follows
 
@@ -110,46 +108,6 @@ def _not_zero(scale: Tensor) -> Tensor:
 
 #: Numbers of units of a kind.
 Units = Annotated[int, Meta(ge=1, le=4096)]
-#: An exponent of an input in a product unit.
-Exponent = Annotated[float, Meta(ge=-20, le=20)]
-
-
-@dataclass(frozen=True)
-class PursuitSettings(Checked):
-    """How product units are searched for, one at a time.
-
-    Attributes:
-        candidates: random candidates for each new unit.
-        parents: best of them, from which others are made.
-        children: made by changing parents.
-        mutation_scales: standard deviations of the change of exponents, one a round.
-        limits: lowest and highest exponent.
-        ridge: added to the diagonal of the equations, scaled to ones.
-        refine_every: units from one refinement of all exponents to the next.
-        refine_steps: steps of a refinement.
-        reweigh_at: numbers of units at which the rows' weights are updated by their expected error.
-        unit_cost: degrees of freedom that a unit counts as in generalised cross-validation.
-        least_gain: relative gain of the score that counts as one.
-        patience: units without a gain after which the search ends.
-    """
-
-    candidates: Count = 600
-    parents: Count = 12
-    children: Count = 150
-    mutation_scales: tuple[Annotated[float, Meta(ge=0, le=100)], ...] = (0.4, 0.15)
-    limits: tuple[Exponent, Exponent] = (-3.0, 4.0)
-    ridge: Annotated[float, Meta(ge=1e-12, le=1)] = 1e-7
-    refine_every: Count = 2
-    refine_steps: CountOrNone = 2
-    reweigh_at: tuple[Count, ...] = (4, 8)
-    unit_cost: Annotated[float, Meta(ge=0, le=1000000)] = 12.0
-    least_gain: Fraction = 1e-3
-    patience: Count = 8
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.limits[0] < self.limits[1]:
-            raise UserError("the lowest exponent must be below the highest")
 
 
 class Trainer(Protocol):

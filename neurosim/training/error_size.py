@@ -33,3 +33,30 @@ def size_weights(features: Tensor, errors: Tensor, ridge: float) -> Tensor:
     size = errors.abs()
     log_size = (size + _LEAST_ERROR * size.mean(0)).clamp(min=1e-12).log()
     return torch.linalg.solve(square, features.T @ log_size)
+
+
+def row_weights(x: Tensor, residuals: Tensor) -> Tensor:
+    """Return weights of rows whose errors differ in size, for a fit that they spoil less.
+
+    The size of an error is what :mod:`neurosim.training.error_size` expects. The weight is the
+    reciprocal of its square root, half way between rows that weigh alike, which suits the
+    mean squared error, and the full correction, which trusts the smallest errors most. Rows whose
+    errors are large even so weigh as Huber's estimator has it (Huber 1964), corner at 1.35
+    standard deviations.
+
+    Args:
+        x: scaled inputs, [N, I].
+        residuals: [E, N].
+
+    Returns:
+        [E, N], with a mean square of one.
+    """
+    features = size_features(x)
+    scale = (features @ size_weights(features, residuals.T, ridge=1e-3)).T
+    scale = scale - scale.mean(1, keepdim=True)
+    weights = torch.exp(-0.5 * scale.clamp(-3.0, 3.0))
+    size = residuals.abs() * weights
+    # Twice the median of normal errors' magnitudes is 1.35 standard deviations.
+    corner = (2.0 * size.median(1, keepdim=True).values).clamp(min=1e-300)
+    weights = weights * (corner / torch.maximum(size, corner)).sqrt()
+    return weights / weights.square().mean(1, keepdim=True).sqrt()

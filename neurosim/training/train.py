@@ -140,7 +140,7 @@ def _advanced(learner: Trainer, progress: bool, scalars: Scalars) -> list[dict[s
     """Work all generations; return the mean squared errors of about :data:`_HISTORY` of them."""
     history, total = [], learner.generations
     stride = max(1, total // _HISTORY)
-    with Progress("training", total, "generations") if progress else nullcontext() as shown:
+    with Progress("training", total, "steps") if progress else nullcontext() as shown:
         for generation in range(1, total + 1):
             mse = learner.advance().tolist()
             for name, value in zip(OUTPUTS, mse, strict=True):

@@ -250,7 +250,7 @@ def test_values_are_typed_as_on_the_command_line():
         },
         "record": {"no-live": True, "readings": False, "calibration": "calibrate"},
         "dataset": {"windows": False},
-        "train": {"hidden": 3},
+        "train": {"members": 3},
         "evolve": {"robust": True, "placing": [3, 0.5]},
     }
     experiment = experiment_of(Path("e.toml"), tables, cli)
@@ -265,7 +265,7 @@ def test_values_are_typed_as_on_the_command_line():
     ]  # fmt: skip
     assert lines["record"] == ["record", "--calibration=calibrate.json", "--no-live"]
     assert lines["dataset"] == ["record", "--out=dataset", "--held"]
-    assert lines["train"] == ["dataset", "--out=train", "--hidden=3"]
+    assert lines["train"] == ["dataset", "--out=train", "--members=3"]
     assert "--robust" in lines["evolve"]
     place = lines["evolve"].index("--placing")
     assert lines["evolve"][place + 1 : place + 3] == ["3", "0.5"]

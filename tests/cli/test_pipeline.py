@@ -143,7 +143,7 @@ def test_a_killed_recording_is_resumed_tracked_and_trained_on(pipeline, tmp_path
     made = json.loads(neurosim("dataset", "killed", "-o", "d", "--json", cwd=tmp_path).stdout)
     # The command that was under way is sent again; some frames before the kill may be lost.
     assert made["rows"] >= 56
-    neurosim("train", "d", "-o", "s", "--hidden", 3, cwd=tmp_path)
+    neurosim("train", "d", "-o", "s", "--members", 2, cwd=tmp_path)
     assert (tmp_path / "s" / "simulator.json").exists()
 
 

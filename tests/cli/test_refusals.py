@@ -434,7 +434,7 @@ def test_a_dataset_too_small_to_split(refused, copy, tmp_path):
     whole = Dataset.read(copy("dataset"))
     shutil.rmtree(tmp_path / "dataset")
     whole.part(slice(5)).write(tmp_path / "dataset")
-    assert "record more commands" in refused("train", "dataset", "-o", "s", "--hidden", 2)
+    assert "record more commands" in refused("train", "dataset", "-o", "s", "--members", 2)
 
 
 @pytest.mark.parametrize("word", ["nan", "fast", ""])
@@ -445,7 +445,7 @@ def test_a_word_where_a_number_belongs(refused, copy, word):
     fields[lines[0].split(",").index("dx")] = word
     lines[7] = ",".join(fields)
     path.write_text("\n".join(lines) + "\n")
-    said = refused("train", "dataset", "-o", "s", "--hidden", 2)
+    said = refused("train", "dataset", "-o", "s", "--members", 2)
     assert "line 8, field 'dx'" in said
 
 
@@ -551,7 +551,7 @@ def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
     ("words", "says"),
     [
         (("evolve", "{tables}", "--task", "obstacle-avoidance", "--elites", 500), "elites"),
-        (("train", "{dataset}", "--limits", "2..1"), "the lowest exponent must be below"),
+        (("train", "{dataset}", "--without", "product_units"), "without is of laws"),
     ],
 )
 def test_settings_that_cannot_be(refused, tmp_path, words, says):

@@ -791,10 +791,8 @@ def test_the_order_of_inputs_does_not_matter(members):
     assert torch.allclose(driven(other, commands[:, [2, 0, 1]])[..., :3], wanted, atol=1e-12)
 
 
-def test_a_drive_model_of_a_former_version_is_refused(folder):
+def test_a_simulator_of_an_earlier_version_is_refused(folder):
     path = folder / "simulator.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 3}))
-    with pytest.raises(
-        FileError, match=r"'version': is of an earlier version.*train the simulator"
-    ):
+    with pytest.raises(FileError, match=r"'version': this neurosim reads version 6, found 3"):
         read_simulator(folder)

@@ -126,13 +126,8 @@ def make_simulator(folder, dataset_folder, seed=0):
                 "left": {"lag": 0.0824, "dead_zone": 0.07}, "right": {"lag": 0.1, "dead_zone": 0.0},
             },
             "delay": 0.028,
-            "product_units": [24, 0, 19],
             "kernel_units": 75,
-            "shares": {
-                "dx": {"product_units": 0.7, "process": 0.3},
-                "dy": {"product_units": 0.0, "process": 0.8},
-                "dtheta": {"product_units": 1.0, "process": 0.0},
-            },
+            "process": {"dx": 0.3, "dy": 0.8, "dtheta": 0.0},
         },
     }  # fmt: skip
     simulator = MotionNetwork(

@@ -24,11 +24,8 @@ QUICK = {
 QUICK_ENSEMBLE = {
     "trainer": "combined",
     "members": 3,
-    "hidden": 3,
     "progress": False,
-    "candidates": 20,
-    "parents": 4,
-    "children": 10,
+    "centres": 20,
 }
 QUICK_OF = {"ga": QUICK, "combined": QUICK_ENSEMBLE}
 
@@ -44,7 +41,7 @@ def outcome(folder):
     ("settings", "better"),
     [
         ({"trainer": "ga", "generations": 100}, 2.0),
-        pytest.param({"hidden": 6}, 8.0, marks=pytest.mark.slow),
+        pytest.param({"members": 1}, 8.0, marks=pytest.mark.slow),
     ],
 )
 def test_training_learns_far_more_than_the_mean(tmp_path, dataset, settings, better):
@@ -125,8 +122,8 @@ def test_what_cannot_be_is_refused_before_anything_is_written(
         ("not empty", (dataset, taken), {}),
         ("no trainer 'oracle'", (dataset, out), {"trainer": "oracle"}),
         ("no setting 'warp'", (dataset, out), {"warp": 9}),
-        ("parents: expected a whole number from 1", (dataset, out), {"parents": 0}),
-        ("hidden: expected a whole number from 1", (dataset, out), {"hidden": 0}),
+        ("most_parts: expected a whole number from 1", (dataset, out), {"most_parts": 0}),
+        ("centres: expected a whole number from 1", (dataset, out), {"centres": 0}),
         ("members: expected a whole number from 1", (dataset, out), {"members": 0}),
         ("no device 'abacus'", (dataset, out), {"device": "abacus"}),
         ("no such dataset", (tmp_path / "nowhere", out), {}),
@@ -168,10 +165,9 @@ def test_a_simulator_of_many_rows_is_the_same_on_any_number_of_cores(
 ):
     # PyTorch cuts up products over so many rows among its threads.
     make_dataset(*robot_data(1300, 1)).write(tmp_path / "data")
-    options = QUICK_ENSEMBLE | {"hidden": 10, "candidates": 60, "parents": 6, "children": 30}
     for count in (1, 2):
         threads(count)
-        train(tmp_path / "data", tmp_path / str(count), seed=1, **options)
+        train(tmp_path / "data", tmp_path / str(count), seed=1, **QUICK_ENSEMBLE)
     assert outcome(tmp_path / "1") == outcome(tmp_path / "2")
 
 

@@ -7,7 +7,7 @@ from tracking.datasets.mrclam import import_mrclam
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("settings", [{"trainer": "ga", "generations": 200}, {"hidden": 10}])
+@pytest.mark.parametrize("settings", [{"trainer": "ga", "generations": 200}, {"members": 1}])
 def test_a_learned_simulator_beats_the_ideal_unicycle(tmp_path, shared_data, settings):
     import_mrclam(shared_data / "utias", tmp_path / "d")
     train(tmp_path / "d", tmp_path / "s", progress=False, **settings)

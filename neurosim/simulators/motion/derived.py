@@ -1,8 +1,8 @@
 """The input of a motion network that follows from its other inputs.
 
-A product unit sees the sign and the power of each input by itself. By which angle the direction of
-motion changes it cannot see in them, and that is sharp: a caster swings round by it, this way or
-that, and where the motion is reversed the two ways meet.
+A caster swings round by the angle by which the direction of motion changes, this way or that. Where
+the motion is reversed the two ways meet: a jump that smooth functions of the other inputs cannot
+have.
 """
 
 from __future__ import annotations

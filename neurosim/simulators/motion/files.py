@@ -32,8 +32,8 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
-#: The first version in which commands that wait for the robot's answer are part of the state.
-_QUEUES = 4
+#: The oldest version that is read: earlier networks had units of other kinds.
+_OLDEST = 6
 
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")
@@ -111,7 +111,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             version, of the wrong shape, or not a number.
     """
     path = Path(folder) / "simulator.json"
-    content = files.read_json(path, FORMAT, VERSION, formats.MotionNetwork)
+    content = files.read_json(path, FORMAT, VERSION, formats.MotionNetwork, oldest=_OLDEST)
     inputs = content["inputs"]
     derived = Derived(content.get("derived", {}).get("swing"))
     shape = partial(ProductSummationNetwork, len(inputs) + len(derived))
@@ -130,13 +130,6 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
     actuators = len(CommandFeatures.of(tuple(i["name"] for i in inputs)).driven)
     drives, units = content["coordinates"] == "residual-twist", content.get("kernel_units", 0)
     if drives:
-        if content["version"] < _QUEUES:
-            raise FileError(
-                path,
-                "is of an earlier version, which ignored commands that had not yet acted: train "
-                "the simulator again",
-                field="version",
-            )
         if content.get("drive") != list(DriveModel.NAMES):
             raise FileError(
                 path,

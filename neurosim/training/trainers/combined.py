@@ -1,17 +1,14 @@
-"""The default trainer: a drive model, and product units and a Gaussian process for the rest.
+"""The default trainer: a drive model, and a Gaussian process for what it leaves.
 
-Three things are learned one after the other, each of what those before it leave:
+Two things are learned one after the other:
 
 1. the drive model (:mod:`neurosim.training.trainers.drive_fit`): lags, delay, kinematics;
-2. a network of product units whose exponents are searched for
-   (:mod:`neurosim.training.trainers.pursuit`);
-3. beside it, of the same residuals, a Gaussian process
-   (:mod:`neurosim.training.trainers.gaussian_process`).
+2. a Gaussian process of its residuals (:mod:`neurosim.training.trainers.gaussian_process`).
+   Held-out rows decide for each output how much it counts (stacking: Wolpert 1992, Breiman 1996),
+   so that it counts for nothing where the rows do not support it.
 
-The last two are weighed by cross-validation (stacking: Wolpert 1992, Breiman 1996), each output for
-itself, so that what the rows do not support counts for nothing. Both are linear in what weighs
-their units, and there the members of the ensemble differ: they are draws from the posterior of
-these weights, and lean to one of the two or to the other.
+Each member of the ensemble learns both from rows with random weights (the Bayesian bootstrap: Rubin
+1981), and from a draw of the process' prior. So members differ by all that the rows leave open.
 """
 
 from __future__ import annotations
@@ -24,29 +21,27 @@ import torch
 from msgspec import Meta
 from torch import Tensor
 
-from neurosim.base.declared import Count, Fraction
+from neurosim.base.declared import Checked, Count
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.threads import one_thread
 from neurosim.networks import Expanded, ProductSummationNetwork
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
-from neurosim.simulators.motion.drive import Underway
+from neurosim.simulators.motion.drive import DriveModel, Underway
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
-from neurosim.training.base import PursuitSettings, TrainingData, Units, Within
+from neurosim.training.base import TrainingData, Within
+from neurosim.training.error_size import row_weights
 from neurosim.training.noise import fit_noise
-from neurosim.training.trainers.dead_zone import find_dead_zone
-from neurosim.training.trainers.drive_fit import Motion, fit_drive
+from neurosim.training.trainers.drive_fit import Motion, fit_drive, fit_drives
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
-from neurosim.training.trainers.pursuit import Pursuit, row_weights
-from neurosim.training.trainers.swing import find_swing
 from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
 
 OUTPUTS = 3
 #: What can be left out, to see what it is good for.
-MECHANISMS = ("laws", "dead_zone", "swing", "product_units", "process", "row_weights")
+MECHANISMS = ("laws", "dead_zone", "swing", "process", "row_weights", "drive_members")
 #: Stretches of time, every other one of which makes a half of the rows.
 STRETCHES = 24
 #: How much of the Gaussian process' uncertainty members show even where it counts for nothing.
@@ -55,55 +50,60 @@ UNPROVEN = 0.5
 ROWS_PER_CENTRE = 3
 #: How much a part of a command counts for the noise.
 NOISE_PART = 0.03
-#: The most by which members are moved away from their mean.
-WIDEST = 5.0
-#: Steps of the shares that product units and Gaussian process are tried with.
-_SHARES = 10
+#: Steps of the fractions that the Gaussian process is tried with.
+_FRACTIONS = 10
 #: Where a chord is shorter than this share of its arc, where the arc led says nothing of its speed.
 _LEAST = 1e-3
+#: How far from a reversal, in half turns, what swings round may begin to do so the other way.
+SWINGS = (-0.03, 0.03)
+#: An input for the change of direction must raise the log-likelihood by this much to be believed.
+_BELIEVED = 5.0
+#: Commands that the lengths of the process are found with.
+_ROWS = 400
+#: Random commands of which some become centres.
+_RANDOM = 1000
+#: Parts of commands that are shorter than this, s, are not learned from.
+_SHORTEST = 0.1
+#: A speed is settled when it is so near.
+_SETTLED = 0.05
+#: Twice as many units of the Gaussian process must lessen the logarithm of the loss by this.
+_WORTH = 0.03
+#: The process must lessen the loss by this fraction to count.
+_SIMPLER = 0.01
+#: Ridge of the projection of a member's drive model on units, as a fraction of a unit's square.
+_RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class CombinedSettings(PursuitSettings):
+class CombinedSettings(Checked):
     """Settings of the trainer.
 
     Attributes:
-        members: Networks of each output in the ensemble; 1: no ensemble.
+        members: Simulators in the ensemble; 1: no ensemble.
         noise: Fit a noise model.
-        hidden: product units of a network at most; one is added in each generation.
-        floor: the smallest magnitude of an input in a product unit.
         dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
-        swing_rows: with fewer rows, no change of direction is looked for.
-        search_rows: commands that product units are searched for with, and
-        search_parts: parts of commands; read-outs are of all rows.
         centres: units of the Gaussian process at first. They are doubled for as long as that
             lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each;
         most_centres: never beyond this number.
         part_weight: weight of a part of a command, relative to a whole command.
         most_parts: poses within commands that are learned from.
         noise_rows: rows that the noise is learned from.
-        lean: how far members lean to product units or to the Gaussian process.
         whole_commands: learn from whole commands alone, not from parts of them.
         without: mechanisms that are left out, to measure their effect: ``laws`` (all of a drive
-            model but its kinematics), ``dead_zone``, ``swing``, ``product_units``, ``process``,
-            ``row_weights``.
+            model but its kinematics), ``dead_zone``, ``swing`` (an input of the process for the
+            change of direction), ``process``, ``row_weights``, ``drive_members`` (members differ in
+            the process alone).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
     noise: bool = True
-    hidden: Units = 24
-    floor: Annotated[float, Meta(ge=1e-6, lt=1)] = 0.02
     dead_zone: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
-    swing_rows: Count = 300
-    search_rows: Count = 6000
-    search_parts: Count = 2000
     centres: Count = 75
     most_centres: Count = 1200
     part_weight: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.3
     most_parts: Count = 40000
     noise_rows: Count = 20000
-    lean: Fraction = 0.25
     whole_commands: bool = False
     without: tuple[str, ...] = ()
 
@@ -120,9 +120,9 @@ class Residuals(NamedTuple):
     Attributes:
         x: scaled inputs, [N, I].
         y: displacements, [N, 3].
-        given: inputs of the networks, [N, J].
+        given: inputs of the process, [N, J].
         left: of displacements in the frame of the last piece's middle, [N, 3] (m, m, rad).
-        factor: of each of the networks' outputs in that, [N, 3].
+        factor: of each of the process' outputs in that, [N, 3].
         weight: of the rows, [N].
     """
 
@@ -138,11 +138,12 @@ class CombinedTrainer:
     """Learns a motion network with a drive model, its members and its noise; see the module."""
 
     source = (
-        "Orthogonal least squares (Chen, Cowan, Grant 1991) over product units (Durbin and "
-        "Rumelhart 1989), stacked (Breiman 1996) with a Gaussian process (Rasmussen and Williams "
-        "2006), on the residuals of a drive model"
+        "A drive model, and a Gaussian process (Rasmussen and Williams 2006) of its residuals that "
+        "counts as much as held-out rows support (stacking: Breiman 1996)"
     )
     settings_type = CombinedSettings
+    #: The drive model, the Gaussian process, and the members.
+    generations = 3
 
     def __init__(
         self, data: TrainingData, settings: CombinedSettings, seed: int, device: str = "cpu"
@@ -153,70 +154,60 @@ class CombinedTrainer:
                 "it needs a duration and the previous value of each input; use the trainer ga"
             )
         self._data, self._settings, self._seed = data.once(), settings, seed
-        self.generations = settings.hidden
         self._device = device
         self._columns = CommandFeatures.of(names)
-        with one_thread(device):
-            self._begin(names)
-        self._network = ProductSummationNetwork(
-            self._rows.given.shape[1],
-            settings.hidden,
-            1,
-            floor=settings.floor,
-            phases=True,
-            ceilings=True,
-        )
-        #: In all rows and in each half of them: see :meth:`_by_halves`.
-        self._searches = [
-            self._new_searches(seen, number)
-            for number, seen in enumerate((None, self._half, ~self._half))
-        ]
+        self._longest = float(self._data.input_scale[self._columns.duration])
+        self._done: list[Tensor] = []
+
+    def advance(self) -> Tensor:
+        """Learn the next part; return mean squared errors, [3]."""
+        stages = (self._learn_drive, self._learn_process, self._learn_members)
+        with one_thread(self._device):
+            self._done.append(stages[len(self._done)]())
+        return self._done[-1].cpu()
+
+    def result(self) -> MotionNetwork:
+        """Return the simulator: the mean, its members and its noise; the same on any cores."""
+        while len(self._done) < self.generations:
+            self.advance()
+        return self._simulator
 
     # The drive model
 
-    def _begin(self, names: tuple[str, ...]) -> None:
+    def _learn_drive(self) -> Tensor:
         data, settings, device = self._data, self._settings, self._device
         x, y = data.scaled_inputs.to(device), data.y.to(device)
-        longest = float(data.input_scale[self._columns.duration])
-        self._longest = longest
+        driven, before = list(self._columns.driven), list(self._columns.before)
+        band = None
         if settings.dead_zone is not None:
-            self._dead_zone = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)
+            band = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)[driven]
         elif "dead_zone" in settings.without:
-            self._dead_zone = torch.zeros_like(x[0])
-        else:
-            self._dead_zone = find_dead_zone(names, x, y)
-        x = torch.where(x.abs() < self._dead_zone, 0.0, x)
+            band = torch.zeros(len(driven), dtype=x.dtype, device=device)
         within = None if settings.whole_commands else data.within
-        laws, under = "laws" not in settings.without, None
+        under = None
         self._windows: Windows | None = None
+        laws = "laws" not in settings.without
         if data.joined is None:
-            motion = Motion(x, y, data.follows.to(device), self._columns, longest, within)
-            self._drive = fit_drive(motion, laws=laws)
-            inputs = motion.inputs(self._drive)
+            motion = Motion(x, y, data.follows.to(device), self._columns, self._longest, within)
+            self._fit = fit_drive(motion, laws, band)
+            inputs = motion.banded(self._fit.rows.band).inputs(self._fit.drive)
         else:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
-            chains = Chains.of(x, y, data.joined.to(device), self._columns, longest, within)
-            self._drive = fit_drive(chains, laws=laws)
-            inputs, under = chains.inputs(self._drive, x)
+            chains = Chains.of(x, y, data.joined.to(device), self._columns, self._longest, within)
+            self._fit = fit_drive(chains, laws, band)
+            inputs, under = chains.banded(self._fit.rows.band).inputs(self._fit.drive, x)
+        self._drive = self._fit.drive
+        self._dead_zone = torch.zeros_like(x[0])
+        self._dead_zone[driven] = self._dead_zone[before] = self._fit.rows.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
-        self._derived = Derived()
-        enough = len(x) >= settings.swing_rows and "swing" not in settings.without
-        if enough and can_swing(self._columns):
-            self._derived = find_swing(
-                self._columns,
-                rows.given,
-                rows.left[:, 2],
-                rows.factor[:, 2],
-                settings,
-                settings.floor,
-            )
         #: Of which command each row is a part.
         self._command = torch.arange(len(x))
         if not settings.whole_commands and data.within is not None and len(data.within.row):
             parts, commands = self._parts(rows.x)
             rows = Residuals(*(torch.cat(pair) for pair in zip(rows, parts, strict=True)))
             self._command = torch.cat([self._command, commands])
-        self._rows = rows._replace(given=self._derived.append(self._columns, rows.given))
+        self._rows = rows
+        return rows.left[: len(x)].square().mean(0)
 
     def _residuals(
         self, x: Tensor, y: Tensor, weight: Tensor, under: Underway | None = None
@@ -227,13 +218,8 @@ class CombinedTrainer:
         changing, twist = self._drive.phases(
             under, x[:, list(columns.driven)], share * self._longest
         )
-        moved = se2.mid_turn(se2.between(changing, y))
-        chord = se2.chord(moved[:, 2])
-        chord = torch.where(chord.abs() < _LEAST, 0.0, chord)
-        length = torch.stack([chord, chord, torch.ones_like(chord)], dim=1)
-        left = torch.where(length == 0.0, 0.0, moved - length * twist)
-        given = x[:, : len(self._data.inputs)]
-        return Residuals(x, y, given, left, length * share.unsqueeze(1), weight)
+        left, factor = _left(changing, twist, share, y)
+        return Residuals(x, y, x[:, : len(self._data.inputs)], left, factor, weight)
 
     def _parts(self, x: Tensor) -> tuple[Residuals, Tensor]:
         """Return rows of parts of commands, and the commands that they are of.
@@ -266,98 +252,57 @@ class CombinedTrainer:
         commands = torch.cat([within.row[until], within.row[since][alike]])
         return self._residuals(inputs, y, weight), commands
 
-    # The product units
+    # The Gaussian process
 
-    def _new_searches(self, seen: Tensor | None, number: int) -> list[Pursuit]:
-        """Return the searches for the turn and for both translations.
-
-        Args:
-            seen: which rows they see, [N]; None for all.
-            number: of the searches, other ones draw other numbers.
-        """
-        settings, rows = self._settings, self._searched(seen)
-        generator = torch.Generator(self._device).manual_seed(self._seed + number)
-        root = rows.weight.sqrt()
-        left, factor = (rows.left * root[:, None]).T, (rows.factor * root[:, None]).T
-        none = torch.zeros_like(factor[0])
-        shift = torch.stack([torch.stack([factor[0], none]), torch.stack([none, factor[1]])])
-        often = replace(settings, refine_every=1, refine_steps=2 * settings.refine_steps)
-        rest = (self._network.products, generator, settings.floor)
-        return [
-            Pursuit(rows.given, factor[None, 2:], left[2:], often, *rest),
-            Pursuit(rows.given, shift, left[:2], settings, *rest),
-        ]
-
-    def _searched(self, seen: Tensor | None) -> Residuals:
-        """Return rows that units are searched for with; each also counts for those left out.
-
-        Of one half of the rows half as many.
-        """
-        rows, whole = self._rows, torch.arange(len(self._rows.x)) < len(self._data.x)
-        found = []
-        most_of = self._settings.search_rows, self._settings.search_parts
-        for kind, most in zip((whole, ~whole), most_of, strict=True):
-            kept = torch.nonzero(kind if seen is None else kind & seen).squeeze(1)
-            few = min(len(kept), most if seen is None else most // 2)
-            chosen = kept[torch.arange(few) * len(kept) // max(few, 1)]
-            part = Residuals(*(column[chosen] for column in rows))
-            found.append(part._replace(weight=part.weight * (len(kept) / max(few, 1))))
-        return Residuals(*(torch.cat(pair) for pair in zip(*found, strict=True)))
-
-    def advance(self) -> Tensor:
-        """Give the turn one unit more and the translation two; return mean squared errors [3]."""
-        if "product_units" not in self._settings.without:
-            with one_thread(self._device):
-                for turn, shift in self._searches:
-                    turn.grow()
-                    for _ in range(2):
-                        shift.grow()
-        turn, shift = (search.mean_squared_error for search in self._searches[0])
-        return torch.cat([shift, turn]).cpu()
-
-    # All together
-
-    def result(self) -> MotionNetwork:
-        """Return the simulator: the mean, its members and its noise; the same on any cores."""
-        with one_thread(self._device):
-            return self._result()
-
-    def _result(self) -> MotionNetwork:
+    def _learn_process(self) -> Tensor:
         rows, settings = self._rows, self._settings
-        learners = self._product_units(self._searches[0])
-        trust = self._trust(learners)
+        self._trust = trust = self._trust_of_rows()
         generator = torch.Generator().manual_seed(self._seed)
         known = rows.factor.abs() >= _LEAST
         value = torch.where(known, rows.left / torch.where(known, rows.factor, 1.0), 0.0)
-        commands, elsewhere = int(self._command.amax()) + 1, self._elsewhere(generator)
-        process = learn_process(
-            rows.given,
-            value,
-            torch.where(known, rows.factor.square() * trust, 0.0),
-            settings.centres,
-            commands,
-            elsewhere,
-            generator,
-        )
-        best, count = self._judged(process, trust), settings.centres
+        weight = torch.where(known, rows.factor.square() * trust, 0.0)
+        commands = int(self._command.amax()) + 1
+        chosen = torch.randperm(commands, generator=generator)[:_ROWS]
+        elsewhere, plain = self._elsewhere(generator), rows.given
+        swings = (None, *SWINGS) if self._swings else (None,)
+        least, process = math.inf, None
+        for derived in map(Derived, swings):
+            given, other = (derived.append(self._columns, one) for one in (plain, elsewhere))
+            one, loss = learn_process(given, value, weight, settings.centres, other, chosen)
+            if loss < least - (_BELIEVED if process is not None else 0.0):
+                least, process = loss, one
+                self._derived, self._rows = derived, rows._replace(given=given)
+        assert process is not None
+        rows, elsewhere = self._rows, self._derived.append(self._columns, elsewhere)
+        best, count = self._judged(process), settings.centres
         most = min(settings.most_centres, commands // ROWS_PER_CENTRE)
-        while best.shares[:, 1].any() and count <= len(best.process.centres) and 2 * count <= most:
+        while best.fractions.any() and count <= len(best.process.centres) and 2 * count <= most:
             count *= 2
             centres = choose_centres(rows.given, elsewhere, process.lengths, count)
-            wider = self._judged(replace(process, centres=centres), trust)
+            wider = self._judged(replace(process, centres=centres))
             if wider.loss > best.loss - _WORTH:
                 break
             best = wider
-        return self._assembled(learners, best, trust)
+        self._best = best
+        weights = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
+        said = best.fractions[:, None] * (weights @ best.units.T)
+        return (rows.left - rows.factor * said.T)[: len(self._data.x)].square().mean(0)
 
-    def _judged(self, process: Process, trust: Tensor) -> _Judged:
-        """Return what held-out rows say of a Gaussian process beside the product units."""
-        kernel = _Kernel(process, self._rows)
-        said = self._by_halves(kernel, trust)
-        return _Judged(process, kernel, said, *self._stacked(said, trust))
+    @property
+    def _swings(self) -> bool:
+        """Whether the process may have an input for the change of direction."""
+        return can_swing(self._columns) and "swing" not in self._settings.without
+
+    def _trust_of_rows(self) -> Tensor:
+        """Return how much each row counts for each output, [N, 3]."""
+        rows = self._rows
+        plain = rows.weight.unsqueeze(1).repeat(1, OUTPUTS)
+        if "row_weights" in self._settings.without or not rows.left.any():
+            return plain
+        return plain * row_weights(rows.given, rows.left.T).T.square()
 
     def _elsewhere(self, generator: torch.Generator) -> Tensor:
-        """Return networks' inputs [M, J] of random commands after random speeds."""
+        """Return inputs of the process [M, J] of random commands after random speeds."""
         x = self._rows.x[:, : len(self._data.inputs)]
         low, high = x.amin(0), x.amax(0)
         # What went one way only may go the other.
@@ -365,31 +310,32 @@ class CombinedTrainer:
             size = torch.maximum(low.abs(), high.abs())[list(places)]
             low[list(places)], high[list(places)] = -size, size
         drawn = torch.rand(_RANDOM, x.shape[1], generator=generator, dtype=x.dtype).to(x)
-        return self._derived.append(self._columns, low + (high - low) * drawn)
+        return low + (high - low) * drawn
 
-    def _product_units(self, searches: list[Pursuit]) -> list[_ProductUnits]:
-        """Return the units that searches found best, of each output."""
-        functions = []
-        for search in (searches[1], searches[0]):
-            functions += zip(*search.best_units(), strict=True)
-        return [
-            _ProductUnits(self._network, f, self._rows, self._settings.ridge) for f in functions
-        ]
-
-    def _by_halves(self, kernel: _Kernel, trust: Tensor) -> Tensor:
-        """Return what learners say that have seen one half of the rows, [2, 3, 2, N].
-
-        Units that were searched for with a row flatter themselves there. So they are searched for
-        in each half of the rows too; the other half judges. By half, by output, of product
-        units and of the Gaussian process.
-        """
-        said = torch.zeros(2, OUTPUTS, 2, len(trust), dtype=torch.float64)
+    def _judged(self, process: Process) -> _Judged:
+        """Return a process with what half of the rows say of the other half by it."""
+        rows, units = self._rows, process.units(self._rows.given)
+        said = torch.zeros(2, OUTPUTS, len(units), dtype=torch.float64)
         for number, seen in enumerate((self._half, ~self._half)):
-            for o, own in enumerate(self._product_units(self._searches[number + 1])):
-                for k, learner in enumerate((own, kernel)):
-                    weights, _ = learner.posterior(trust[:, o] * seen, o)
-                    said[number, o, k] = learner.features @ weights
-        return said
+            for o in range(OUTPUTS):
+                trust = self._trust[:, o] * seen
+                weights, _ = process.posterior(units, rows.factor[:, o], rows.left[:, o], trust, o)
+                said[number, o] = units @ weights
+        unseen = torch.where(self._half, said[1], said[0])
+        return _Judged(process, units, unseen, *self._stacked(unseen))
+
+    def _read_out(self, output: int, weight: Tensor | float = 1.0, off: Tensor | float = 0.0):
+        """Return the mean [K] and the precision's Cholesky factor [K, K] of an output's weights.
+
+        Args:
+            output: its number.
+            weight: what each row's weight is multiplied by, [N].
+            off: what is known of the output at each row already, [N].
+        """
+        rows, best = self._rows, self._best
+        factor, left = rows.factor[:, output], rows.left[:, output]
+        trust = self._trust[:, output] * weight
+        return best.process.posterior(best.units, factor, left - factor * off, trust, output)
 
     @property
     def _half(self) -> Tensor:
@@ -398,63 +344,164 @@ class CombinedTrainer:
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
 
-    def _unseen(self, said: Tensor) -> Tensor:
-        """Return of every row what the half said that had not seen it; the last axis is rows."""
-        return torch.where(self._half, said[1], said[0])
-
-    def _stacked(self, said: Tensor, trust: Tensor) -> tuple[Tensor, float]:
-        """Return how much product units and Gaussian process count for each output, [3, 2].
+    def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
+        """Return how much the process counts for each output, [3].
 
         And the mean logarithm of the outputs' losses on held-out rows.
         """
-        rows, unseen = self._rows, self._unseen(said)
-        without = self._settings.without
-        allowed = tuple(name not in without for name in ("product_units", "process"))
-        count = None
+        rows, count = self._rows, None
         judged = [
-            (unseen[o], rows.left[:, o], rows.factor[:, o], trust[:, o]) for o in range(OUTPUTS)
+            (unseen[o], rows.left[:, o], rows.factor[:, o], self._trust[:, o])
+            for o in range(OUTPUTS)
         ]
         if self._windows is not None:
             judged = [self._composed(*one[:3], self._windows) for one in judged]
             count = float(self._windows.weight.sum())
-        found = [_shares(*one, allowed, count) for one in judged]
+        allowed = "process" not in self._settings.without
+        found = [_fraction(*one, allowed, count) for one in judged]
         losses = torch.tensor([max(loss, 1e-30) for _, loss in found])
-        return torch.stack([shares for shares, _ in found]), float(losses.log().mean())
+        fractions = torch.tensor([fraction for fraction, _ in found], dtype=torch.float64)
+        return fractions, float(losses.log().mean())
 
     def _composed(
         self, said: Tensor, left: Tensor, factor: Tensor, windows: Windows
     ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Return an output in windows of whole rows, as it is in rows: arguments of _shares.
+        """Return an output in windows of whole rows, as it is in rows: arguments of _fraction.
 
         What a row adds to the turn of a window, and nearly to its way, is what it adds to its own.
         """
-        whole = len(self._data.x)
-        both = torch.cat([factor * said, left[None]])[:, :whole]
+        both = torch.stack([factor * said, left])[:, : len(self._data.x)]
         until = torch.cat([torch.zeros_like(both[:, :1]), both.cumsum(1)], 1)
         both = until[:, windows.end] - until[:, windows.first]
         trust = windows.weight.clone()
         for kind in range(len(LENGTHS)):
             own = windows.kind == kind
-            trust[own] /= both[2, own].square().mean().clamp(min=1e-18)
-        return both[:2], both[2], torch.ones_like(trust), trust
+            trust[own] /= both[1, own].square().mean().clamp(min=1e-18)
+        return both[0], both[1], torch.ones_like(trust), trust
 
-    def _trust(self, learners: list[_ProductUnits]) -> Tensor:
-        """Return how much each row counts for each output, [N, 3]."""
-        rows = self._rows
-        plain = rows.weight.unsqueeze(1).repeat(1, OUTPUTS)
-        if "row_weights" in self._settings.without:
-            return plain
-        error = torch.zeros_like(rows.left)
-        for o, learner in enumerate(learners):
-            weights, _ = learner.posterior(plain[:, o], o)
-            error[:, o] = rows.left[:, o] - rows.factor[:, o] * (learner.features @ weights)
-        if not error.any():
-            return plain
-        return plain * row_weights(rows.given, error.T).T.square()
+    # The ensemble
 
-    def _composition(
-        self, learners: list[_ProductUnits], process: Process, shares: Tensor
-    ) -> dict[str, Any]:
+    def _learn_members(self) -> Tensor:
+        """Learn the members and the noise; return mean squared errors, [3]."""
+        rows, best, settings = self._rows, self._best, self._settings
+        count = settings.members if settings.members > 1 else 0
+        generator = torch.Generator().manual_seed(self._seed)
+        random = self._random_weights(count, generator)
+        inputs, units = rows.given.shape[1], len(best.process.centres)
+        linear = torch.zeros(1 + count, OUTPUTS, inputs + 1, dtype=torch.float64)
+        kernel = torch.zeros(1 + count, OUTPUTS, units, dtype=torch.float64)
+        mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
+        fractions = best.fractions.unsqueeze(1)
+        kernel[0] = fractions * mean
+        trusted = fractions.clamp(min=UNPROVEN * ("process" not in settings.without))
+        if count:
+            changes = self._changes(random, generator)
+        for m in range(count):
+            change, own = changes[m], torch.zeros_like(mean)
+            off = self._units_of(rows.given, best.units) @ change.T
+            for o in range(OUTPUTS):
+                weight = random[m][self._command]
+                centre, triangle = self._read_out(o, weight, off[:, o])
+                prior = best.process.prior(o)
+                draw = prior @ torch.randn(units, 1, generator=generator, dtype=mean.dtype)
+                own[o] = centre + torch.cholesky_solve(draw, triangle).squeeze(1)
+            linear[1 + m], part = change[:, : inputs + 1], change[:, inputs + 1 :]
+            kernel[1 + m] = kernel[0] + part + trusted * (own - mean)
+        network = ProductSummationNetwork(inputs, products=0, summations=1)
+        none = torch.zeros(1 + count, OUTPUTS, 0, inputs, dtype=torch.float64)
+        expanded = Expanded(none, none, none[..., 0], none[..., 0], linear[..., 1:], linear[..., 0])
+        simulator = MotionNetwork(
+            self._data.inputs,
+            network,
+            network.pack(expanded),
+            self._data.input_scale,
+            torch.ones(OUTPUTS),
+            "residual-twist",
+            dead_zone=self._dead_zone.cpu(),
+            central=count > 0,
+            derived=self._derived,
+            drive=self._drive,
+            kernel_units=KernelUnits(best.process.centres, best.process.lengths, kernel),
+        )
+        simulator.meta = {"composition": self._composition()}
+        unseen = (best.unseen * fractions).T
+        if settings.noise:
+            # Noise of the parts of a command is the same noise again.
+            weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)
+            # What halves of the rows leave open stays in it: members are alike in their mistakes.
+            some = slice(None, None, -(-len(weight) // settings.noise_rows))
+            simulator.noise = fit_noise(
+                simulator,
+                rows.x[some],
+                rows.y[some],
+                unseen[some],
+                weight[some],
+                besides_members=False,
+            )
+        self._simulator = simulator
+        return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
+
+    def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
+        """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
+
+        Rows that are shorter than a window are weighted together: their errors are alike.
+        """
+        time = self._data.x[:, self._columns.duration]
+        block = torch.arange(len(time))
+        if self._windows is not None:
+            block = ((time.cumsum(0) - time) / LENGTHS[-1]).long()
+            block = block.unique(return_inverse=True)[1]
+        blocks = int(block[-1]) + 1
+        drawn = torch.rand(members, blocks, generator=generator, dtype=torch.float64)
+        weights = -torch.log1p(-drawn)
+        return (weights / weights.mean(1, keepdim=True))[:, block].to(self._rows.x)
+
+    def _changes(self, random: Tensor, generator: torch.Generator) -> Tensor:
+        """Return by what outputs members' drive models differ from the mean's, [M, 3, 1 + J + K].
+
+        They are weights of one, of inputs and of units of the process: what these say best.
+
+        Args:
+            random: weights of rows, [M, N].
+            generator: of the commands at which models are compared.
+        """
+        columns = self._columns
+        given = self._elsewhere(generator)
+        raw = given.clone()
+        places = list(columns.driven)
+        given[:, places] = self._drive.shaped(raw[:, places])
+        share = given[:, columns.duration].clamp(min=_SHORTEST / self._longest)
+        given[:, columns.duration] = share
+        full = self._derived.append(columns, given)
+        features = self._units_of(full, self._best.process.units(full))
+        if "drive_members" in self._settings.without:
+            return torch.zeros(len(random), OUTPUTS, features.shape[1], dtype=torch.float64)
+        time = share * self._longest
+
+        def phases(drive: DriveModel) -> tuple[Tensor, Tensor]:
+            under = rows_underway(drive, columns, given)
+            return drive.phases(under, drive.shaped(raw[:, places]), time)
+
+        mean, changes = phases(self._drive), []
+        for drive in fit_drives(self._fit, random):
+            changing, twist = phases(drive)
+            there = se2.compose(changing, se2.exp(twist))
+            left, factor = _left(*mean, share, there)
+            change = []
+            for o in range(OUTPUTS):
+                design = features * factor[:, o, None]
+                square = design.T @ design
+                square.diagonal().add_(_RIDGE * square.diagonal().mean())
+                change.append(torch.linalg.solve(square, design.T @ left[:, o]))
+            changes.append(torch.stack(change))
+        return torch.stack(changes)
+
+    @staticmethod
+    def _units_of(given: Tensor, units: Tensor) -> Tensor:
+        """Return one, inputs [N, J] and units [N, K] side by side."""
+        return torch.cat([torch.ones_like(given[:, :1]), given, units], 1)
+
+    def _composition(self) -> dict[str, Any]:
         """Return what the simulator is made of, for people."""
         drive, names = self._drive, [entry["name"] for entry in self._data.inputs]
         driven = [names[place] for place in self._columns.driven]
@@ -473,110 +520,11 @@ class CombinedTrainer:
             },
             "delay": float(drive.delay),
             "swing": self._derived.swing,
-            "product_units": [learner.count for learner in learners],
-            "kernel_units": len(process.centres),
-            "shares": {
-                name: dict(zip(("product_units", "process"), pair, strict=True))
-                for name, pair in zip(("dx", "dy", "dtheta"), shares.tolist(), strict=True)
-            },
+            "kernel_units": len(self._best.process.centres),
+            "process": dict(
+                zip(("dx", "dy", "dtheta"), self._best.fractions.tolist(), strict=True)
+            ),
         }
-
-    def _assembled(
-        self, learners: list[_ProductUnits], best: _Judged, trust: Tensor
-    ) -> MotionNetwork:
-        process, kernel, said, shares, _ = best
-        generator, rows = torch.Generator().manual_seed(self._seed), self._rows
-        members = self._settings.members
-        count = 1 + (members if members > 1 else 0)
-        products = max(1, *(learner.count for learner in learners))
-        network = replace(self._network, products=products)
-        genes = torch.zeros(count, OUTPUTS, network.genes, dtype=torch.float64)
-        units = torch.zeros(count, OUTPUTS, len(process.centres), dtype=torch.float64)
-        for o in range(OUTPUTS):
-            pair = learners[o], kernel
-            fits = [learner.posterior(trust[:, o], o) for learner in pair]
-            mean = [share * weights for share, (weights, _) in zip(shares[o], fits, strict=True)]
-            off = [self._members_off(fits, shares[o], m, generator) for m in range(1, count)]
-            wider = self._widening(pair, off, said[:, o], shares[o], o)
-            for m in range(count):
-                own = mean
-                if m > 0:
-                    own = [a + wider * b for a, b in zip(mean, off[m - 1], strict=True)]
-                genes[m, o] = learners[o].genes(network, own[0])
-                units[m, o] = own[1]
-        simulator = MotionNetwork(
-            self._data.inputs,
-            network,
-            genes,
-            self._data.input_scale,
-            torch.ones(OUTPUTS),
-            "residual-twist",
-            dead_zone=self._dead_zone.cpu(),
-            central=count > 1,
-            derived=self._derived,
-            drive=self._drive,
-            kernel_units=KernelUnits(process.centres, process.lengths, units),
-        )
-        simulator.meta = {"composition": self._composition(learners, process, shares)}
-        if self._settings.noise:
-            unseen = (self._unseen(said) * shares.unsqueeze(2)).sum(1).T
-            # Noise of the parts of a command is the same noise again.
-            weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)
-            # What halves of the rows leave open stays in it: members are alike in their mistakes.
-            some = slice(None, None, -(-len(weight) // self._settings.noise_rows))
-            simulator.noise = fit_noise(
-                simulator,
-                rows.x[some],
-                rows.y[some],
-                unseen[some],
-                weight[some],
-                besides_members=False,
-            )
-        return simulator
-
-    def _members_off(
-        self,
-        fits: list[tuple[Tensor, Tensor]],
-        shares: Tensor,
-        number: int,
-        generator: torch.Generator,
-    ) -> list[Tensor]:
-        """Return by how much a member's weights of both kinds of units differ from the mean's."""
-        lean = self._settings.lean * shares.sum() * (1.0 if number % 2 else -1.0)
-        own = (shares + torch.stack([lean, -lean])).clamp(min=0.0)
-        own = own * (shares.sum() / own.sum().clamp(min=1e-12))
-        drawn = [_drawn(*fit, generator) for fit in fits]
-        # What the networks have not bettered the drive model by may be there nevertheless.
-        trusted = own.clamp(min=torch.tensor([0.0, UNPROVEN], dtype=own.dtype))
-        return [
-            (part - share) * mean + scale * (weights - mean)
-            for part, share, scale, weights, (mean, _) in zip(
-                own, shares, trusted, drawn, fits, strict=True
-            )
-        ]
-
-    def _widening(
-        self,
-        pair: tuple[_ProductUnits, _Kernel],
-        off: list[list[Tensor]],
-        said: Tensor,
-        shares: Tensor,
-        output: int,
-    ) -> float:
-        """Return how many times as far from the mean as drawn the members are to be.
-
-        Learners that saw one half of the rows each differ by what half of the rows leaves open,
-        twice; what all of them leave open has a fourth of the variance of their difference.
-        """
-        if not off or shares.sum() == 0.0:
-            return 1.0
-        open_ = (torch.einsum("hkn,k->hn", said, shares).diff(dim=0) / 2.0).square()
-        drawn = torch.stack(
-            [sum(one.features @ w for one, w in zip(pair, own, strict=True)) for own in off]
-        )
-        wanted = self._rows.factor[:, output].square() * self._rows.weight
-        ratio = (open_.squeeze(0) * wanted).mean() / (drawn.square().mean(0) * wanted).mean()
-        return float(ratio.sqrt().clamp(1.0, WIDEST))
 
 
 class _Judged(NamedTuple):
@@ -584,132 +532,71 @@ class _Judged(NamedTuple):
 
     Attributes:
         process: itself.
-        kernel: its read-out.
-        said: see :meth:`CombinedTrainer._by_halves`.
-        shares: how much product units and process count for each output, [3, 2].
+        units: of the rows, [N, K].
+        unseen: what the half of the rows that a row is not in says of it, [3, N].
+        fractions: how much the process counts for each output, [3].
         loss: the mean logarithm of the outputs' losses.
     """
 
     process: Process
-    kernel: _Kernel
-    said: Tensor
-    shares: Tensor
+    units: Tensor
+    unseen: Tensor
+    fractions: Tensor
     loss: float
 
 
-class _ProductUnits:
-    """The read-out of a function's product units: weights of units, inputs and one.
+def _left(changing: Tensor, twist: Tensor, share: Tensor, y: Tensor) -> tuple[Tensor, Tensor]:
+    """Return what a drive model leaves of displacements, and the factor of the outputs in it.
 
-    Attributes:
-        features: [N, P + J + 1].
+    Args:
+        changing, twist: of :meth:`DriveModel.phases`, [N, 3].
+        share: scaled durations, [N].
+        y: displacements, [N, 3].
+
+    Returns:
+        Both [N, 3], in the frame of the last piece's middle.
     """
-
-    def __init__(
-        self,
-        network: ProductSummationNetwork,
-        units: tuple[Tensor, Tensor, Tensor],
-        rows: Residuals,
-        ridge: float,
-    ):
-        self._units, self._rows, self._ridge = units, rows, ridge
-        exponents, phases, ceilings = units
-        hidden = network.product_units(exponents, rows.given, phases, ceilings).T
-        one = torch.ones_like(rows.given[:, :1])
-        self.features = torch.cat([hidden, rows.given, one], dim=1)
-
-    @property
-    def count(self) -> int:
-        return len(self._units[0])
-
-    def posterior(self, trust: Tensor, output: int) -> tuple[Tensor, Tensor]:
-        """Return mean [F] and Cholesky factor [F, F] of the precision, rows counting ``trust``."""
-        factor, left = self._rows.factor[:, output], self._rows.left[:, output]
-        columns = self.features * factor.unsqueeze(1)
-        square = columns.T @ (trust.unsqueeze(1) * columns)
-        size = square.diagonal().sqrt().clamp(min=1e-12)
-        square = square / size / size.unsqueeze(1)
-        square.diagonal().add_(self._ridge)
-        triangle = torch.linalg.cholesky(square)
-        cross = (columns.T @ (trust * left) / size).unsqueeze(1)
-        mean = torch.cholesky_solve(cross, triangle).squeeze(1) / size
-        error = left - columns @ mean
-        freedom = (trust.sum() - len(size)).clamp(min=0.1 * trust.sum())
-        spread = ((trust * error.square()).sum() / freedom).sqrt().clamp(min=1e-12)
-        return mean, triangle * size.unsqueeze(1) / spread
-
-    def genes(self, network: ProductSummationNetwork, weights: Tensor) -> Tensor:
-        """Return the genes of a network of these units."""
-        inputs = self._rows.given.shape[1]
-        split = [self.count, inputs, 1]
-        own, linear, bias = weights.split(split)
-        return network.pack(Expanded(*self._units, own, linear, bias.squeeze(0)))
+    moved = se2.mid_turn(se2.between(changing, y))
+    chord = se2.chord(moved[:, 2])
+    chord = torch.where(chord.abs() < _LEAST, 0.0, chord)
+    length = torch.stack([chord, chord, torch.ones_like(chord)], dim=1)
+    left = torch.where(length == 0.0, 0.0, moved - length * twist)
+    return left, length * share.unsqueeze(1)
 
 
-class _Kernel:
-    """The read-out of a Gaussian process; as :class:`_ProductUnits`."""
-
-    def __init__(self, process: Process, rows: Residuals):
-        self._process, self._rows = process, rows
-        self.features = process.units(rows.given)
-
-    def posterior(self, trust: Tensor, output: int) -> tuple[Tensor, Tensor]:
-        """Return mean [K] and Cholesky factor [K, K] of the precision, rows counting ``trust``."""
-        factor, left = self._rows.factor[:, output], self._rows.left[:, output]
-        return self._process.posterior(self.features, factor, left, trust, output)
-
-
-def _drawn(mean: Tensor, triangle: Tensor, generator: torch.Generator) -> Tensor:
-    """Draw weights [F] from a posterior of this mean and precision L L^T."""
-    normal = torch.randn(len(mean), 1, generator=generator, dtype=mean.dtype)
-    return mean + torch.linalg.solve_triangular(triangle.T, normal, upper=True).squeeze(1)
-
-
-def _shares(
+def _fraction(
     said: Tensor,
     left: Tensor,
     factor: Tensor,
     trust: Tensor,
-    allowed: tuple[bool, ...],
+    allowed: bool,
     count: float | None = None,
-) -> tuple[Tensor, float]:
-    """Return how much each of two learners counts, [2], with a sum of 1 at most, and the loss.
+) -> tuple[float, float]:
+    """Return how much a process counts, 0..1, and the loss.
 
     Args:
-        said: by read-outs that had not seen the row, [2, N].
+        said: by read-outs that had not seen the row, [N].
         left, factor: targets of the output and its factor in them, [N].
         trust: how much rows count, [N].
-        allowed: which of the two may count.
-        count: how many independent rows these are worth; then the two count only if they lessen the
-            loss by more than its standard error (Breiman et al. 1984).
+        allowed: whether it may count.
+        count: how many independent rows these are worth; then it counts only if it lessens the loss
+            by more than its standard error (Breiman et al. 1984).
     """
-    best, least = torch.zeros(2, dtype=left.dtype), math.inf
+    best, least = 0.0, math.inf
     root = trust.sqrt()
     corner = 2.0 * (left * root).abs().median().clamp(min=1e-12)
     without = torch.zeros(0)
-    for first in range(_SHARES + 1 if allowed[0] else 1):
-        for second in range(_SHARES + 1 - first if allowed[1] else 1):
-            shares = torch.tensor([first, second], dtype=left.dtype) / _SHARES
-            error = ((left - factor * (shares @ said)) * root).abs()
-            # Huber's loss: rows that nobody foresees do not decide.
-            loss = torch.where(error < corner, error.square(), corner * (2 * error - corner))
-            # Nothing at all is preferred to what is not better.
-            value = loss.mean().item() * (1.0 + _SIMPLER * (first + second > 0))
-            if count is not None and first + second == 0:
-                without = loss
-            elif count is not None:
-                value += (without - loss).std().item() / math.sqrt(count)
-            if value < least:
-                best, least = shares, value
+    for step in range(_FRACTIONS + 1 if allowed else 1):
+        fraction = step / _FRACTIONS
+        error = ((left - factor * fraction * said) * root).abs()
+        # Huber's loss: rows that nobody foresees do not decide.
+        loss = torch.where(error < corner, error.square(), corner * (2 * error - corner))
+        # Nothing at all is preferred to what is not better.
+        value = loss.mean().item() * (1.0 + _SIMPLER * (step > 0))
+        if count is not None and step == 0:
+            without = loss
+        elif count is not None:
+            value += (without - loss).std().item() / math.sqrt(count)
+        if value < least:
+            best, least = fraction, value
     return best, least
-
-
-#: Random commands of which some become centres.
-_RANDOM = 1000
-#: Parts of commands that are shorter than this, s, are not learned from.
-_SHORTEST = 0.1
-#: A speed is settled when it is so near.
-_SETTLED = 0.05
-#: Twice as many units of the Gaussian process must lessen the logarithm of the loss by this.
-_WORTH = 0.03
-#: The networks must lessen the loss by this share to count.
-_SIMPLER = 0.01

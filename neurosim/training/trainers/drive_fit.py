@@ -11,8 +11,8 @@ to what is usual: a weak prior on every law, and on the products in the kinemati
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar, NamedTuple, Protocol
 
@@ -35,6 +35,12 @@ _DELAYS = (0.0, 0.05, 0.1, 0.15, 0.2)
 _STARTS = 2
 #: It ends after so many steps, or when one gains less in log-likelihood.
 _STEPS, _GAIN = 40, 0.05
+#: Of other weights or dead bands it begins near, and takes no more steps than this.
+_AGAIN = 3
+#: The widest dead band, as a fraction of the largest command, and how many sizes are tried at once.
+_WIDEST, _TRIED = 0.5, 24
+#: A dead band must raise the log-likelihood by this much to be believed.
+_BELIEVED = 3.0
 #: Derivatives are differences over this share of each prior's width; no step is longer than this.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: How much steps are damped, at first, at least and at most, and by which factors that changes.
@@ -71,12 +77,14 @@ class Motion:
     """Rows as the drive model takes them.
 
     Attributes:
-        x: scaled inputs before the static curve, dead zones applied, [N, I].
+        x: scaled inputs before the static curve, [N, I].
         y: displacements, [N, 3].
         follows: whether a row's command followed that of the row before, [N].
         columns: of the inputs.
         longest: what durations are scaled by, s.
         within: poses within the commands, where they are known.
+        weight: what each row counts, [N]; None: all alike.
+        band: dead bands of the actuators, scaled, [C]; None: they have none.
     """
 
     x: Tensor
@@ -85,6 +93,8 @@ class Motion:
     columns: CommandFeatures
     longest: float
     within: Within | None = None
+    weight: Tensor | None = None
+    band: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -97,13 +107,27 @@ class Motion:
             known = known[:: -(-len(known) // rows) or 1]
             within = Within(*(part[known] for part in within)) if len(known) else None
         parts = (self.x[:rows], self.y[:rows], self.follows[:rows])
-        return Motion(*parts, self.columns, self.longest, within)
+        weight = None if self.weight is None else self.weight[:rows]
+        return Motion(*parts, self.columns, self.longest, within, weight, self.band)
+
+    def weighted(self, weight: Tensor) -> Motion:
+        """Return the rows with other weights [N]."""
+        return replace(self, weight=weight)
+
+    def banded(self, band: Tensor) -> Motion:
+        """Return the rows with other dead bands [C]."""
+        return replace(self, band=band)
+
+    @property
+    def commanded(self) -> Tensor:
+        """What commands ask for, scaled, [N, C]."""
+        return self.x[:, list(self.columns.driven)]
 
     def inputs(self, drive: DriveModel) -> Tensor:
         """Return the inputs that a drive model makes of the rows, see :func:`chain`."""
         x = self.x.clone()
         for places in (self.columns.driven, self.columns.before):
-            x[:, list(places)] = drive.shaped(x[:, list(places)])
+            x[:, list(places)] = drive.shaped(outside(x[:, list(places)], self.band))
         return chain(drive, self.columns, x, self.follows, self.longest)
 
     def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
@@ -117,19 +141,19 @@ class Errors(NamedTuple):
     Attributes:
         error: [N].
         size: what they are like, robustly.
-        weight: what each counts.
+        weight: what each counts, [N] or [].
     """
 
     error: Tensor
     size: Tensor
-    weight: float = 1.0
+    weight: Tensor
 
     @property
     def cost(self) -> float:
         """Minus the log-likelihood."""
         each = (self.error / self.size).square() / FREEDOM
-        cost = (FREEDOM + 1.0) / 2.0 * each.log1p().sum() + len(self.error) * self.size.log()
-        return self.weight * cost.item()
+        cost = (FREEDOM + 1.0) / 2.0 * each.log1p() + self.size.log()
+        return (self.weight * cost).sum().item()
 
 
 class Rows(Protocol):
@@ -138,6 +162,7 @@ class Rows(Protocol):
     Attributes:
         columns: of the inputs.
         belief: by how much a delay must raise the log-likelihood.
+        band: dead bands of the actuators, scaled, [C].
     """
 
     belief: ClassVar[float]
@@ -145,8 +170,24 @@ class Rows(Protocol):
     @property
     def columns(self) -> CommandFeatures: ...
 
+    @property
+    def band(self) -> Tensor | None: ...
+
     def first(self, rows: int) -> Rows:
         """Return the first rows."""
+        ...
+
+    def weighted(self, weight: Tensor) -> Rows:
+        """Return the rows with other weights [N]."""
+        ...
+
+    def banded(self, band: Tensor) -> Rows:
+        """Return the rows with other dead bands [C]."""
+        ...
+
+    @property
+    def commanded(self) -> Tensor:
+        """What commands ask for, scaled, [N, C]."""
         ...
 
     def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
@@ -154,30 +195,123 @@ class Rows(Protocol):
         ...
 
 
-def fit_drive(motion: Rows, laws: bool = True) -> DriveModel:
+class Fit(NamedTuple):
+    """A drive model of rows.
+
+    Attributes:
+        drive: the model.
+        rows: these, with the dead bands that were found.
+        laws: as they are searched for, [L, C].
+    """
+
+    drive: DriveModel
+    rows: Rows
+    laws: Tensor
+
+
+def fit_drive(motion: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
     """Return the drive model of rows.
 
     Args:
         motion: rows.
         laws: whether to look for the actuators' laws; if not, speeds are reached at once.
+        band: dead bands, scaled, [C]; found from the rows if not given.
     """
     count = len(motion.columns.driven)
+    motion = motion.banded(torch.zeros(count, dtype=torch.float64) if band is None else band)
     if not laws:
-        return motion.fitted(_model(_AT_ONCE.repeat(1, count)))[0]
+        at_once = _AT_ONCE.repeat(1, count)
+        motion = motion if band is not None else motion.banded(_dead_bands(motion, at_once))
+        return Fit(motion.fitted(_model(at_once))[0], motion, at_once)
+    lowest, highest = (_of_each(values, count) for values in (_LOWEST, _HIGHEST))
+    if band is None:
+        motion = motion.banded(_dead_bands(motion, _roughly(motion, lowest, highest)))
+    found = _searched(motion, lowest, highest)
+    if band is None:
+        # With the laws known better, slow commands say more.
+        again = motion.banded(_dead_bands(motion, found))
+        if not torch.equal(again.band, motion.band):
+            motion = again
+            found = _again(motion.first(_ROWS), found, lowest, highest)
+    return Fit(motion.fitted(_model(found))[0], motion, found)
+
+
+def _roughly(motion: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Return laws [L, C] that dead bands can be told by.
+
+    They are without static friction, which could stand for a dead band.
+    """
+    highest = highest.clone()
+    highest[_STICK] = 0.0
     searched = motion.first(_ROWS)
-    lowest, usual, highest = (
-        torch.tensor(values, dtype=torch.float64).unsqueeze(1).repeat(1, count)
-        for values in (_LOWEST, _USUAL, _HIGHEST)
-    )
+    starts = [_start(lag, _RATES[-1], delay, lowest) for lag, delay in product(_LAGS, _DELAYS)]
+    best = min(starts, key=lambda one: _cost(one, searched.fitted(_model(one))[1]))
+    return _again(searched, best, lowest, highest)
+
+
+def _start(lag: float, rate: float, delay: float, lowest: Tensor) -> Tensor:
+    """Return laws [L, C], of all actuators alike, where a search begins."""
+    start = _of_each(_USUAL, lowest.shape[1])
+    start[_TOTAL], start[_RATE], start[_DELAY] = math.log(lag + delay), math.log(rate), delay
+    return torch.maximum(start, lowest)
+
+
+def _dead_bands(motion: Rows, laws: Tensor) -> Tensor:
+    """Return the dead bands [C] that rows are best explained by, given the laws.
+
+    Only an actuator that is driven both ways can have one. It lies half way between two magnitudes
+    that were commanded. First one band for all is sought, because where two wheels creep neither
+    can be judged while the other is thought to move; then each for itself.
+    """
+    searched, model = motion.first(_ROWS), _model(laws)
+    told, band = searched.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
+    ways = (told.amin(0) < 0.0) & (told.amax(0) > 0.0)
+    each = [torch.arange(len(band)) == c for c in torch.nonzero(ways).flatten()]
+    for group in (ways, *each * 2) if len(each) > 1 else each:
+        given = told[:, group].abs().unique()
+        given = given[(given > 0.0) & (given <= _WIDEST)]
+        costs: dict[float, float] = {}
+
+        def cost(
+            size: float,
+            group: Tensor = group,
+            costs: dict[float, float] = costs,
+            others: Tensor = band,
+        ) -> float:
+            if size not in costs:
+                rows = searched.banded(torch.where(group, size, others))
+                costs[size] = sum(one.cost for one in rows.fitted(model)[1])
+            return costs[size]
+
+        sizes = [0.0, *((given[1:] + given[:-1]) / 2.0).tolist()]
+        low, high, best = 0, len(sizes), 0.0
+        while True:
+            stride = -(-(high - low) // _TRIED)
+            best = min((0.0, *sizes[low:high:stride]), key=cost)
+            if stride == 1:
+                break
+            place = sizes.index(best)
+            low, high = max(place - stride, 0), min(place + stride + 1, len(sizes))
+        band = torch.where(group, best if cost(0.0) - cost(best) > _BELIEVED else 0.0, band)
+    return band
+
+
+def _searched(motion: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Return the laws [L, C] that rows are best explained by, within limits.
+
+    Args:
+        motion: rows.
+        lowest: that each law may be, [L, C].
+        highest: that each law may be, [L, C].
+    """
+    searched = motion.first(_ROWS)
 
     def errors(laws: Tensor) -> list[Errors]:
         return searched.fitted(_model(laws))[1]
 
     coarse: list[tuple[float, float, float, Tensor]] = []
     for lag, rate, delay in product(_LAGS, _RATES, _DELAYS):
-        start = usual.clone()
-        start[_TOTAL], start[_RATE], start[_DELAY] = math.log(lag + delay), math.log(rate), delay
-        start = torch.maximum(torch.minimum(start, highest), lowest)
+        start = _start(lag, rate, delay, lowest)
         coarse.append((_cost(start, errors(start)), rate, delay, start))
     coarse.sort(key=lambda one: one[0])
 
@@ -197,14 +331,53 @@ def fit_drive(motion: Rows, laws: bool = True) -> DriveModel:
 
     found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
     if found[_DELAY, 0] > 0.0:
-        at_once, cost = best_of([*starts(0.0), found], 0.0)
+        at_once, cost = best_of([*starts(0.0)[:1], found], 0.0)
         if cost < least + motion.belief:
             found = at_once
-    return motion.fitted(_model(found))[0]
+    return found
+
+
+def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
+    """Return the drive models of the same rows with other weights.
+
+    Args:
+        fit: of the rows: where the search begins.
+        weights: of the rows, [M, N].
+    """
+    count = fit.laws.shape[1]
+    lowest, highest = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
+    found = []
+    for rows in map(fit.rows.weighted, weights):
+        laws = _again(rows.first(_ROWS), fit.laws, lowest, highest)
+        found.append(rows.fitted(_model(laws))[0])
+    return found
+
+
+def _again(searched: Rows, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+    """Return the laws [L, C] of rows that differ a little from those of which others are."""
+    if laws[_DELAY, 0] == 0.0:
+        highest = highest.clone()
+        highest[_DELAY] = 0.0
+    found, _ = _refined(lambda one: searched.fitted(_model(one))[1], laws, lowest, highest, _AGAIN)
+    return found
+
+
+def outside(command: Tensor, band: Tensor | None) -> Tensor:
+    """Return commands [N, C], zero within the dead band [C]."""
+    return command if band is None else torch.where(command.abs() < band, 0.0, command)
+
+
+def _of_each(values: Sequence[float], count: int) -> Tensor:
+    """Return values [L] for each of so many actuators, [L, C]."""
+    return torch.tensor(values, dtype=torch.float64).unsqueeze(1).repeat(1, count)
 
 
 def _refined(
-    errors: Callable[[Tensor], list[Errors]], laws: Tensor, lowest: Tensor, highest: Tensor
+    errors: Callable[[Tensor], list[Errors]],
+    laws: Tensor,
+    lowest: Tensor,
+    highest: Tensor,
+    steps: int = _STEPS,
 ) -> tuple[Tensor, float]:
     """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
 
@@ -213,6 +386,7 @@ def _refined(
         laws: to begin at.
         lowest: that each may be, [L, C].
         highest: that each may be, [L, C].
+        steps: at most.
     """
     laws = torch.minimum(laws, highest)
     width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
@@ -221,9 +395,9 @@ def _refined(
     places = torch.nonzero(varied)
     now = errors(laws)
     cost, damping = _cost(laws, now), _DAMPING
-    for _ in range(_STEPS):
+    for _ in range(steps):
         size = torch.cat([one.size.expand_as(one.error) for one in now])
-        weight = torch.cat([torch.full_like(one.error, one.weight) for one in now])
+        weight = torch.cat([one.weight.expand_as(one.error) for one in now])
         error = torch.cat([one.error for one in now])
         # Weights of iteratively reweighted least squares for Student's t.
         weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
@@ -294,7 +468,8 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[Errors]
     under, told = rows_underway(drive, columns, x), x[:, list(columns.driven)]
     pieces = drive.pieces(under, told, x[:, columns.duration] * motion.longest)
     linear = len(columns.driven)
-    rate, turns_left = _regression(sum(pieces[1:], pieces[0]), turn, linear)
+    weight = torch.ones_like(turn) if motion.weight is None else motion.weight
+    rate, turns_left = _regression(sum(pieces[1:], pieces[0]), turn, linear, weight)
     turns = [piece @ rate for piece in pieces[:-1]]
     turns.append(turn - sum(turns, torch.zeros_like(turn)))
     ahead, aside, heading = 0.0, 0.0, -turn / 2.0
@@ -306,16 +481,19 @@ def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[Errors]
     moved = se2.mid_turn(motion.y)
     columns_x, columns_y = torch.cat([ahead, -aside], 1), torch.cat([aside, ahead], 1)
     speeds, shifts_left = _regression(
-        torch.cat([columns_x, columns_y]), torch.cat([moved[:, 0], moved[:, 1]]), linear
+        torch.cat([columns_x, columns_y]),
+        torch.cat([moved[:, 0], moved[:, 1]]),
+        linear,
+        torch.cat([weight, weight]),
     )
     kinematics = torch.stack([*speeds.view(2, -1), rate], dim=1)
     laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
     drive = DriveModel(*laws, kinematics)
-    return drive, [turns_left, shifts_left, *_errors_within(drive, motion, under, told)]
+    return drive, [turns_left, shifts_left, *_errors_within(drive, motion, under, told, weight)]
 
 
 def _errors_within(
-    drive: DriveModel, motion: Motion, under: Underway, told: Tensor
+    drive: DriveModel, motion: Motion, under: Underway, told: Tensor, weight: Tensor
 ) -> list[Errors]:
     """Return the errors of poses within commands.
 
@@ -331,21 +509,24 @@ def _errors_within(
     error = se2.compose(changing, se2.exp(twist)) - within.moved.to(told)
     # What is short is measured by what is short.
     size = (1.4826 * error.abs().median(0).values).clamp(min=1e-6)
-    weight = min(len(motion.x) / len(row), 1.0)
+    weight = weight[row] * min(len(motion.x) / len(row), 1.0)
     return [Errors(error[:, k], size[k], weight) for k in range(error.shape[1])]
 
 
-def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, Errors]:
+def _regression(
+    features: Tensor, target: Tensor, linear: int, weight: Tensor
+) -> tuple[Tensor, Errors]:
     """Return the weights of a regression with Huber's loss, and the errors that they leave.
 
     Args:
         features: [N, k F]: k times linear features and products.
         target: [N].
         linear: how many of F are linear.
+        weight: what each row counts, [N].
     """
     width = linear + linear * (linear + 1) // 2
     product = torch.arange(features.shape[1]) % width >= linear
-    shares, size = torch.ones_like(target), target.square().mean().sqrt().clamp(min=1e-9)
+    shares, size = weight, target.square().mean().sqrt().clamp(min=1e-9)
     pull = torch.zeros(features.shape[1], dtype=features.dtype)
     weights = pull
     # By a product alone a target would be of the size that it has, or less.
@@ -360,6 +541,6 @@ def _regression(features: Tensor, target: Tensor, linear: int) -> tuple[Tensor, 
         error = (features @ weights - target).abs()
         # The median of the magnitude is 0.67 standard deviations of a normal distribution.
         size = (1.4826 * error.median()).clamp(min=1e-9)
-        shares = (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
+        shares = weight * (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()
-    return weights, Errors(features @ weights - target, size)
+    return weights, Errors(features @ weights - target, size, weight)

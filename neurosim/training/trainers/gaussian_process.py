@@ -14,8 +14,8 @@ from torch import Tensor
 
 from neurosim.simulators.motion.kernel_units import covariance
 
-#: Rows that the lengths are found with, and steps of that.
-_ROWS, _STEPS = 400, 30
+#: Steps in which the lengths are found.
+_STEPS = 30
 #: ln of a length in spreads of its input, before rows say more: smooth.
 _USUAL, _PULL = 0.7, 0.1
 #: The least such logarithm: of shorter lengths, squares of far inputs leave too few digits for a
@@ -47,6 +47,19 @@ class Process:
         """Return the units [N, K] of inputs [N, J]."""
         return covariance(x, self.centres, self.lengths)
 
+    def _precision(self, function: int) -> Tensor:
+        """Return the weights' precision [K, K] before rows say more.
+
+        It is the centres' covariance over the power: the weights' own is the inverse.
+        """
+        return covariance(self.centres, self.centres, self.lengths) / self.power[function]
+
+    def prior(self, function: int) -> Tensor:
+        """Return the Cholesky factor [K, K] of the precision before rows say more."""
+        precision = self._precision(function)
+        precision.diagonal().add_(_JITTER * precision.diagonal().mean())
+        return torch.linalg.cholesky(precision)
+
     def posterior(
         self, units: Tensor, factor: Tensor, y: Tensor, trust: Tensor, function: int
     ) -> tuple[Tensor, Tensor]:
@@ -61,9 +74,7 @@ class Process:
         """
         trust = trust / self.noise[function]
         columns = units * factor.unsqueeze(1)
-        # The weights' prior covariance is the inverse of the centres' covariance, times the power.
-        precision = covariance(self.centres, self.centres, self.lengths) / self.power[function]
-        precision = precision + columns.T @ (trust.unsqueeze(1) * columns)
+        precision = self._precision(function) + columns.T @ (trust.unsqueeze(1) * columns)
         precision.diagonal().add_(_JITTER * precision.diagonal().mean())
         triangle = torch.linalg.cholesky(precision)
         mean = torch.cholesky_solve((columns.T @ (trust * y)).unsqueeze(1), triangle).squeeze(1)
@@ -75,23 +86,23 @@ def learn_process(
     y: Tensor,
     weights: Tensor,
     centres: int,
-    first: int,
     elsewhere: Tensor,
-    generator: torch.Generator,
-) -> Process:
+    chosen: Tensor,
+) -> tuple[Process, float]:
     """Learn lengths, power and noise, and choose the centres.
+
+    Returns:
+        The process, and minus the logarithm of the likelihood that lengths were found with.
 
     Args:
         x: inputs, [N, J].
         y: functions' values, [N, F].
         weights: of each value: the reciprocal of its relative noise variance, [N, F].
         centres: how many at most.
-        first: how many rows, from the first on, lengths are found with: the others tell of parts.
         elsewhere: inputs [M, J] that may be asked for: a third of the centres stand where rows say
             least of these, so that draws from the posterior differ there.
-        generator: of the rows that lengths are found with.
+        chosen: places of the rows that lengths are found with.
     """
-    chosen = torch.randperm(min(first, len(x)), generator=generator)[:_ROWS]
     spread = x.std(0).clamp(min=1e-2) if len(x) > 1 else torch.ones_like(x[0])
     size = ((y.square() * weights).sum(0) / weights.sum(0).clamp(min=1e-12)).sqrt()
     size = size.clamp(min=1e-9)
@@ -128,10 +139,12 @@ def learn_process(
 
     optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
     optimiser.step(loss)
+    least = float(loss().detach())
     result = torch.maximum(found.detach(), lowest).clamp(max=7.0)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
-    return Process(choose_centres(x, elsewhere, lengths, centres), lengths, power, noise)
+    process = Process(choose_centres(x, elsewhere, lengths, centres), lengths, power, noise)
+    return process, least
 
 
 def choose_centres(x: Tensor, elsewhere: Tensor, lengths: Tensor, count: int) -> Tensor:

@@ -7,7 +7,7 @@ rows. Commands under way and speeds reached go on from row to row, as in the sim
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
@@ -22,7 +22,7 @@ from neurosim.simulators.motion.drive import DriveModel, Underway, features_of
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import FREEDOM, Errors
+from neurosim.training.trainers.drive_fit import FREEDOM, Errors, outside
 
 #: How long windows last, s, and how many begin within the length of one.
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
@@ -196,14 +196,16 @@ class Chains:
     """Rows that follow one another, cut where poses within them are known, and windows of these.
 
     Attributes:
-        told: what commands ask for, scaled, dead zones applied, before the static curve, [N, C].
+        told: what commands ask for, scaled, before the static curve, [N, C].
         before: the same of the command before, [N, C].
         time: durations, [N] s.
         joined: whether a row begins where that before it ended, [N] bool.
         y: displacements, [N, 3].
         windows: runs of these rows.
-        whole: where the rows begin that these were cut from.
+        whole: where the rows begin that these were cut from, [K].
         columns: of their inputs.
+        weight: what the whole rows count, [K]; None: all alike.
+        band: dead bands of the actuators, scaled, [C]; None: they have none.
     """
 
     told: Tensor
@@ -214,6 +216,8 @@ class Chains:
     windows: Windows
     whole: Tensor
     columns: CommandFeatures
+    weight: Tensor | None = None
+    band: Tensor | None = None
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -231,7 +235,7 @@ class Chains:
         """Return rows with their windows, but for those in which the robot is to stand and does.
 
         Args:
-            x: scaled inputs before the static curve, dead zones applied, [N, I].
+            x: scaled inputs before the static curve, [N, I].
             y: displacements, [N, 3].
             joined: whether a row begins where that before it ended, [N] bool.
             columns: of the inputs.
@@ -258,14 +262,46 @@ class Chains:
         parts = (self.told, self.before, self.time, self.joined, self.y)
         windows = Windows(*(part[some] for part in self.windows))
         whole = self.whole[self.whole < rows]
-        return Chains(*(part[:rows] for part in parts), windows, whole, self.columns)
+        weight = None if self.weight is None else self.weight[: len(whole)]
+        rest = windows, whole, self.columns, weight, self.band
+        return Chains(*(part[:rows] for part in parts), *rest)
+
+    def weighted(self, weight: Tensor) -> Chains:
+        """Return the rows with other weights of the whole rows, [K]."""
+        return replace(self, weight=weight)
+
+    def banded(self, band: Tensor) -> Chains:
+        """Return the rows with other dead bands [C]."""
+        return replace(self, band=band)
+
+    @property
+    def commanded(self) -> Tensor:
+        """What commands ask for, scaled, [N, C]."""
+        return self.told
+
+    def _goals(self, drive: DriveModel) -> tuple[Tensor, Tensor]:
+        """Return the speeds [N, C] that commands, and those before them, come to in the end."""
+        told, before = (outside(part, self.band) for part in (self.told, self.before))
+        return drive.shaped(told), drive.shaped(before)
+
+    def _counted(self) -> Windows:
+        """Return the windows with the mean of what their rows count."""
+        if self.weight is None:
+            return self.windows
+        row = torch.zeros(len(self.time), dtype=torch.long)
+        row[self.whole] = 1
+        until = torch.cat([torch.zeros(1), (self.weight[row.cumsum(0) - 1] * self.time).cumsum(0)])
+        lasts = torch.cat([torch.zeros(1), self.time.cumsum(0)])
+        first, end, _, weight = self.windows
+        mean = (until[end] - until[first]) / (lasts[end] - lasts[first])
+        return self.windows._replace(weight=weight * mean)
 
     def driven(self, drive: DriveModel) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return features [M, F], durations and rows [M] of pieces, and how rows begin.
 
         They begin with speeds and pushes, [N, 2 C].
         """
-        goals, before = (drive.shaped(part).numpy() for part in (self.told, self.before))
+        goals, before = (part.numpy() for part in self._goals(drive))
         time, count = self.time.numpy(), goals.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
         most = int((time / PIECE).sum()) + 3 * len(time) + 8
@@ -290,7 +326,7 @@ class Chains:
             x: scaled inputs of the whole rows, as they were given.
         """
         speed, push = self.driven(drive)[3][self.whole].chunk(2, 1)
-        goals, before = drive.shaped(self.told), drive.shaped(self.before)
+        goals, before = self._goals(drive)
         begin = self.time.cumsum(0) - self.time
         number = torch.arange(len(begin))
         chain = torch.where(self.joined, 0, number).cummax(0).values
@@ -308,7 +344,8 @@ class Chains:
     def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
         """Return a drive model with the best kinematics, and the errors that it leaves."""
         features, lasts, row, _ = self.driven(drive)
-        first, end, kind, _ = self.windows
+        windows = self._counted()
+        first, end, kind, _ = windows
         rows, width = len(self.time), features.shape[1]
 
         def until(values: Tensor) -> Tensor:
@@ -323,7 +360,7 @@ class Chains:
         way, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
         linear = self.told.shape[1]
-        rate, turns_left = _regression(way[end] - way[first], turn, self.windows, linear)
+        rate, turns_left = _regression(way[end] - way[first], turn, windows, linear)
         # What the turn of a row was, by the model, less or more what it missed.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -343,7 +380,7 @@ class Chains:
         cos, sin = back.cos()[:, None], back.sin()[:, None]
         x, y = cos * x - sin * y, sin * x + cos * y
         both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
-        twice = Windows(*(torch.cat([part, part]) for part in self.windows))
+        twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
         speeds, shifts_left = _regression(both, moved.T.flatten(), twice, linear)
         kinematics = torch.stack([*speeds.view(2, width), rate], dim=1)
@@ -392,8 +429,5 @@ def _regression(
         shares = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         pull = usual  # not before the size of errors is known
     error = features @ weights - target
-    left = [
-        Errors(error[kind], size[kind[:1]].squeeze(0), float(windows.weight[kind].mean()))
-        for kind in kinds
-    ]
+    left = [Errors(error[kind], size[kind[:1]].squeeze(0), windows.weight[kind]) for kind in kinds]
     return weights, left
