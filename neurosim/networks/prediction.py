@@ -24,23 +24,27 @@ class Prediction:
         """Prepare networks with ``genes`` [O, G]."""
         self._network = network
         self._genes = genes
-        self._fast = network.inputs <= _MOST_INPUTS
+        self._fast = network.inputs <= _MOST_INPUTS or network.products == 0
         if not self._fast:
             return
         self._log_magnitude = network.log_magnitude
         parts = network.expand(genes)
+        self._linear, self._bias = parts.linear.T.contiguous(), parts.bias
+        self._groups = (len(genes), network.products)
+        if network.products == 0:
+            return
         self._exponents = parts.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
         self._ceilings = parts.ceilings.flatten()
         signed = parts.signed(sign_patterns(network.inputs).to(genes))
         self._signed = signed.transpose(0, 1).flatten(1)  # [2^I, O * P]
         self._bits = 2 ** torch.arange(network.inputs, device=genes.device)
-        self._linear, self._bias = parts.linear.T.contiguous(), parts.bias
-        self._groups = (len(genes), network.products)
 
     def __call__(self, x: Tensor) -> Tensor:
         """Return the outputs [N, O] for scaled inputs [N, I]."""
         if not self._fast:
             return self._network.forward(self._genes, x).T
+        if self._network.products == 0:
+            return torch.addmm(self._bias, x, self._linear)
         magnitude = (self._log_magnitude(x) @ self._exponents).minimum(self._ceilings)
         units = magnitude.clamp(min=-LOG_LIMIT).exp()
         units = units * self._signed[((x < 0) * self._bits).sum(-1)]
