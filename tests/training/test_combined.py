@@ -9,7 +9,7 @@ from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import TrainingData
 from neurosim.training.error_size import row_weights
 from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
-from neurosim.training.trainers.drive_fit import Motion, fit_drive
+from neurosim.training.trainers.drive_fit import Motion, fit_drive, fit_drives
 from neurosim.training.trainers.gaussian_process import Process, learn_process
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -245,6 +245,17 @@ def test_members_span_what_another_recording_of_the_same_robot_would_say():
     )
     ratio = (of_members.mean((0, 1)) / means.var(0).mean(0)).sqrt()
     assert ((ratio > 0.6) & (ratio < 2.0))[[0, 2]].all()
+
+
+@pytest.mark.slow
+def test_laws_that_are_left_out_do_not_come_back_in_members():
+    data = drive_data(60, lag=(0.3, 0.3))
+    columns, longest = CommandFeatures.of(NAMES), float(data.input_scale[4])
+    motion = Motion(data.scaled_inputs, data.y, data.follows, columns, longest, data.within)
+    fit = fit_drive(motion, laws=False)
+    (member,) = fit_drives(fit, torch.linspace(0.5, 1.5, 60, dtype=torch.float64)[None])
+    assert torch.equal(member.lag, fit.drive.lag)
+    assert not torch.equal(member.kinematics, fit.drive.kinematics)
 
 
 def test_robots_that_it_cannot_drive_are_refused():

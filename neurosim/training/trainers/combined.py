@@ -284,8 +284,9 @@ class CombinedTrainer:
                 break
             best = wider
         self._best = best
-        weights = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
-        said = best.fractions[:, None] * (weights @ best.units.T)
+        #: Weights of the units, learned from all rows, [3, K].
+        self._mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
+        said = best.fractions[:, None] * (self._mean @ best.units.T)
         return (rows.left - rows.factor * said.T)[: len(self._data.x)].square().mean(0)
 
     @property
@@ -390,20 +391,19 @@ class CombinedTrainer:
         inputs, units = rows.given.shape[1], len(best.process.centres)
         linear = torch.zeros(1 + count, OUTPUTS, inputs + 1, dtype=torch.float64)
         kernel = torch.zeros(1 + count, OUTPUTS, units, dtype=torch.float64)
-        mean = torch.stack([self._read_out(o)[0] for o in range(OUTPUTS)])
-        fractions = best.fractions.unsqueeze(1)
+        mean, fractions = self._mean, best.fractions.unsqueeze(1)
         kernel[0] = fractions * mean
         trusted = fractions.clamp(min=UNPROVEN * ("process" not in settings.without))
         if count:
             changes = self._changes(random, generator)
+            priors = [best.process.prior(o) for o in range(OUTPUTS)]
         for m in range(count):
             change, own = changes[m], torch.zeros_like(mean)
             off = self._units_of(rows.given, best.units) @ change.T
+            weight = random[m][self._command]
             for o in range(OUTPUTS):
-                weight = random[m][self._command]
                 centre, triangle = self._read_out(o, weight, off[:, o])
-                prior = best.process.prior(o)
-                draw = prior @ torch.randn(units, 1, generator=generator, dtype=mean.dtype)
+                draw = priors[o] @ torch.randn(units, 1, generator=generator, dtype=mean.dtype)
                 own[o] = centre + torch.cholesky_solve(draw, triangle).squeeze(1)
             linear[1 + m], part = change[:, : inputs + 1], change[:, inputs + 1 :]
             kernel[1 + m] = kernel[0] + part + trusted * (own - mean)

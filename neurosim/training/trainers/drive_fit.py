@@ -201,12 +201,12 @@ class Fit(NamedTuple):
     Attributes:
         drive: the model.
         rows: these, with the dead bands that were found.
-        laws: as they are searched for, [L, C].
+        laws: as they are searched for, [L, C]; None if they were not.
     """
 
     drive: DriveModel
     rows: Rows
-    laws: Tensor
+    laws: Tensor | None
 
 
 def fit_drive(motion: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
@@ -222,7 +222,7 @@ def fit_drive(motion: Rows, laws: bool = True, band: Tensor | None = None) -> Fi
     if not laws:
         at_once = _AT_ONCE.repeat(1, count)
         motion = motion if band is not None else motion.banded(_dead_bands(motion, at_once))
-        return Fit(motion.fitted(_model(at_once))[0], motion, at_once)
+        return Fit(motion.fitted(_model(at_once))[0], motion, None)
     lowest, highest = (_of_each(values, count) for values in (_LOWEST, _HIGHEST))
     if band is None:
         motion = motion.banded(_dead_bands(motion, _roughly(motion, lowest, highest)))
@@ -344,12 +344,14 @@ def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
         fit: of the rows: where the search begins.
         weights: of the rows, [M, N].
     """
-    count = fit.laws.shape[1]
+    count = len(fit.drive.lag)
     lowest, highest = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
     found = []
     for rows in map(fit.rows.weighted, weights):
-        laws = _again(rows.first(_ROWS), fit.laws, lowest, highest)
-        found.append(rows.fitted(_model(laws))[0])
+        drive = fit.drive
+        if fit.laws is not None:
+            drive = _model(_again(rows.first(_ROWS), fit.laws, lowest, highest))
+        found.append(rows.fitted(drive)[0])
     return found
 
 
