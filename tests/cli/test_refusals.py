@@ -551,7 +551,7 @@ def test_a_system_error_that_is_no_interruption_is_raised(monkeypatch):
     ("words", "says"),
     [
         (("evolve", "{tables}", "--task", "obstacle-avoidance", "--elites", 500), "elites"),
-        (("train", "{dataset}", "--without", "product_units"), "without is of laws"),
+        (("train", "{dataset}", "--without", "product_units"), "without: expected laws"),
     ],
 )
 def test_settings_that_cannot_be(refused, tmp_path, words, says):

@@ -111,7 +111,7 @@ class CombinedSettings(Checked):
         super().__post_init__()
         for name in self.without:
             if name not in MECHANISMS:
-                raise UserError(f"without is of {', '.join(MECHANISMS)}, not {name!r}")
+                raise UserError(f"without: expected {', '.join(MECHANISMS)}, found {name!r}")
 
 
 class Residuals(NamedTuple):
