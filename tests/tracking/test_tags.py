@@ -7,9 +7,9 @@ import pytest
 import tracking_scene as scene
 
 from neurosim.base.errors import UserError
-from tracking.markers.pair import Geometry
+from tracking.markers.pair import SEARCH_CADENCE, Geometry
 from tracking.markers.tag_fit import Placed, fit
-from tracking.markers.tag_tracker import FOLLOWED_FOR, LEAST_SEEN, SEARCH_CADENCE, TagTracker
+from tracking.markers.tag_tracker import FOLLOWED_FOR, LEAST_SEEN, TagTracker
 from tracking.markers.tags import KINDS, Tag
 
 SIZE = (320, 240)

@@ -13,6 +13,9 @@ from tracking.markers.colours import angle_between
 from tracking.markers.markers import Look
 from tracking.markers.patches import mean_luma
 
+#: While a robot is lost every frame is searched for a while, then only every few.
+SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
+
 
 @dataclass(frozen=True)
 class Geometry:
@@ -84,6 +87,11 @@ class Learned:
     frames: int = 0
 
 
+def is_searched(lost: int) -> bool:
+    """Return whether the whole frame is searched after so many in which nothing was found."""
+    return lost < SEARCH_EVERY_FRAME or lost % SEARCH_CADENCE == 0
+
+
 @dataclass
 class Motion:
     """Where the pair was last and how it moved, in pixels."""
@@ -93,6 +101,13 @@ class Motion:
     axis: NDArray  # from rear to front
     velocity: NDArray = field(default_factory=lambda: np.zeros(2))
     turning: float = 0.0
+
+    @classmethod
+    def of(cls, before: Motion | None, time: float, pixels: NDArray) -> Motion:
+        """Return the motion at a pair of centres, [2, 2], after the motion before it, if any."""
+        if before is not None:
+            return before.after(time, pixels)
+        return cls(time, middle_of(pixels), pixels[0] - pixels[1])
 
     @property
     def pixels(self) -> NDArray:
@@ -116,7 +131,7 @@ class Motion:
         middle, axis = middle_of(pixels), pixels[0] - pixels[1]
         gap = time - self.time
         if not 0 < gap < 0.5:
-            return Motion(time, middle, axis)
+            return Motion.of(None, time, pixels)
         turned = float(angle_between(angle_of(axis), angle_of(self.axis)))
         return Motion(time, middle, axis, (middle - self.middle) / gap, turned / gap)
 

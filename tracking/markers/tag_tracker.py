@@ -10,7 +10,16 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tracking.markers.pair import LOST, Geometry, Motion, Sighting, lamp_luma, middle_of
+from tracking.markers.pair import (
+    LOST,
+    Geometry,
+    Motion,
+    Sighting,
+    angle_of,
+    is_searched,
+    lamp_luma,
+    middle_of,
+)
 from tracking.markers.tag_fit import Placed, fit
 from tracking.markers.tags import Tag
 
@@ -24,8 +33,6 @@ SIDE_TOLERANCE = 0.08
 SEARCH_SIDE = 36.0
 #: Pictures are enlarged for the search by this at most, and are of so many pixels then.
 MOST_ENLARGED, MOST_PIXELS = 3, 2_500_000
-#: While the tag is lost every frame is searched for a while, then only every few.
-SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
 
 
 class TagTracker:
@@ -69,19 +76,14 @@ class TagTracker:
         motion = self._motion
         followed = motion is not None and not self._lost and time - motion.time < FOLLOWED_FOR
         placed = self._follow(frame, time) if followed else None
-        if placed is None and (self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0):
+        if placed is None and is_searched(self._lost):
             placed = self._search(frame)
         if placed is None:
             self._lost += 1
             return LOST
         pixels = self._ends(placed)
         quality = self._quality(placed, pixels)
-        motion = None if self._lost else self._motion
-        self._motion = (
-            Motion(time, middle_of(pixels), pixels[0] - pixels[1])
-            if motion is None
-            else motion.after(time, pixels)
-        )
+        self._motion = Motion.of(None if self._lost else self._motion, time, pixels)
         self._placed, self._lost, self.ever_found = placed, 0, True
         apart = self.geometry.separation_of(pixels)
         self._side = apart if self._side is None else self._side
@@ -93,7 +95,7 @@ class TagTracker:
         """Return the tag near where it was, turned as it turned; None where it is not there."""
         before = self._motion.pixels
         ahead = self._motion.predict(time)
-        turn = _angle(ahead[0] - ahead[1]) - _angle(before[0] - before[1])
+        turn = angle_of(ahead[0] - ahead[1]) - angle_of(before[0] - before[1])
         cos, sin = math.cos(turn), math.sin(turn)
         guess = Placed(middle_of(ahead), np.array([[cos, -sin], [sin, cos]]) @ self._placed.axes)
         fitted = self._fit(_grey_around(frame, guess, 1.0), guess)
@@ -220,7 +222,3 @@ def _grey_around(frame: NDArray, placed: Placed, margin: float) -> tuple[NDArray
     high = np.clip(np.ceil(placed.centre + reach), 0, size).astype(int)
     part = frame[low[1] : high[1], low[0] : high[0]]
     return (cv2.cvtColor(part, cv2.COLOR_BGR2GRAY) if part.size else part[..., 0]), low
-
-
-def _angle(axis: NDArray) -> float:
-    return math.atan2(axis[1], axis[0])

@@ -28,12 +28,14 @@ from tracking.markers.markers import (
 from tracking.markers.noise import passes_for
 from tracking.markers.pair import (
     LOST,
+    SEARCH_CADENCE,
     Geometry,
     Learned,
     Motion,
     Sighting,
     Strangers,
     angle_of,
+    is_searched,
     lamp_luma,
     middle_of,
 )
@@ -76,9 +78,6 @@ PASSING, DROP_AFTER = 15, 8
 
 #: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
 SEEN_AREA = 20.0
-
-#: While the pair is lost every frame is searched for a while, then only every few.
-SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
 
 
 class Tracker:
@@ -154,7 +153,7 @@ class Tracker:
                 found = self._follow_in_other_light(frame, time)
         if self._lost == 0 and self._motion is not None and found is None:
             self._strangers = Strangers(2.0 * float(np.hypot(*self._motion.axis)))
-        if found is None and self._search_now():
+        if found is None and is_searched(self._lost):
             found = self._search(frame, time)
         if found is None:
             self._lost += 1
@@ -171,11 +170,7 @@ class Tracker:
         self._survey.take(
             frame, self._cast.white, pixels, [m.area for m in measured], self._learned.looks
         )
-        self._motion = (
-            Motion(time, middle_of(pixels), pixels[0] - pixels[1])
-            if self._motion is None
-            else self._motion.after(time, pixels)
-        )
+        self._motion = Motion.of(self._motion, time, pixels)
         rim = max(self._radii(middle_of(pixels)))
         lamp = lamp_luma(frame, pixels, self.geometry.lamp, rim)
         return Sighting(pixels[0], pixels[1], quality, lamp)
@@ -351,9 +346,6 @@ class Tracker:
         return self._apart[1]
 
     # Searching
-
-    def _search_now(self) -> bool:
-        return self._lost < SEARCH_EVERY_FRAME or self._lost % SEARCH_CADENCE == 0
 
     def _search(self, frame: NDArray, time: float) -> tuple[list[Measurement], float] | None:
         self._passes = passes_for(frame)
