@@ -228,6 +228,15 @@ def test_links_lead_somewhere():
                 assert anchor in anchors(target), (page.name, to, anchor)
 
 
+def test_files_named_next_to_the_papers_exist():
+    text = text_of(ROOT / "docs" / "papers.md")
+    paths = re.findall(r"`((?:[a-z_]+/)+(?:[a-z_]+\.py)?)`", text)
+    assert len(paths) > 30
+    assert not [
+        path for path in paths if not any((ROOT / at / path).exists() for at in ("", "neurosim"))
+    ]
+
+
 def test_there_is_something_to_test():
     assert len(COMMANDS) > 20
     assert PYTHON
