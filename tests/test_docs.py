@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple
 
+import figures
 import numpy as np
 import pytest
 from khepera_data import made_up
@@ -35,9 +36,14 @@ ROOT = Path(__file__).resolve().parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
 NOTEBOOKS = sorted((ROOT / "notebooks").glob("*.ipynb"))
 
+#: Blocks of code.
+CODE = re.compile(r"^```.*?^```", flags=re.DOTALL | re.MULTILINE)
 #: Words in a sentence: in the mean over a page, and in its longest.
 MEAN_WORDS = 18.0
 MOST_WORDS = 35
+#: Words written by hand in README and docs together: in prose, and in tables.
+MOST_IN_PROSE = 12_000
+MOST_IN_TABLES = 5_500
 #: Pages that define the words that do not come back.
 OF_WORDS = ("glossary.md",)
 
@@ -71,9 +77,9 @@ def commands(page):
                 yield shlex.split(re.sub(r" {5,}\S.*", "", line), comments=True)[1:]
 
 
-def prose(page):
+def prose(text):
     """Give the paragraphs and list items of a page, without code, tables, headings and links."""
-    text = re.sub(r"^```.*?^```", "", text_of(page), flags=re.DOTALL | re.M)
+    text = CODE.sub("", text)
     text = re.sub(r"^( *\||#|!\[|<!--| {4,}).*$", "", text, flags=re.M)
     text = re.sub(r"^\s*([-*]|\d+\.)\s", "\n\n", text, flags=re.M)
     text = re.sub(r"\]\([^)]*\)", "]", text)
@@ -82,15 +88,21 @@ def prose(page):
             yield " ".join(paragraph.split())
 
 
-def lengths(page):
+def tables(text):
+    """Give the rows of a page's tables, without targets of links."""
+    for row in re.findall(r"^ *\|.*$", CODE.sub("", text), flags=re.M):
+        yield re.sub(r"\]\([^)]*\)", "]", re.sub(r"`[^`]*`", "CODE", row))
+
+
+def count(text):
+    return len(re.findall(r"[\w'%+.-]*\w[\w'%-]*", text))
+
+
+def lengths(text):
     """Return the number of words of each sentence of a page."""
     ends = r"(?<=[.!?:;])\s+(?=[A-Z(\[*])"
-    counts = [
-        len(re.findall(r"[\w'%+.-]*\w[\w'%-]*", sentence))
-        for paragraph in prose(page)
-        for sentence in re.split(ends, paragraph)
-    ]
-    return [count for count in counts if count]
+    counts = [count(part) for paragraph in prose(text) for part in re.split(ends, paragraph)]
+    return [words for words in counts if words]
 
 
 COMMANDS = [(page.name, words) for page in PAGES + NOTEBOOKS for words in commands(page)]
@@ -190,9 +202,22 @@ def test_the_page_of_libraries_shows_the_examples():
 
 @pytest.mark.parametrize("page", PAGES + NOTEBOOKS, ids=lambda page: page.name)
 def test_sentences_are_short(page):
-    counts = lengths(page)
+    counts = lengths(text_of(page))
     assert np.mean(counts) < MEAN_WORDS
     assert max(counts) <= MOST_WORDS
+
+
+def test_pages_do_not_grow():
+    pages = [figures.BLOCK.sub("", text_of(page)) for page in figures.pages()]
+    assert sum(count(part) for page in pages for part in prose(page)) <= MOST_IN_PROSE
+    assert sum(count(row) for page in pages for row in tables(page)) <= MOST_IN_TABLES
+
+
+def test_words_are_counted():
+    code = "```sh\n| no |\n```\n\n"
+    text = f"# No\n\nOne `a b` [three](x.md#y).\n\n- Four, 5 %.\n\n{code}| 1 | [2](z) `3 3` |\n"
+    assert lengths(text) == [3, 2]
+    assert [count(row) for row in tables(text)] == [3]
 
 
 @pytest.mark.parametrize("page", PAGES + NOTEBOOKS, ids=lambda page: page.name)
@@ -200,7 +225,7 @@ def test_words_that_do_not_come_back(page):
     if page.name in OF_WORDS:
         return
     text = text_of(page)
-    text = re.sub(r"`[^`]*`", "CODE", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.M))
+    text = re.sub(r"`[^`]*`", "CODE", CODE.sub("", text))
     # Titles of sections stay as long as other pages link to them.
     text = re.sub(r"^#.*$|\]\([^)]*\)", "", text, flags=re.M)
     hits = [hit.group() for hit in NOT_AGAIN.finditer(" ".join(text.split()))]
