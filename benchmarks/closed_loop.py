@@ -1,6 +1,6 @@
 """How fast networks are driven in closed loop, compiled, beside the same steps in PyTorch.
 
-Robot steps a second of a population of networks, each through the same drawn outcomes, of
+Robot steps a second of a population of networks, each through the same random samples, of
 
   - ours: the simulator's compiled rollouts, on all cores;
   - PyTorch: the controllers' own act() and the simulator's own step(), for the whole batch at once.
@@ -39,7 +39,7 @@ from neurosim.simulators.motion.noise import NoiseModel
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
 
-STEPS, OUTCOMES, HIDDEN = 200, 10, 5
+STEPS, SAMPLES, HIDDEN = 200, 10, 5
 #: Kernel units, as many as the default trainer keeps at most.
 UNITS = 150
 #: PyTorch drives fewer steps: its time for each hardly depends on how many there are.
@@ -139,9 +139,9 @@ def rates(
     """Return the median steps a second, compiled and in PyTorch, measured in turn."""
     rng = np.random.default_rng(0)
     genes = rng.normal(0.0, 1.0, (population, family.genes))
-    free = simulator.free_poses(OUTCOMES, rng)
+    free = simulator.free_poses(SAMPLES, rng)
     goals = GOALS if free is None else None
-    starts = rng.normal(0.0, 0.2, (OUTCOMES, 3)) if free is None else free
+    starts = rng.normal(0.0, 0.2, (SAMPLES, 3)) if free is None else free
     compiled = simulator.rollouts(family, Episode(0.1, STEPS, goals=goals))
     assert compiled is not None
     stepped = SteppedRollouts(simulator, family, Episode(0.1, PEER_STEPS, goals=goals))
@@ -156,7 +156,7 @@ def rates(
             began = time.perf_counter()
             stepped.run(genes, peer_draws)
             seconds[1].append(time.perf_counter() - began)
-    trials = population * OUTCOMES
+    trials = population * SAMPLES
     ours, peer = (statistics.median(each) for each in seconds)
     return trials * STEPS / ours, trials * PEER_STEPS / peer
 

@@ -347,7 +347,7 @@ class Prepared:
 
 
 class Simulated:
-    """A robot in a simulator, one drawn outcome of it."""
+    """A robot in a simulator, one sample of it."""
 
     def __init__(self, simulator: Simulator, start: np.ndarray, rng: np.random.Generator):
         self._stepper, self._rng = simulator.stepper(), rng

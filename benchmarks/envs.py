@@ -101,7 +101,7 @@ def ours(simulator: ns.Simulator, task: ns.Task, count: int, repeats: int) -> di
     """Return robot steps per second of each way in, for so many robots at once."""
     family = ns.make_controller("network", simulator, task)
     genes = np.random.default_rng(0).normal(0, 0.5, (count, family.genes))
-    fitness = ns.evaluate(simulator, task, family, outcomes=1)
+    fitness = ns.evaluate(simulator, task, family, samples=1)
     evaluator, draws = fitness.evaluator, fitness.draws
     steps = count * len(draws) * evaluator.episode.steps
     found = {}

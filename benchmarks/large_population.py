@@ -36,7 +36,7 @@ def main() -> None:
     parser.add_argument("--simulator", type=Path, help="a folder; one of the paper's size if not")
     parser.add_argument("--plans", type=int, default=1_000_000)
     parser.add_argument("--chunk", type=int, default=100_000)
-    parser.add_argument("--outcomes", type=int, default=0, help="drawn ones, needs --simulator")
+    parser.add_argument("--samples", type=int, default=0, help="drawn ones, needs --simulator")
     parser.add_argument("--workers", choices=["local", "ray"], default="local")
     parser.add_argument("--evolve", action="store_true")
     parser.add_argument("--json", action="store_true")
@@ -57,7 +57,7 @@ def main() -> None:
 def streamed(simulator, options) -> dict:
     """Judge chunks of random plans."""
     task, plan = NineRectangles(), Plan()
-    how = {"outcomes": options.outcomes, "workers": options.workers}
+    how = {"samples": options.samples, "workers": options.workers}
     fitness = evaluate(simulator, task, plan, **how)
     fitness(np.zeros((2, plan.genes)))  # compiled
     rng = np.random.default_rng(0)
@@ -74,7 +74,7 @@ def generations(simulator, options) -> dict:
     """Evolve two generations."""
     task, plan = NineRectangles(), Plan()
     genetic = GeneticSettings(population=options.plans, tournament=5)
-    settings = default_settings(plan, task, runs=1, genetic=genetic, outcomes=options.outcomes)
+    settings = default_settings(plan, task, runs=1, genetic=genetic, samples=options.samples)
     evaluator = Evaluator(simulator, task, plan, workers=options.workers)
     stage = Evolution(evaluator, settings, 0).stages[0]
     began = time.perf_counter()

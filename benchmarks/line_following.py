@@ -40,8 +40,8 @@ from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import build
 
 SIZE = (320, 240)
-#: Outcomes in the simulator from each start.
-OUTCOMES = 50
+#: Samples in the simulator from each start.
+SAMPLES = 50
 
 
 def main() -> None:
@@ -103,7 +103,7 @@ def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) 
     judge = Evaluator(simulator, task, best.controller)
     expected = []
     for start in starts:
-        draws = judge.rollouts.draw(np.tile(start, (OUTCOMES, 1)), seed, (0.003, 0.009))
+        draws = judge.rollouts.draw(np.tile(start, (SAMPLES, 1)), seed, (0.003, 0.009))
         judged = task.judge(judge.rollouts.run(best.genes[None], draws))
         expected.append((judged.fitness[0].mean(), judged.success[0].mean()))
     judged = [drive(seed, n, best, start, folder, task) for n, start in enumerate(starts)]

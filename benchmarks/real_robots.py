@@ -64,7 +64,7 @@ HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
 STEP, WARM, EVERY, APART, MOST, JUDGED = 0.05, 3.0, 0.1, 0.25, 1200, 300
 #: A speed before a window is measured over this time, s.
 BEFORE = 0.1
-#: Outcomes drawn of each window.
+#: Samples drawn of each window.
 DRAWS = 200
 
 
@@ -244,7 +244,7 @@ def learned(robot: Robot, seed: int, **settings) -> tuple[MotionNetwork, int]:
     return learn(training_data(rows), seed, **settings), len(rows)
 
 
-def outcomes(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
+def samples(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
     """Return predicted displacements [W, 3] of windows, and some drawn, [D, W, 3]."""
     commands, warm = torch.tensor(windows.commands), round(WARM / STEP)
     generator = torch.Generator().manual_seed(seed)
@@ -392,7 +392,7 @@ def main() -> None:
         for length in lengths_of(robot):
             judged = cut(robot.held_out, length, APART, JUDGED)
             draws = DRAWS // 4 if options.quick else DRAWS
-            mean, drawn = outcomes(simulator, judged, draws, options.seed)
+            mean, drawn = samples(simulator, judged, draws, options.seed)
             ours[f"{length:g}"] = {
                 "windows": len(judged.moved),
                 "error": off(mean, judged),

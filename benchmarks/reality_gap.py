@@ -6,7 +6,7 @@ predicted. Prints how often plans complete the course, and the distance between 
 actual position after each command.
 
     python benchmarks/reality_gap.py            the default trainer; plans evolved in the mean
-                                                prediction (plain), and over drawn outcomes (robust)
+                                                prediction (plain), and over random samples (robust)
     python benchmarks/reality_gap.py --paper    the paper's, Table 1 (some minutes a seed)
 
 One robot, one reference recording: seeds vary training, evolution and what happens in the lab.

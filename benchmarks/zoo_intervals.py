@@ -29,7 +29,7 @@ from neurosim.training.base import TrainingData
 from neurosim.training.coverage import LEVELS, central, draw_displacements, region
 from neurosim.training.train import learn
 
-#: Fresh commands of each kind, how many are driven in a row, and outcomes drawn.
+#: Fresh commands of each kind, how many are driven in a row, and samples drawn.
 COMMANDS, ROW, DRAWS = 2000, 10, 300
 KINDS: dict[str, Callable] = {"random": random_commands, "plan": plan_commands}
 

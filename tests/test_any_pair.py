@@ -84,7 +84,7 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
         with pytest.raises(ns.UserError, match="needs the readings of sensors"):
             ns.evaluate(sim, goal, family)
         return
-    fitness = ns.evaluate(sim, goal, family, outcomes=2, seed=1)
+    fitness = ns.evaluate(sim, goal, family, samples=2, seed=1)
     genes = family.first(5, torch.Generator().manual_seed(2))
     values = fitness(genes.numpy())
     assert values.shape == (5,)
@@ -102,7 +102,7 @@ def test_every_combination_is_evolved_and_judged(simulator, kind, task):
     )
     assert 0 <= found[0].predicted["probability"] <= 1
     assert len(found[0].evolution["history"]["best"]) == 2
-    trajectory = ns.rollout(sim, found[0], task=goal, outcomes=3)
+    trajectory = ns.rollout(sim, found[0], task=goal, samples=3)
     assert trajectory.poses.shape[0] == 3
     checked = ns.check(found[0], sim, goal, draws=16)
     assert 0 <= checked.probability <= 1
@@ -126,7 +126,7 @@ def test_compiled_rollouts_are_the_stepped_ones(simulator, kind, task):
         np.testing.assert_allclose(a.times, b.times)
 
 
-def test_the_same_outcomes_for_all():
+def test_the_same_samples_for_all():
     """Two equal individuals meet the same noise, in a batch of any size."""
     sim, goal, family = combined("motion-network", "network", "far")
     evaluator = Evaluator(sim, goal, family)
@@ -173,7 +173,7 @@ def test_commands_outside_of_the_domain_are_refused():
     assert ns.rollout(sim, [[20.0, 30.0, 1.0]] * 3).poses.shape == (4, 3)
     batch = torch.full((2, 3, 3), 2.0, dtype=torch.float64)
     assert isinstance(ns.rollout(sim, batch).poses, torch.Tensor)
-    assert ns.rollout(sim, batch, outcomes=4).poses.shape == (2, 4, 4, 3)
+    assert ns.rollout(sim, batch, samples=4).poses.shape == (2, 4, 4, 3)
     for wrong, says in (
         ([20.0, 30.0, -1.0], "duration = -1"),
         ([20.0, 30.0, 0.0], "duration = 0"),
@@ -185,7 +185,7 @@ def test_commands_outside_of_the_domain_are_refused():
             ns.rollout(sim, [wrong])
 
 
-def test_expected_outcomes_have_no_noise():
+def test_the_expected_motion_has_no_noise():
     sim = motion_network()
     evaluator = Evaluator(sim, Far(), Plan(slots=3, durations=(0.2, 0.6)))
     genes = np.full((1, 12), 0.4)

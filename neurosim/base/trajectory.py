@@ -1,4 +1,4 @@
-"""What a robot did, simulated or driven, how long a trial is, and outcomes that are drawn."""
+"""What a robot did, simulated or driven, how long a trial is, and samples that are drawn."""
 
 from __future__ import annotations
 
@@ -174,7 +174,7 @@ class Episode:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Outcomes that were drawn, to be met by every controller alike (common random numbers).
+    """Samples that were drawn, to be met by every controller alike (common random numbers).
 
     Attributes:
         starts: [R, 3] where the robot stands at first (m, m, rad, board frame).
@@ -184,7 +184,7 @@ class Draws:
             ``sense`` take them; None where there is no noise, or it comes from ``seeds``.
         seeds: [R] uint64 of a simulator that draws its noise itself, or None.
         state: [S] of the simulator: the robot is under way, and goes on from this state in every
-            outcome, but for the pose and the member, which are those above; the command that led
+            sample, but for the pose and the member, which are those above; the command that led
             to it is over, and what follows begins anew. None: it stands still.
     """
 

@@ -88,7 +88,7 @@ def _not_settings(chosen: Chosen) -> Sequence[str]:
     return (
         *("optimiser", "genetic", "robust", "insertion"),
         *(() if scattered else ("placing",)),
-        *(("outcomes", "selection", "arenas") if _is_blind(chosen) else ()),
+        *(("samples", "selection", "arenas") if _is_blind(chosen) else ()),
     )
 
 

@@ -38,7 +38,7 @@ class SavedController:
         start: x (m), y (m), heading (rad) where it starts, in the board's frame.
         predicted: what the simulator says of it: ``fitness``; ``completes``, whether the expected
             path does the task, and its ``poses`` [[x, y, theta], ...] and ``rest`` [x, y, theta];
-            over so many drawn outcomes (``draws``) the ``probability`` of success.
+            over so many random samples (``draws``) the ``probability`` of success.
         simulator: {"path", "sha256"} of what it was evolved in.
         evolution: settings and history of its evolution.
 

@@ -15,11 +15,11 @@ from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Interval, Task
 
-#: So many outcomes are drawn at once: most of the work of drawing is not in the numbers.
+#: So many samples are drawn at once: most of the work of drawing is not in the numbers.
 BLOCK = 16
 
 
-class Outcomes:
+class Samples:
     """What each trial of a batch meets: start, member of the ensemble, and seed of its noise.
 
     Each row draws from a generator of its own, so that it meets the same in a batch of any size.
@@ -95,7 +95,7 @@ class Trials:
             task: which is tried.
             count: trials at once.
             observe: names of what is observed; see :class:`Face`.
-            noise: whether each trial is an outcome that is drawn: where the robot is put down, as
+            noise: whether each trial is a random sample: where the robot is put down, as
                 which member of the ensemble it moves, and its noise; if not, it is what the
                 simulator expects.
             placing: how exactly the robot is put down where a trial starts at a mark: standard
@@ -104,7 +104,7 @@ class Trials:
         self.face = Face(simulator, task, count, observe)
         self._stepper = simulator.stepper()
         self._noisy = noise and simulator.has_noise
-        self._outcomes = Outcomes(simulator, task, count, noise, placing)
+        self._samples = Samples(simulator, task, count, noise, placing)
         self.state = np.zeros((count, len(simulator.state_names)))
         self._steps = np.zeros(count, np.int64)
         self._seeds = np.zeros(count, np.uint64)
@@ -121,12 +121,12 @@ class Trials:
         return self.state[:, :3]
 
     def forget(self, row: int) -> None:
-        """Draw outcomes anew in a row, whose generator is another one now."""
-        self._outcomes.forget(row)
+        """Draw samples anew in a row, whose generator is another one now."""
+        self._samples.forget(row)
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
         """Begin trials in rows [K]; ``rngs`` are the generators of all rows of the batch."""
-        starts, member, seeds = self._outcomes.take(rows, rngs)
+        starts, member, seeds = self._samples.take(rows, rngs)
         self.state[rows] = self._stepper.start(starts, member)
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)

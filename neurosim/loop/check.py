@@ -27,13 +27,13 @@ _TIMES = 10
 
 @dataclass(frozen=True)
 class Failure:
-    """A way in which drawn outcomes failed.
+    """A way in which random samples failed.
 
     Attributes:
         command: during which given command, from 1; one more than there are: while the motors
             ran down after the last.
         reason: what the robot did, in the task's words.
-        share: of all outcomes.
+        share: of all samples.
     """
 
     command: int
@@ -43,19 +43,19 @@ class Failure:
 
 @dataclass(frozen=True)
 class Check:
-    """What a simulator predicts for a controller, over drawn outcomes.
+    """What a simulator predicts for a controller, over random samples.
 
     Attributes:
-        probability: share of outcomes that complete the task.
+        probability: share of samples that complete the task.
         interval: 95 % confidence interval of that share, as far as the number of draws goes.
         members: lowest and highest share among the members of the simulator's ensemble: how
             uncertain the simulator itself is; None where there is one member.
-        draws: outcomes drawn.
-        fitness: mean fitness of a start's outcomes.
+        draws: samples drawn.
+        fitness: mean fitness of a start's samples.
         failures: the ways to fail, the most frequent first.
         after: the command (from 1) after which each of ``spread`` and ``turn`` is; the last is at
             the end of the trial.
-        spread: radius (m) about the mean position that holds 95 % of the outcomes.
+        spread: radius (m) about the mean position that holds 95 % of the samples.
         turn: standard deviation of the heading, likewise, rad.
         unsupported: share of the time in commands unlike any that the simulator was made from.
     """
@@ -86,13 +86,13 @@ def check(
     placing: tuple[float, float] = PLACING,
     extrapolate: bool = False,
 ) -> Check:
-    """Try a controller in drawn outcomes of a simulator.
+    """Try a controller in random samples of a simulator.
 
     Args:
         controller: a saved controller, or its folder.
         simulator: a simulator with noise or an ensemble, or its folder.
         task: a task or its name; by default the one that the controller was made for.
-        draws: how many outcomes.
+        draws: how many samples.
         seed: random seed.
         placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
             (rad).
@@ -123,14 +123,14 @@ def check(
     starts, drawn = evaluator.starts(draws, np.random.default_rng(seed))
     if not drawn:
         starts = np.tile(np.asarray(controller.start, np.float64), (draws, 1))
-    outcomes = evaluator.rollouts.draw(starts, seed, None if drawn else placing)
-    judged, trajectory = evaluator.judge(controller.genes[None], outcomes)
+    samples = evaluator.rollouts.draw(starts, seed, None if drawn else placing)
+    judged, trajectory = evaluator.judge(controller.genes[None], samples)
     success = judged.success[0]
     after, spread, turn = _spread(trajectory, controller.controller.blind)
     return Check(
         probability=float(success.mean()),
         interval=wilson(int(success.sum()), draws),
-        members=_of_members(success, outcomes.member),
+        members=_of_members(success, samples.member),
         draws=draws,
         fitness=float(judged.fitness.mean()),
         failures=_failures(judged, task),

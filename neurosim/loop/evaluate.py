@@ -49,7 +49,7 @@ class Evaluator:
     Attributes:
         simulator, task, controller: the three; the task ends trials at the simulator's perimeter.
         placing: how exactly the robot is put down where a trial starts at a mark: standard
-            deviations in x and y (m) and in heading (rad); for drawn outcomes alone.
+            deviations in x and y (m) and in heading (rad); for random samples alone.
         rollouts: what drives them: the simulator's own compiled ones, or step by step.
         workers: who judges the parts of a population.
     """
@@ -90,10 +90,10 @@ class Evaluator:
         return draw_starts(self.simulator, self.task, count, rng)
 
     def draw(self, trials: int, rng: np.random.Generator | int, repeats: int = 1) -> Draws:
-        """Draw the outcomes of so many trials, each from as many starts as the task says.
+        """Draw the samples of so many trials, each from as many starts as the task says.
 
         Args:
-            trials: the task's ``trial_starts`` times as many outcomes are drawn.
+            trials: the task's ``trial_starts`` times as many samples are drawn.
             rng: source of all that is drawn, or a seed.
             repeats: every start is met so often, each time with other noise.
         """
@@ -110,7 +110,7 @@ class Evaluator:
 
     @uninterrupted()
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R]."""
+        """Return the trajectories [P, R, ...] of individuals [P, G] through samples [R]."""
         trajectory = self.rollouts.run(genes, draws, reuse=reuse)
         return with_contacts(self.simulator, trajectory) if self.episode.contacts else trajectory
 
@@ -132,11 +132,11 @@ class Evaluator:
         hints: Sequence[str] = (),
         unsupported: float | None = None,
     ) -> tuple[Merit, dict[str, NDArray]]:
-        """Return what individuals [P, G] are worth over outcomes; in parts, to bound memory.
+        """Return what individuals [P, G] are worth over samples; in parts, to bound memory.
 
         Args:
             genes: a row for each individual.
-            draws: the outcomes.
+            draws: the samples.
             objective: one of :data:`neurosim.loop.objectives.OBJECTIVES`.
             hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
                 which crossover of plans pairs commands.
@@ -181,7 +181,7 @@ class Evaluator:
         assert isinstance(durations, np.ndarray)
         if active is None:
             active = np.ones(shape, np.bool_)
-        if self.controller.blind:  # the same in all outcomes
+        if self.controller.blind:  # the same in all samples
             commands, durations, active = commands[:, 0], durations[:, 0], active[:, 0]
         if commands.shape[-1] < len(self.simulator.command_names):
             commands = np.concatenate([commands, durations[..., None]], axis=-1)
@@ -189,12 +189,12 @@ class Evaluator:
         rows = (len(commands), -1)
         return _share(*(part.reshape(rows) for part in (supported, durations, active)))
 
-    def _parts(self, individuals: int, outcomes: int) -> Iterator[slice]:
+    def _parts(self, individuals: int, samples: int) -> Iterator[slice]:
         """Cut individuals into parts whose trajectories are driven at once."""
         at_once, steps = SEEING_AT_ONCE, self.episode.steps
         if self.controller.blind:
             at_once, steps = POSES_AT_ONCE, self.steps
-        batch = max(at_once // (outcomes * (steps + 1)), 1)
+        batch = max(at_once // (samples * (steps + 1)), 1)
         return (slice(first, first + batch) for first in range(0, individuals, batch))
 
     @cached_property
@@ -213,7 +213,7 @@ class Evaluator:
             yield
 
     def _keys(self, trajectory: Trajectory) -> NDArray[np.int64]:
-        """Return the keys [P, K] by which crossover pairs commands, by the first outcome."""
+        """Return the keys [P, K] by which crossover pairs commands, by the first sample."""
         slots = trajectory.commands.shape[-2] - (self.episode.rest > 0)
         poses, active = trajectory.poses, trajectory.active
         assert poses is not None
@@ -325,7 +325,7 @@ class Fitness:
         """Return the share [P] of the time in commands unlike any that were recorded, or of one.
 
         A fitness that comes of many such commands is a guess. It is a share of the time of the
-        controller's commands in these outcomes; of a simulator that does not say where nothing was
+        controller's commands in these samples; of a simulator that does not say where nothing was
         recorded, commands outside of its ranges count.
 
         Raises:
@@ -379,7 +379,7 @@ def evaluate(
     task: str | Task,
     controller: str | Controller | None = None,
     *,
-    outcomes: int = 0,
+    samples: int = 0,
     objective: str = "fitness",
     placing: tuple[float, float] = PLACING,
     seed: int = 0,
@@ -391,7 +391,7 @@ def evaluate(
         simulator: where controllers are tried: a simulator or its folder.
         task: what counts as good: the task or its name.
         controller: the family whose genes are judged, or its kind; by default the task's usual one.
-        outcomes: trials that each individual is tried in, drawn once and met by all alike; 0:
+        samples: trials that each individual is tried in, drawn once and met by all alike; 0:
             what the simulator expects, without noise.
         objective: ``fitness``, ``probability`` of success, or ``progress``, a fitness without
             steps.
@@ -401,7 +401,7 @@ def evaluate(
             fitness is the same.
 
     Raises:
-        UserError: if one of the three needs what another does not offer, or outcomes are asked
+        UserError: if one of the three needs what another does not offer, or samples are asked
             of a simulator in which nothing is uncertain.
 
     Example:
@@ -411,8 +411,8 @@ def evaluate(
     """
     three = joined(simulator, task, controller)
     evaluator = Evaluator(*three, placing=placing, workers=workers)
-    if outcomes < 0:
-        raise UserError(f"outcomes must not be negative, not {outcomes}")
+    if samples < 0:
+        raise UserError(f"samples must not be negative, not {samples}")
     repeats = repeats_of(objective)
-    draws = evaluator.draw(outcomes, seed, repeats) if outcomes else evaluator.expectation(seed)
+    draws = evaluator.draw(samples, seed, repeats) if samples else evaluator.expectation(seed)
     return Fitness(evaluator, draws, objective)

@@ -1,7 +1,7 @@
 """From a simulator to controllers: any simulator, task, controller and optimiser.
 
-Evolution has a first stage, on what the simulator expects or over outcomes drawn anew, and may go
-on robustly: over drawn outcomes from the first stage's populations. While it runs,
+Evolution has a first stage, on what the simulator expects or over samples drawn anew, and may go
+on robustly: over random samples from the first stage's populations. While it runs,
 ``OUT.checkpoint`` holds what an interrupted evolution goes on from.
 """
 
@@ -90,7 +90,7 @@ class Evolution:
                 new_optimiser(evaluator.controller, settings, seed),
                 seed=[seed, 0],
                 objective=settings.objective,
-                outcomes=settings.outcomes,
+                samples=settings.samples,
                 unsupported=settings.most_unsupported,
             )
         ]
@@ -174,14 +174,14 @@ class Evolution:
             new_optimiser(self.evaluator.controller, settings, self._seed + 1, genes),
             seed=[self._seed, 0x20B5],
             objective=robust.objective,
-            outcomes=robust.draws,
+            samples=robust.draws,
             refresh=robust.refresh,
             kept=genes[:, 0],
             unsupported=self.settings.most_unsupported,
         )
 
     def best(self) -> NDArray[np.float64]:
-        """Return the best individual of each run, [N, G]: of drawn outcomes, on fresh ones."""
+        """Return the best individual of each run, [N, G]: of random samples, on fresh ones."""
         stage, settings, evaluator = self.stages[-1], self.settings, self.evaluator
         if self.real is not None and self.real.done:
             draws, candidates = self._selection(evaluator)[0], self.real.candidates()
@@ -195,12 +195,12 @@ class Evolution:
                 return self.stages[0].top
             rng = np.random.default_rng([self._seed, 0xC4])
             return stage.choose(self._searched.draw(robust.selection_draws, rng))
-        if not settings.outcomes:
+        if not settings.samples:
             return stage.top
         return stage.choose(self._selection(self._searched)[0])
 
     def _selection(self, evaluator: Evaluator) -> tuple[Any, Any]:
-        """Return outcomes on which the best is chosen, and others from the same starts."""
+        """Return samples on which the best is chosen, and others from the same starts."""
         rng = np.random.default_rng([self._seed, 1])
         each = evaluator.task.trial_starts
         count = -(-self.settings.selection // each) * each  # of whole trials
@@ -242,7 +242,7 @@ class Evolution:
             if drawn is not None:
                 fitness, success, unsupported[run] = drawn[run]
                 mean = float(mean_fitness(task, fitness[None])[0])
-                if settings.outcomes and not settings.robust:
+                if settings.samples and not settings.robust:
                     spread = float(fitness.std(ddof=1)) * task.trial_starts**0.5
                     predicted |= {"fitness": mean, "spread": spread}
                 predicted["probability"] = float(success.mean())
@@ -282,7 +282,7 @@ class Evolution:
         evaluator, settings = self._searched, self.settings
         if not evaluator.simulator.uncertain:
             return None
-        if settings.outcomes and evaluator.task.trial_starts > 1:
+        if settings.samples and evaluator.task.trial_starts > 1:
             draws = self._selection(evaluator)[1]
         else:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
@@ -353,7 +353,7 @@ def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, N
 
 
 def check_uncertain(simulator: Simulator) -> None:
-    """Refuse a simulator whose drawn outcomes would all be the same.
+    """Refuse a simulator whose random samples would all be the same.
 
     Raises:
         UserError: saying so.

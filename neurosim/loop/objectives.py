@@ -25,7 +25,7 @@ class Merit(NamedTuple):
     Attributes:
         merit: [P] what is maximised.
         shown: [P] what histories and progress show of it: the fitness where that is clearer.
-        success: [P] share of outcomes in which the task is done.
+        success: [P] share of samples in which the task is done.
     """
 
     merit: NDArray[np.float64]
@@ -40,20 +40,20 @@ Objective = Callable[[Task, Trajectory, Judgement], Merit]
 
 
 def fitness(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The mean fitness over outcomes."""
+    """The mean fitness over samples."""
     value = mean_fitness(task, judgement.fitness)
     return Merit(value, value, judgement.success.mean(axis=1))
 
 
 def probability(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The share of outcomes that succeed; where it is the same, the mean fitness."""
+    """The share of samples that succeed; where it is the same, the mean fitness."""
     success = judgement.success.mean(axis=1)
     value = success + TIE * mean_fitness(task, judgement.fitness)
     return Merit(value, value, success)
 
 
 def progress(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The mean graded progress over outcomes: a fitness without steps."""
+    """The mean graded progress over samples: a fitness without steps."""
     value = mean_fitness(task, judgement.progress)
     return Merit(value, value, judgement.success.mean(axis=1))
 
@@ -61,7 +61,7 @@ def progress(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
 def steady(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
     """The mean fitness, less where the same start leads elsewhere through other noise.
 
-    The outcomes are two halves, the same starts met twice: what noise changes little carries over
+    The samples are two halves, the same starts met twice: what noise changes little carries over
     to the robot. Where there is but one half, or nobody saw the poses, the fitness alone counts.
     """
     mean = mean_fitness(task, judgement.fitness)

@@ -1,7 +1,7 @@
 """Receding horizon: a plan that is planned again after every command, in a learned simulator.
 
 Before each command the robot is looked at. Where it is, after what it was told, the rest of the
-plan is searched again: from the rest of the plan so far, over drawn outcomes, for the probability
+plan is searched again: from the rest of the plan so far, over random samples, for the probability
 that the task will be done. The first command of what is found is given; then all of it is done
 again. So errors do not add up, and a robot that was pushed finds another way.
 
@@ -82,7 +82,7 @@ class Foreseen(NamedTuple):
         pose: [3] where the robot was expected to be as the command began (m, m, rad).
         after: [3] where the command was expected to lead.
         rest: [3] where all of the plan was expected to lead.
-        probability: that the task will be done, by the outcomes of the search.
+        probability: that the task will be done, by the samples of the search.
         generations: of the search.
         seconds: that it took, by the clock.
     """
@@ -228,7 +228,7 @@ class Replanner:
             onward,
             optimiser,
             objective="probability",
-            outcomes=how.draws if uncertain else 0,
+            samples=how.draws if uncertain else 0,
             refresh=how.generations,
             seed=[seed, 0],
         )
@@ -236,7 +236,7 @@ class Replanner:
             search.generation()
             if self._clock is not None and self._clock.now() - began > how.think:
                 break
-        # Told from other outcomes than it was chosen by.
+        # Told from other samples than it was chosen by.
         both = np.stack([search.top[0], self._nothing])
         draws = onward.draw(4 * how.draws, self._rng) if uncertain else onward.expectation()
         with onward.threads_for(len(draws)):

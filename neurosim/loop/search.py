@@ -1,11 +1,11 @@
 """A stage of evolution: generations of an optimiser's population, judged by the one loop.
 
 A controller that is evolved on what the simulator expects does it along the edge of what the task
-allows, and fails wherever the robot does a little otherwise. Where outcomes are drawn, every
+allows, and fails wherever the robot does a little otherwise. Where samples are drawn, every
 individual of a generation meets the same (common random numbers: where the robot was put down,
 which member of the ensemble it moves as, the noise of every step), so that two individuals differ
 by what they are and not by their luck. New ones are drawn every few generations, lest individuals
-be fitted to them; the one that is kept of each run is chosen on other outcomes again, and its
+be fitted to them; the one that is kept of each run is chosen on other samples again, and its
 probability of success estimated from still others.
 
 Sources: Jin and Branke, Evolutionary optimization in uncertain environments, IEEE Trans.
@@ -32,8 +32,8 @@ from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.objectives import Merit, is_behind, repeats_of
 from neurosim.loop.settings import EvolveSettings
 
-#: Of a stage with drawn outcomes so many candidates of each run are looked at again: the best of
-#: the last population, and the best of each set of outcomes before.
+#: Of a stage with random samples so many candidates of each run are looked at again: the best of
+#: the last population, and the best of each set of samples before.
 FINALISTS = 24
 #: What a stage is resumed from, beside the optimiser's own state.
 _STATE = ("best", "mean", "population", "merit", "top", "top_merit")
@@ -47,7 +47,7 @@ class Search:
         best, mean: of what is shown, in every generation, [N] each.
         shown: [N, P] of the population judged last: its fitness, or what stands for it.
         population, merit: [N, P, G] and [N, P] of it.
-        top: [N, G] the best individual of each run so far; with drawn outcomes it may have been
+        top: [N, G] the best individual of each run so far; with random samples it may have been
             lucky, see :meth:`choose`.
         top_merit: [N] its merit.
     """
@@ -59,7 +59,7 @@ class Search:
         *,
         seed: Sequence[int],
         objective: str = "fitness",
-        outcomes: int = 0,
+        samples: int = 0,
         refresh: int = 1,
         kept: NDArray[np.float64] | None = None,
         unsupported: float | None = None,
@@ -69,19 +69,19 @@ class Search:
         Args:
             evaluator: judges.
             optimiser: has ask() and tell().
-            seed: of the outcomes.
+            seed: of the samples.
             objective: what is maximised.
-            outcomes: trials that every individual is tried in; 0: what the simulator expects.
-            refresh: the outcomes are drawn anew every so many generations.
-            kept: [N, G] a candidate from before for each run; the best of each set of outcomes
+            samples: trials that every individual is tried in; 0: what the simulator expects.
+            refresh: new samples are drawn every so many generations.
+            kept: [N, G] a candidate from before for each run; the best of each set of samples
                 is then remembered too, to be looked at again.
             unsupported: see :meth:`Evaluator.merit`.
         """
         self._evaluator, self.optimiser = evaluator, resumable(optimiser)
         self._seed, self._refresh = list(seed), refresh
-        self._objective, self._outcomes = objective, outcomes
+        self._objective, self._samples = objective, samples
         self._unsupported = unsupported
-        self._draws = None if outcomes else evaluator.expectation()
+        self._draws = None if samples else evaluator.expectation()
         self._hints = tuple(getattr(optimiser, "hints", ()))
         self.best: list[NDArray[np.float64]] = []
         self.mean: list[NDArray[np.float64]] = []
@@ -99,22 +99,22 @@ class Search:
         """Judge a population, let the optimiser make the next, and say how it stands."""
         asked = np.asarray(self.optimiser.ask(), np.float64)
         genes = asked.reshape(-1, *asked.shape[-2:])
-        if self._outcomes and (self._draws is None or self.done % self._refresh == 0):
+        if self._samples and (self._draws is None or self.done % self._refresh == 0):
             self._draws = self._draw()
         assert self._draws is not None
         with self._evaluator.threads_for(genes.shape[0] * genes.shape[1] * len(self._draws)):
             merit, hints = self._judge(genes, self._draws)
             self.optimiser.tell(merit.merit.reshape(asked.shape[:-1]), **hints)
         self._remember(genes, merit)
-        if self._outcomes and self._objective == "probability":
+        if self._samples and self._objective == "probability":
             return f"completes in {100 * merit.success.max():.0f} % of {len(self._draws)} samples"
         return f"best {np.max(self.best[-1]):z.1f}"
 
     def _draw(self) -> Draws:
-        """Draw the outcomes of this generation and those that share them."""
+        """Draw the samples of this generation and those that share them."""
         repeats = repeats_of(self._objective) if self._evaluator.simulator.uncertain else 1
         rng = np.random.default_rng([*self._seed, self.done // self._refresh])
-        return self._evaluator.draw(self._outcomes, rng, repeats)
+        return self._evaluator.draw(self._samples, rng, repeats)
 
     def _judge(self, genes: NDArray, draws: Draws) -> tuple[Merit, dict[str, NDArray]]:
         """Return what populations [N, P, G] are worth, [N, P] each, and what else is to be told."""
@@ -150,7 +150,7 @@ class Search:
         return np.concatenate([np.stack(self._kept[-FINALISTS:], axis=1), last], axis=1)
 
     def choose(self, draws: Draws) -> NDArray[np.float64]:
-        """Return the candidate of each run that is best over other outcomes, [N, G]."""
+        """Return the candidate of each run that is best over other samples, [N, G]."""
         candidates = self.candidates()
         merit, _ = zip(
             *(

@@ -33,9 +33,9 @@ class RobustSettings(Checked):
             The latter often prefers plans that stop halfway and are safe.
         generations: Generations of --robust, after those without noise.
         draws: Random samples for every individual of a generation of --robust.
-        refresh: new outcomes are drawn every so many generations, lest individuals be fitted to
+        refresh: new samples are drawn every so many generations, lest individuals be fitted to
             them.
-        selection_draws: outcomes on which the individual to keep is chosen in the end.
+        selection_draws: samples on which the individual to keep is chosen in the end.
         genetic: the genetic algorithm; its mutation is finer than before.
     """
 
@@ -59,8 +59,8 @@ class EvolveSettings(Checked):
             of a gene's range.
         insertion: plans: whether a null command that mutation brings back comes at any position
             in the plan; False: where it is, as we read the paper.
-        outcomes: Trials, drawn anew, that every individual of a generation is tried in; 0: it is
-            judged by what the simulator expects.
+        samples: Random samples that each individual of a generation is tried in; 0: only the
+            simulator's expected motion.
         objective: The maximised number: fitness, probability, progress or steady. See
             :mod:`neurosim.loop.objectives`.
         robust: how to make the result robust, or None.
@@ -68,7 +68,7 @@ class EvolveSettings(Checked):
             (x and y) and of its heading, m and rad.
         arenas: Arenas, drawn at random, in which individuals are tried in place of the
             simulator's own, a start in any of them; 0: in its own.
-        selection: Start poses from which the best of the last population is chosen, where outcomes
+        selection: Start poses from which the best of the last population is chosen, where samples
             are drawn.
         final_draws: Random samples for estimating the probability of success.
         unsupported: Controllers rank last if they spend a larger fraction of the time than this in
@@ -81,7 +81,7 @@ class EvolveSettings(Checked):
     runs: Count = 1
     genetic: GeneticSettings = PLAN_GENETIC
     insertion: bool = True
-    outcomes: CountOrNone = 0
+    samples: CountOrNone = 0
     objective: str = "fitness"
     robust: RobustSettings | None = None
     placing: Placing = field(default=PLACING)
@@ -114,7 +114,7 @@ def default_settings(controller: Controller, task: Task, **changes: Any) -> Evol
     settings = EvolveSettings(
         generations=200,
         genetic=NETWORK_GENETIC,
-        outcomes=1 if steady else 4,
+        samples=1 if steady else 4,
         objective="steady" if steady else "progress",
         final_draws=256,
     )

@@ -88,7 +88,7 @@ def rollout(
     *,
     start: ArrayLike | None = None,
     task: str | Task | None = None,
-    outcomes: int = 0,
+    samples: int = 0,
     seed: int = 0,
 ) -> Trajectory:
     """Drive commands or a controller in a simulator.
@@ -99,12 +99,12 @@ def rollout(
             a saved controller or its folder.
         start: x (m), y (m), heading (rad); by default 0, 0, 0, or the controller's own.
         task: of a controller, how long it runs: a task or its name; by default its own.
-        outcomes: drawn outcomes that each is driven through; 0: what the simulator expects.
+        samples: random samples that each is driven through; 0: what the simulator expects.
         seed: of the draws.
 
     Returns:
         The trajectory: [B] trials (none for one command sequence or controller), with
-        ``outcomes`` [B, outcomes] or [outcomes]; in tensors where ``what`` was a tensor.
+        ``samples`` [B, samples] or [samples]; in tensors where ``what`` was a tensor.
 
     Raises:
         UserError: if a command is not finite, lasts no time or lies outside what the simulator
@@ -139,10 +139,10 @@ def rollout(
     pose = np.asarray((0.0, 0.0, 0.0) if start is None else start, np.float64)
     if pose.shape != (3,) or not np.isfinite(pose).all():
         raise UserError(f"start must be x (m), y (m), heading (rad), not {start!r}")
-    starts = np.tile(pose, (max(outcomes, 1), 1))
-    draws = rollouts.draw(starts, seed, PLACING) if outcomes else Draws(starts)
+    starts = np.tile(pose, (max(samples, 1), 1))
+    draws = rollouts.draw(starts, seed, PLACING) if samples else Draws(starts)
     found = rollouts.run(rows, draws)
-    index = ((0,) if single else (slice(None),)) + (() if outcomes else (0,))
+    index = ((0,) if single else (slice(None),)) + (() if samples else (0,))
     return _picked(found, index, isinstance(what, Tensor))
 
 

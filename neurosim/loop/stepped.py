@@ -39,7 +39,7 @@ class SteppedRollouts:
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Draw outcomes: where each robot stands, its member, and its noise or a seed for it."""
+        """Draw samples: where each robot stands, its member, and its noise or a seed for it."""
         steps = trial_steps(self._controller, self._episode)
         return draw_samples(self._simulator, starts, rng, placing, steps)
 
@@ -52,7 +52,7 @@ class SteppedRollouts:
 
 
 class _Trial:
-    """A batch of trials under way: P individuals, each through R outcomes."""
+    """A batch of trials under way: P individuals, each through R samples."""
 
     def __init__(
         self,
@@ -76,9 +76,9 @@ class _Trial:
         self._poses = [self._state[:, :3]]
         self._readings: list[Tensor] = []
 
-    def _each(self, outcome: Tensor) -> Tensor:
-        """Return what belongs to outcomes [R, ...] for every row [P R, ...]."""
-        return outcome.expand(self._shape[0], *outcome.shape).flatten(0, 1)
+    def _each(self, sample: Tensor) -> Tensor:
+        """Return what belongs to samples [R, ...] for every row [P R, ...]."""
+        return sample.expand(self._shape[0], *sample.shape).flatten(0, 1)
 
     def _random(self, step: int) -> dict[str, Any]:
         """Return what ``step`` and ``sense`` take for their noise."""
@@ -103,12 +103,12 @@ class _Trial:
     def blind(self, commands: NDArray, active: NDArray) -> Trajectory:
         """Drive commands [P, T, 3]; those that are not active leave the robot as it is."""
         count, steps, _ = commands.shape
-        outcomes = self._shape[1]
+        samples = self._shape[1]
         rests = self._episode.rest > 0
-        sent = torch.zeros(count * outcomes, dtype=torch.long)
+        sent = torch.zeros(count * samples, dtype=torch.long)
         for step in range(steps):
-            command = torch.from_numpy(commands[:, step]).repeat_interleave(outcomes, 0)
-            given = torch.from_numpy(active[:, step]).repeat_interleave(outcomes, 0)
+            command = torch.from_numpy(commands[:, step]).repeat_interleave(samples, 0)
+            given = torch.from_numpy(active[:, step]).repeat_interleave(samples, 0)
             if rests and step == steps - 1:
                 given = torch.ones_like(given)
             self._sense(step)

@@ -173,7 +173,7 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         "probability of success": _chance,
         "unlike what was recorded": _unsupported,
         "touches something in other arenas": _contacts,
-        "outcomes drawn": lambda one: _figure(one, "draws"),
+        "samples drawn": lambda one: _figure(one, "draws"),
         "generations": _generations,
         "mean at transfer, at the end": _before_and_after,
         "fitness on the robot": _on_robot,

@@ -74,7 +74,7 @@ class Rollouts(Protocol):
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Draw outcomes, one from each of ``starts`` [R, 3].
+        """Draw samples, one from each of ``starts`` [R, 3].
 
         Args:
             starts: poses where the robot is put down.
@@ -85,7 +85,7 @@ class Rollouts(Protocol):
         ...
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        """Return the trajectories [P, R, ...] of individuals [P, G] through outcomes [R].
+        """Return the trajectories [P, R, ...] of individuals [P, G] through samples [R].
 
         Args:
             genes: a row for each individual.
@@ -175,7 +175,7 @@ class Simulator:
 
     @property
     def uncertain(self) -> bool:
-        """Whether drawn outcomes differ: there is noise, or members that disagree."""
+        """Whether random samples differ: there is noise, or members that disagree."""
         return self.has_noise or self.members > 1
 
     def supported(self, commands: NDArray[np.float64]) -> NDArray[np.bool_]:

@@ -1,6 +1,6 @@
 """Random numbers of noise from a seed and the number of a step, compiled (SplitMix64).
 
-Every outcome has a seed of its own: what it meets depends neither on how many others there are nor
+Every sample has a seed of its own: what it meets depends neither on how many others there are nor
 on the order in which they are stepped.
 """
 
@@ -54,11 +54,11 @@ def draw(noise, state, out):
 def numbers(
     noise: int, seeds: NDArray[np.uint64], first: NDArray[np.int64], steps: int, width: int
 ) -> NDArray[np.float32]:
-    """Return the numbers [R, steps, width] of some steps of outcomes.
+    """Return the numbers [R, steps, width] of some steps of samples.
 
     Args:
         noise: UNIFORM or NORMAL.
-        seeds: [R] of the outcomes.
+        seeds: [R] of the samples.
         first: [R] the number of the first of these steps, from 0 on.
         steps: how many follow each other.
         width: how many numbers a step has.

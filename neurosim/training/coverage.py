@@ -14,7 +14,7 @@ from tracking.datasets.dataset import Dataset
 #: What the intervals say they hold.
 LEVELS = (0.5, 0.8, 0.95)
 
-#: Outcomes drawn of each command.
+#: Samples drawn of each command.
 DRAWS = 400
 
 #: Rows worked on at a time.
@@ -42,13 +42,13 @@ def coverage(
 def central_ranks(
     simulator: MotionNetwork, inputs: NDArray, actual: NDArray, seed: int = 0, draws: int = DRAWS
 ) -> NDArray | None:
-    """Return :func:`central` of what followed commands, by outcomes that a simulator draws.
+    """Return :func:`central` of what followed commands, by samples that a simulator draws.
 
     Args:
         inputs: [N, I], in the simulator's units and order, in the order of time.
         actual: [N, 3] dx, dy (m), dtheta (rad).
         seed: of the draws.
-        draws: outcomes drawn of each command.
+        draws: samples drawn of each command.
 
     Returns:
         [N, 3] in 0..1; None if the simulator has no noise model.
@@ -83,7 +83,7 @@ def central(drawn: NDArray, actual: NDArray) -> NDArray:
     Intervals are central in probability: as much lies below as above.
 
     Args:
-        drawn: (D, N, K) outcomes drawn of each of N things.
+        drawn: (D, N, K) samples drawn of each of N things.
         actual: (N, K).
 
     Returns:

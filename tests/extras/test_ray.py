@@ -22,7 +22,7 @@ pytestmark = pytest.mark.skipif(
     not os.environ.get("NEUROSIM_EXTRAS"), reason="run by make test-extras, which installs Ray"
 )
 
-OUTCOMES = 64
+SAMPLES = 64
 
 
 @pytest.fixture(scope="module")
@@ -70,8 +70,8 @@ def test_a_worker_is_killed_in_the_middle(cluster, simulator, tmp_path):
 
     plan = Plan(slots=10)
     genes = genes_of(plan, 4500)  # seven parts
-    expected = evaluate(simulator, NineRectangles(), plan, outcomes=OUTCOMES)(genes)
-    given = {"outcomes": OUTCOMES, "workers": "ray"}
+    expected = evaluate(simulator, NineRectangles(), plan, samples=SAMPLES)(genes)
+    given = {"samples": SAMPLES, "workers": "ray"}
     found = evaluate(simulator, Deadly(), plan, **given)(genes)
     np.testing.assert_array_equal(found, expected)
     judged = [name.split("-")[1] for name in os.listdir(folder) if name != "killed"]

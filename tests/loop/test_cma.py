@@ -46,7 +46,7 @@ def test_a_fitness_that_is_no_number_is_the_worst():
 def test_it_evolves_and_the_seed_decides(tmp_path):
     family = Network(("goal_x", "goal_y"))
     settings = default_settings(
-        family, TASK, optimiser="cma", generations=15, outcomes=2, selection=3, final_draws=8
+        family, TASK, optimiser="cma", generations=15, samples=2, selection=3, final_draws=8
     )
 
     def run(seed, out=None):

@@ -28,7 +28,7 @@ from neurosim.trials.realities import open_reality
 
 GENETIC = replace(NETWORK_GENETIC, population=6, parents=2)
 SETTINGS = EvolveSettings(
-    generations=3, genetic=GENETIC, outcomes=1, objective="steady", selection=4, final_draws=4
+    generations=3, genetic=GENETIC, samples=1, objective="steady", selection=4, final_draws=4
 )
 TASK = ObstacleAvoidance(steps=20, starts=2)
 FAMILY = Network(tuple(f"sensor_{number}" for number in range(8)))
@@ -256,7 +256,7 @@ def test_an_nxt_of_the_lab_is_where_evolution_goes_on(family):
     with open_reality("virtual-nxt", family, task, lab_seed=2) as reality:
         (found,) = evolve(
             random_motion_network(), task, family, generations=1, runs=1, genetic=genetic,
-            outcomes=0, extrapolate=True, reality=reality, real_generations=1, progress=False,
+            samples=0, extrapolate=True, reality=reality, real_generations=1, progress=False,
         )  # fmt: skip
     assert found.evolution["robot"]["kind"] == "virtual-nxt"
     assert len(found.evolution["history"]["best"]) == 2

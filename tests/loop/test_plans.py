@@ -238,7 +238,7 @@ def test_a_probability_is_that_of_drives_made_one_by_one():
     assert result.predicted["probability"] == pytest.approx(successes / 500, abs=0.1)
 
 
-def test_robust_evolution_needs_outcomes_that_differ():
+def test_robust_evolution_needs_samples_that_differ():
     with pytest.raises(UserError, match="neither noise nor an ensemble"):
         evolved(IdealWheels(), settings=replace(SMALL, robust=RobustSettings()))
 

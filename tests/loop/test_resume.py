@@ -30,7 +30,7 @@ PLANS = EvolveSettings(generations=7, runs=2, genetic=GENETIC, final_draws=20)
 ROBUST = RobustSettings(generations=7, draws=4, refresh=3, selection_draws=10, genetic=GENETIC)
 FEW = replace(NETWORK_GENETIC, population=8, parents=3)
 NETWORKS = EvolveSettings(
-    generations=7, genetic=FEW, outcomes=1, objective="steady", selection=4, final_draws=8
+    generations=7, genetic=FEW, samples=1, objective="steady", selection=4, final_draws=8
 )
 
 
@@ -130,7 +130,7 @@ def content(saved):
         ("plans", [3, 2]),
         ("plans, robust", [4]),
         ("plans, robust", [7]),
-        # Outcomes are drawn anew in the first, fourth and seventh robust generation.
+        # New samples are drawn in the first, fourth and seventh robust generation.
         ("plans, robust", [8]),
         ("plans, robust", [10]),
         ("plans, robust", [12]),

@@ -93,7 +93,7 @@ def test_drawn_paths_are_those_of_single_steps_with_the_same_draws(
 
 
 def obvious(sim, family, b, draws, r):
-    """One plan, one outcome, straight from the simulator's displacement and noise."""
+    """One plan, one sample, straight from the simulator's displacement and noise."""
     pose, poses, sent = draws.starts[r], [draws.starts[r]], 0
     member = -1 if draws.member is None else int(draws.member[r])
     each = zip(family.all_commands[b], family.given[b], strict=True)
@@ -127,7 +127,7 @@ def obvious(sim, family, b, draws, r):
 
 
 @pytest.mark.parametrize("form", [DISPLACEMENT, DRIVEN])
-def test_outcomes_spread_as_the_steps_of_the_protocol_do(form):
+def test_samples_spread_as_the_steps_of_the_protocol_do(form):
     sim, family = random_motion_network(**form), plans(8, 3)
     family = GivenPlans(family.all_commands[4:5], np.ones((1, 3), bool))
     fast, slow = both(sim, family)

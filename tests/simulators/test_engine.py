@@ -104,7 +104,7 @@ def test_cores_share_trials_out_and_find_the_same(own, monkeypatch):
         shares.clear()
         for module in (engine, threads.numba):
             monkeypatch.setattr(module, "get_num_threads", lambda: cores)
-        return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, outcomes=301).poses
+        return ns.rollout(simulator, [[20.0, 20.0, 1.0]] * 3, samples=301).poses
 
     alone = driven(1)
     assert sorted(shares) == [(0, 1)]
@@ -160,5 +160,5 @@ def test_a_simulator_that_draws_its_noise_itself_is_stepped_with_it(own):
     simulator.noise_width = 0
     plan = ns.make_controller("plan", slots=2)
     assert simulator.rollouts(plan, ns.Episode()) is None
-    ends = ns.rollout(simulator, [[20.0, 20.0, 1.0]], outcomes=20).poses[:, -1, 1]
+    ends = ns.rollout(simulator, [[20.0, 20.0, 1.0]], samples=20).poses[:, -1, 1]
     assert 0.003 < ends.std() < 0.03

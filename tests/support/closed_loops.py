@@ -71,6 +71,6 @@ def assert_reused(simulator, family, episode, draws):
 
 
 def repeated(draws, place):
-    """Return the draws of one outcome, twice."""
+    """Return the draws of one sample, twice."""
     parts = {name: getattr(draws, name) for name in ("starts", "member", "noise", "seeds")}
     return Draws(**{n: None if v is None else v[[place, place]] for n, v in parts.items()})

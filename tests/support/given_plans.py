@@ -42,7 +42,7 @@ def expected(rollouts, plans: GivenPlans, start) -> NDArray:
 
 
 def drawn(rollouts, plans: GivenPlans, draws: Draws) -> NDArray:
-    """Return the poses [P, R, K + 2, 3] of plans through the same outcomes."""
+    """Return the poses [P, R, K + 2, 3] of plans through the same samples."""
     return rollouts.run(plans.rows, draws).poses
 
 

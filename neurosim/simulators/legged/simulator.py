@@ -207,13 +207,13 @@ class _OpenLoop:
         return draw_samples(self._simulator, starts, rng, placing, len(self._times))
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
-        simulator, outcomes = self._simulator, len(draws)
+        simulator, samples = self._simulator, len(draws)
         commands = self._controller.over(genes, self._times)
         poses = simulator.physics.walk(
             simulator.model,
             np.tile(draws.starts, (len(genes), 1)),
-            np.repeat(commands, outcomes, axis=0),
+            np.repeat(commands, samples, axis=0),
         )
-        shape = (len(genes), outcomes)
+        shape = (len(genes), samples)
         given = np.broadcast_to(commands[:, None], (*shape, *commands.shape[1:]))
         return Trajectory(poses.reshape(*shape, *poses.shape[1:]), given, simulator.build.frame)

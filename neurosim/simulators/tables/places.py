@@ -203,7 +203,7 @@ class _Rollouts:
         rng: np.random.Generator | int,
         placing: tuple[float, float] | None = None,
     ) -> Draws:
-        """Draw outcomes, as in one arena."""
+        """Draw samples, as in one arena."""
         return self._own.draw(starts, rng, placing)
 
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
