@@ -1,4 +1,4 @@
-"""Peers of the learner on windows of logs, for ``real_robots.py``: what a researcher would fit.
+"""Peers of the learner that a researcher would fit: on windows of logs, for ``real_robots.py``.
 
     lagged unicycle   body twist linear in the commands after a lag and a delay, fitted in turn
     lagged bicycle    the same, with squares and products of two commands: a car at small angles
@@ -11,6 +11,7 @@
 
 The two lagged models and PETS are composed of steps; the others learn the displacement of a window
 of one length from means of commands before and within it, and of a free run compose windows of 1 s.
+``zoo.py`` has the lagged models too: there a window is a whole command, after the one before.
 """
 
 from __future__ import annotations
@@ -44,15 +45,21 @@ class Lagged:
     def __init__(self, products: bool, step: float, warm: float):
         self._products, self._step, self._warm = products, step, round(warm / step)
 
-    def fit(self, commands: Array, moved: Array) -> Lagged:
-        """Learn from windows: commands [W, K, C] from before them on, displacements [W, 3]."""
+    def fit(self, commands: Array, moved: Array, spans: Array | None = None) -> Lagged:
+        """Learn from windows: commands [W, K, C] from before them on, displacements [W, 3].
+
+        Args:
+            commands: in steps.
+            moved: m, m, rad.
+            spans: how much of each step within a window belongs to it, [W, K'] s; None: all.
+        """
         self._scale = np.abs(commands).max((0, 1))
         middle = se2.mid_turn(moved)
         chord = np.sinc(moved[:, 2:] / 2 / np.pi)
         self._found: list[tuple] = [(np.inf,), (np.inf,)]
         for lag in LAGS:
             for delay in DELAYS:
-                ways = self._features(commands, lag, delay).sum(1) * self._step
+                ways = self._ways(commands, lag, delay, spans).sum(1)
                 targets = ((ways * chord, middle[:, :2]), (ways, moved[:, 2:]))
                 for kind, (x, y) in enumerate(targets):
                     pull = 1e-4 * len(x) * np.diag((x**2).mean(0) + 1e-12)
@@ -62,7 +69,8 @@ class Lagged:
                         self._found[kind] = (error, lag, delay, weights)
         return self
 
-    def _features(self, commands: Array, lag: float, delay: float) -> Array:
+    def _ways(self, commands: Array, lag: float, delay: float, spans: Array | None) -> Array:
+        """Return actuators' speeds (and products of two) times time of steps, [W, K', F]."""
         late, u = round(delay / self._step), commands / self._scale
         if late:
             u = np.concatenate([np.repeat(u[:, :1], late, 1), u[:, :-late]], 1)
@@ -75,15 +83,17 @@ class Lagged:
         u = u[:, self._warm :]
         count = u.shape[2]
         pairs = [(a, b) for a in range(count) for b in range(a, count)] if self._products else []
-        return np.concatenate([u, *(u[..., a : a + 1] * u[..., b : b + 1] for a, b in pairs)], 2)
+        both = [u[..., a : a + 1] * u[..., b : b + 1] for a, b in pairs]
+        return np.concatenate([u, *both], 2) * (self._step if spans is None else spans[..., None])
 
-    def predict(self, commands: Array) -> Array:
+    def predict(self, commands: Array, spans: Array | None = None) -> Array:
         """Return the displacements [W, 3] of windows of any length."""
         parts = [
-            self._features(commands, lag, delay) @ weights for _, lag, delay, weights in self._found
+            self._ways(commands, lag, delay, spans) @ weights
+            for _, lag, delay, weights in self._found
         ]
         pose = np.zeros((len(commands), 3))
-        for twist in np.moveaxis(np.concatenate(parts, 2) * self._step, 1, 0):
+        for twist in np.moveaxis(np.concatenate(parts, 2), 1, 0):
             pose = se2.compose(pose, se2.exp(twist))
         return pose
 

@@ -3,6 +3,7 @@
     python benchmarks/zoo.py --peers peers.json [--sizes 30,100,300,1000] [--seeds 3] [--json]
     python benchmarks/zoo.py --peers peers.json --learners ours --robots car,omni
     python benchmarks/zoo.py --peers peers.json --outliers --repeated
+    python benchmarks/zoo.py --peers peers.json --ours ours.json --json    in parts, or resumed
 
 Robots are those of :mod:`zoo_robots`, judged by what they would do without noise, and that of the
 UTIAS recording (``--utias FOLDER``, with its Odometry and Groundtruth files), whose last quarter in
@@ -13,25 +14,31 @@ Errors are the mean absolute ones of dx, dy (cm) and dtheta (deg), medians over 
 that to the best peer at the output; over outputs and robots, geometric means. Learners:
 
     ours          the default trainer, no ensemble, no noise model
+    whole         the same, from whole commands alone, which is all that peers get
     ideal         unicycle of two factors, of robots told left and right, or v and w
     fitted        unicycle whose speeds ahead and aside and rate of turn are linear in all that a
                   command drives (of a car, also in speed times steering), by least squares
+    lagged        unicycle whose twist follows commands after a lag and a delay, both fitted (of a
+                  car also squares and products of two commands), of :mod:`real_peers`
     linear        ridge regression on products of two inputs, its penalty by leave-one-out
     forest        random forest                     } of scikit-learn with its defaults, as in
     boosting      gradient boosting of histograms   } accuracy.py
     process       Gaussian process, as in accuracy.py: lengths of 1,000 rows, at most 2,000 used
     perceptrons   mean of five, two layers of 64 tanh each, each stopped early on its own tenth
 
-``+u``: on what the fitted unicycle leaves. Peers get the inputs that ours gets and whole commands.
+``+u``: on what the fitted unicycle leaves; ``+l``: on what the lagged one leaves. Peers get the
+inputs that ours gets and whole commands.
 
 ``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_zone``, ``swing``,
-``process`` (the Gaussian process), ``row_weights``, or the ``parts`` of
-commands, each in turn; columns ``-PART``.
+``process`` (the Gaussian process) or ``row_weights``, each in turn; columns ``-PART``.
 
 ``--outliers``: one row in a hundred, but at least one, ends 30 cm off in a random direction.
 ``--repeated``: a recording added five times; sizes are its rows before. ``--peers FILE`` keeps
-peers' errors: they are measured once and shown whatever ``--learners`` says. It knows nothing of
-changes to robots or peers; delete it then. ``--json`` has also the root mean square errors.
+peers' errors: they are measured once and shown whatever ``--learners`` says. ``--ours FILE`` keeps
+those of ours. So the zoo can be measured in parts (some ``--robots``, ``--sizes`` or ``--learners``
+at a time), or go on where it was stopped: a last call with all of them and both files shows it all.
+The files know nothing of changes to robots, peers or trainer; delete them then. ``--json`` has also
+the root mean square errors.
 
 On one idle core, seconds for a robot, of peers and ours: 6 and 3 at 100 rows, 80 and 20 at 1,000.
 ``OMP_NUM_THREADS=1`` keeps scikit-learn to it.
@@ -57,6 +64,7 @@ import numpy as np
 import torch
 from accuracy import regressors
 from numpy.typing import NDArray
+from real_peers import Lagged
 from zoo_robots import CAR, ZOO, Drives, Robot, clean, rows
 
 from neurosim.base import files, se2
@@ -80,17 +88,18 @@ JUDGED = 2000
 #: Share of rows that end elsewhere, and how far off, m.
 OUTLIERS, OFF = 0.01, 0.3
 REPEATS = 5
+#: Commands are given to the lagged unicycle in steps of this, s.
+STEP = 0.05
 
 
-def ours(inputs: list[dict[str, str]], drives: Drives, seed: int, without: str = "") -> Predict:
-    """Learn from drives with the learner that is measured here, or without a part of it."""
-    left_out = (without,) if without not in ("", "parts") else ()
+def ours(name: str, inputs: list[dict[str, str]], drives: Drives, seed: int) -> Predict:
+    """Learn from drives with the learner that is measured here, in one of :data:`OURS`."""
     data = TrainingData(
         inputs, torch.tensor(drives.x), torch.tensor(drives.y), poses_within(drives)
     )
-    simulator = learn(
-        data, seed, members=1, noise=False, whole_commands=without == "parts", without=left_out
-    )
+    without = (name[1:],) if name in ABLATIONS else ()
+    whole = name == "whole"
+    simulator = learn(data, seed, members=1, noise=False, whole_commands=whole, without=without)
     return lambda x: simulator.displacement_of(simulator.chained(torch.tensor(x))).numpy()
 
 
@@ -175,6 +184,28 @@ def unicycle(robot: Robot, drives: Drives, two_factors: bool) -> Predict | None:
     def predict(x: Array) -> Array:
         parts = [part @ factor for part, factor in zip(features(x), factors, strict=True)]
         return se2.exp(x[:, -1:] * np.column_stack(parts))
+
+    return predict
+
+
+def lagged(robot: Robot, drives: Drives) -> Predict:
+    """Fit the lagged unicycle to whole commands, each begun at the speeds of the one before."""
+    count = len(robot.names)
+
+    def sampled(x: Array) -> tuple[Array, Array]:
+        """Return commands [N, 1 + K, C] in steps, the one before first, and the steps' spans."""
+        steps = np.arange(math.ceil(x[:, -1].max() / STEP))
+        before, told = x[:, None, :count], x[:, None, count : 2 * count]
+        commands = np.concatenate([before, told.repeat(len(steps), 1)], 1)
+        return commands, np.clip(x[:, -1:] - STEP * steps, 0.0, STEP)
+
+    model = Lagged(robot.kind == CAR, STEP, STEP)
+    commands, spans = sampled(drives.x)
+    model.fit(commands, drives.y, spans)
+
+    def predict(x: Array) -> Array:
+        commands, spans = sampled(x)
+        return model.predict(commands, spans)
 
     return predict
 
@@ -308,28 +339,42 @@ def makers() -> dict[str, Callable[[int], object]]:
     }
 
 
+#: Models without a regressor, by learners' names.
+MODELS: dict[str, Callable[[Robot, Drives], Predict | None]] = {
+    "ideal": partial(unicycle, two_factors=True),
+    "fitted": partial(unicycle, two_factors=False),
+    "lagged": lagged,
+}
+#: Of which model regressors of such a name learn the residuals.
+RESIDUALS = {"u": "fitted", "l": "lagged"}
 REGRESSORS = ("linear", "forest", "boosting", "process", "perceptrons")
-PEERS = ("ideal", "fitted", *(name + end for name in REGRESSORS for end in ("", "+u")))
-#: What can be left out of ours.
-PARTS = (*MECHANISMS, "parts")
-ABLATIONS = tuple(f"-{name}" for name in PARTS)
-LEARNERS = ("ours", *ABLATIONS, *PEERS)
+PEERS = (
+    *MODELS,
+    *(name + end for name in REGRESSORS for end in ("", "+u")),
+    "process+l",
+)
+ABLATIONS = tuple(f"-{name}" for name in MECHANISMS)
+OURS = ("ours", "whole", *ABLATIONS)
+LEARNERS = (*OURS, *PEERS)
+#: Learners that are measured if nothing else is asked for.
+USUAL = ("ours", "whole", *PEERS)
 
 
 def learner_of(name: str, robot: Robot, drives: Drives, seed: int) -> Predict | None:
     """Return what a learner predicts with, None if it is none for this robot."""
-    if name not in PEERS:
-        return ours(robot.inputs, drives, seed, "" if name == "ours" else name[1:])
-    if name in ("ideal", "fitted"):
-        return unicycle(robot, drives, name == "ideal")
-    base, _, rest = name.partition("+")
-    drive = unicycle(robot, drives, False) if rest else lambda x: np.zeros((len(x), 3))
+    if name in OURS:
+        return ours(name, robot.inputs, drives, seed)
+    if name in MODELS:
+        return MODELS[name](robot, drives)
+    base, _, end = name.partition("+")
+    drive = MODELS[RESIDUALS[end]](robot, drives) if end else None
     scale = np.abs(drives.x).max(0)
     scale[scale == 0] = 1.0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a process' lengths at their bounds
-        model = makers()[base](seed).fit(drives.x / scale, drives.y - drive(drives.x))
-    return lambda x: model.predict(x / scale) + drive(x)
+        y = drives.y if drive is None else drives.y - drive(drives.x)
+        model = makers()[base](seed).fit(drives.x / scale, y)
+    return lambda x: model.predict(x / scale) + (0.0 if drive is None else drive(x))
 
 
 def spoiled(drives: Drives, seed: int, outliers: bool, repeated: bool) -> Drives:
@@ -364,7 +409,7 @@ def judge(name: str, case: Case, drives: Drives, seed: int) -> dict[str, object]
 
 
 class Known:
-    """Peers' results in a file, if there is to be one."""
+    """Learners' results in a file, if there is to be one."""
 
     def __init__(self, path: Path | None):
         self._path = path
@@ -384,20 +429,29 @@ class Known:
 
 
 def measure(
-    name: str, case: Case, count: int, options: argparse.Namespace, known: Known
+    name: str, case: Case, count: int, options: argparse.Namespace, known: dict[bool, Known]
 ) -> dict[str, dict]:
-    """Return the errors of all learners on one robot, medians over seeds, and the runs."""
+    """Return the errors of all learners on one robot, medians over seeds, and the runs.
+
+    Args:
+        name: of the robot.
+        case: the robot.
+        count: rows to learn from.
+        options: of the command line.
+        known: results of ours (False) and of peers (True).
+    """
     option = " ".join(word for word in ("outliers", "repeated") if vars(options)[word]) or "plain"
     runs: dict[str, list[dict]] = {}
     for seed in range(options.seeds):
         drives = spoiled(case.learned(count, seed), seed, options.outliers, options.repeated)
         for learner in LEARNERS:
             key = f"{name}|{count}|{seed}|{learner}|{option}"
-            result = known.get(key) if learner in PEERS else None
+            peer = learner in PEERS
+            result = known[peer].get(key) if peer or learner in options.learners else None
             if result is None and learner in options.learners:
                 result = judge(learner, case, drives, seed)
-                if result is not None and learner in PEERS:
-                    known.put(key, result)
+                if result is not None:
+                    known[peer].put(key, result)
             if result is not None:
                 runs.setdefault(learner, []).append(result)
     return {
@@ -505,26 +559,28 @@ def main() -> None:
     parser.add_argument("--robots", default=",".join(everything), help="a,b,...")
     parser.add_argument("--sizes", default="30,100,300,1000", help="rows to learn from, a,b,...")
     parser.add_argument("--seeds", type=int, default=3)
-    parser.add_argument("--learners", default=",".join(("ours", *PEERS)), help="a,b,... or peers")
+    parser.add_argument("--learners", default=",".join(USUAL), help="a,b,... or peers")
     parser.add_argument(
         "--without", default="", help="parts of ours left out in turn, a,b,... or all"
     )
     parser.add_argument("--outliers", action="store_true", help="1 %% of rows end 30 cm off")
     parser.add_argument("--repeated", action="store_true", help="every row five times")
     parser.add_argument("--peers", type=Path, metavar="FILE", help="keeps peers' results")
+    parser.add_argument("--ours", type=Path, metavar="FILE", help="keeps results of ours")
     parser.add_argument("--utias", type=Path, default=UTIAS, metavar="FOLDER")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
     options.robots = chosen(options.robots, everything, "robot")
     if options.learners == "peers":
         options.learners = ",".join(PEERS)
-    options.learners = chosen(options.learners, ("ours", *PEERS), "learner")
+    options.learners = chosen(options.learners, USUAL, "learner")
     if options.without:
-        parts = PARTS if options.without == "all" else options.without.split(",")
-        options.learners += [f"-{name}" for name in chosen(",".join(parts), PARTS, "part")]
+        parts = ",".join(MECHANISMS) if options.without == "all" else options.without
+        options.learners += [f"-{name}" for name in chosen(parts, MECHANISMS, "part")]
     sizes = sorted(int(size) for size in options.sizes.split(","))
     torch.set_num_threads(1)
-    cases, known = read_cases(options), Known(options.peers)
+    cases = read_cases(options)
+    known = {False: Known(options.ours), True: Known(options.peers)}
     result: dict[str, object] = {"units": dict(zip(OUTPUTS, UNITS, strict=True)), "rows": {}}
     began, ratios, worst = time.perf_counter(), [], []
     for size in sizes:

@@ -55,3 +55,18 @@ def test_a_gaussian_process_beside_the_simulator_of_a_real_quadruped(shared_data
     (row,) = measured("quadratot.py", "--quick", "--seeds", "1", "--data", str(folder))["seeds"]
     assert len(row["held out"]) == 6
     assert row["held out"]["simulator as it is"]["rank"] > 0.4
+
+
+def test_the_zoo_measured_in_parts_is_the_zoo_measured_at_once(tmp_path):
+    words = ("zoo.py", "--robots", "late", "--sizes", "30", "--seeds", "1")
+    peers = ("--peers", str(tmp_path / "peers.json"))
+
+    def learners(*more):
+        return measured(*words, *more)["rows"]["30"]["robots"]["late"]["learners"]
+
+    learners("--learners", "fitted,process+u", *peers)
+    found = learners("--learners", "lagged,process+l", *peers)
+    assert found == learners(*("--learners", "fitted,process+u,lagged,process+l"), *peers)
+    # A robot that answers late, with a lag: these two know of both, the others do not.
+    assert found["lagged"]["ratio"] < found["fitted"]["ratio"]
+    assert found["process+l"]["ratio"] < found["process+u"]["ratio"]
