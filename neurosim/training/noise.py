@@ -114,12 +114,11 @@ def _most_likely(
 
     def loss() -> Tensor:
         optimiser.zero_grad()
-        log_s = (scale @ w.T).unsqueeze(1) + (heaviness(tail, h).unsqueeze(-1) * _PLACES).unsqueeze(
-            -1
-        )  # [N, places, 3]
+        width = heaviness(tail, h).unsqueeze(1) * _PLACES  # [N, places]
+        log_s = (w @ scale.T).unsqueeze(2) + width  # [3, N, places]
         moving = in_motion(unit, u * size.unsqueeze(-1), mean)
         rest = moving / torch.outer(size, size) + besides
-        lower = cholesky(torch.diag_embed((2.0 * log_s).exp()) + rest.unsqueeze(1))
+        lower = cholesky(rest.unsqueeze(1), (2.0 * log_s).exp().unbind(0))
         z: list[Tensor] = []
         power, log_size = torch.zeros(()), torch.zeros(())
         for k, row in enumerate(lower):

@@ -48,7 +48,7 @@ def found(x, y, names=NAMES):
     columns = CommandFeatures.of(names)
     longest = float(data.input_scale[columns.duration])
     fit = fit_drive(Motion(data.scaled_inputs, data.y, data.follows, columns, longest))
-    return (fit.rows.band * data.input_scale[list(columns.driven)]).numpy()
+    return (fit.band * data.input_scale[list(columns.driven)]).numpy()
 
 
 @pytest.mark.parametrize("band", [(9.5, 6.5), (0.0, 4.5), (0.0, 0.0)])

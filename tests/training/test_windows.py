@@ -9,6 +9,7 @@ from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.evaluate import predict, table_of_errors
 from neurosim.training.train import learn, training_data
+from neurosim.training.trainers.drive_fit import Actuators, Fit
 from neurosim.training.trainers.windows import LENGTHS, Chains, windows_of
 from tracking.datasets.dataset import make
 from tracking.datasets.logs import Log, Settings, any_rows_of, inputs_of
@@ -33,6 +34,11 @@ def drive_model(delay=0.15, lag=(0.1, 0.3)):
     return DriveModel(*laws, curve, torch.tensor([delay], dtype=torch.float64), twist)
 
 
+def actuators_of(model: DriveModel) -> Actuators:
+    laws = (getattr(model, name).numpy()[None] for name in DriveModel.NAMES[:-1])
+    return Actuators(np.arange(2), np.ones(2), np.zeros((1, 2)), *laws)
+
+
 def chains(rng, rows=60, breaks=(0, 25)):
     time = torch.tensor(rng.uniform(0.1, 0.6, rows))
     told = torch.tensor(rng.uniform(-1, 1, (rows, 2)))
@@ -48,8 +54,10 @@ def chains(rng, rows=60, breaks=(0, 25)):
 def test_rows_are_driven_as_the_drive_model_is_stepped():
     rows, x = chains(np.random.default_rng(0))
     model = drive_model()
-    inputs, under = rows.inputs(model, x)
-    features, lasts, row, states = rows.driven(model)
+    actuators = actuators_of(model)
+    none = torch.zeros(2, dtype=torch.float64)
+    inputs, under = rows.inputs(Fit(model, rows, none, none, True, actuators), x)
+    features, lasts, row, states = rows.driven(actuators.one(0))
     goals = model.shaped(rows.told)
     state = None
     for i in range(len(rows.time)):
@@ -108,7 +116,7 @@ def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
     x = torch.cat([before, tell, torch.tensor(time)[:, None]], 1)
     y = torch.ones(count, 3, dtype=torch.float64)
     rows = Chains.of(x, y, joined, CommandFeatures.of(NAMES), 1.0)
-    features, _, row, _ = rows.driven(model)
+    features, _, row, _ = rows.driven(actuators_of(model).one(0))
     pose, poses = np.zeros(3), [np.zeros(3)]
     for twist in (features @ model.kinematics).numpy():
         pose = se2.compose(pose, se2.exp(twist))

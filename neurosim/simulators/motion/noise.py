@@ -31,6 +31,7 @@ far and how much of a turn).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import ClassVar
 
@@ -188,7 +189,7 @@ def disturb(
     width = (heaviness(tail, noise.tail.to(mean)) * z[:, 3]).exp()
     s = (scale @ noise.log_scale.to(mean).T).exp() * width.unsqueeze(-1)
     moving = in_motion(noise.unit.to(mean), noise.sources.to(mean), mean)
-    lower = cholesky(torch.diag_embed(s.square()) + moving)
+    lower = cholesky(moving, s.square().unbind(-1))
     turn, forward, sideways = (
         torch.stack([part * z[:, k] for k, part in enumerate(row)]).sum(0) for row in lower
     )
@@ -229,17 +230,21 @@ def shortened(turn: Tensor) -> Tensor:
     return torch.where(small, -turn / 12.0, ((safe / 2.0).cos() - se2.chord(safe)) / safe)
 
 
-def cholesky(covariance: Tensor) -> tuple[tuple[Tensor, ...], ...]:
-    """Return the rows of the lower factor of covariances [..., 3, 3], each number [...].
+def cholesky(covariance: Tensor, variances: Sequence[Tensor]) -> tuple[tuple[Tensor, ...], ...]:
+    """Return the rows of the lower factor of sums of covariances, each number [...].
 
     Like the compiled one it takes for 0 what rounding makes of a variance below that.
+
+    Args:
+        covariance: [..., 3, 3].
+        variances: what is added to its diagonal, three of [...].
     """
     c = covariance
-    a = c[..., 0, 0].clamp(min=TINY).sqrt()
+    a = (c[..., 0, 0] + variances[0]).clamp(min=TINY).sqrt()
     b, d = c[..., 1, 0] / a, c[..., 2, 0] / a
-    e = (c[..., 1, 1] - b.square()).clamp(min=TINY).sqrt()
+    e = (c[..., 1, 1] + variances[1] - b.square()).clamp(min=TINY).sqrt()
     f = (c[..., 2, 1] - d * b) / e
-    g = (c[..., 2, 2] - d.square() - f.square()).clamp(min=TINY).sqrt()
+    g = (c[..., 2, 2] + variances[2] - d.square() - f.square()).clamp(min=TINY).sqrt()
     return (a,), (b, e), (d, f, g)
 
 

@@ -190,15 +190,15 @@ class CombinedTrainer:
         if data.joined is None:
             motion = Motion(x, y, data.follows.to(device), self._columns, self._longest, within)
             self._fit = fit_drive(motion, laws, band)
-            inputs = motion.banded(self._fit.rows.band).inputs(self._fit.drive)
+            inputs = motion.inputs(self._fit)
         else:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
             chains = Chains.of(x, y, data.joined.to(device), self._columns, self._longest, within)
             self._fit = fit_drive(chains, laws, band)
-            inputs, under = chains.banded(self._fit.rows.band).inputs(self._fit.drive, x)
+            inputs, under = chains.inputs(self._fit, x)
         self._drive = self._fit.drive
         self._dead_zone = torch.zeros_like(x[0])
-        self._dead_zone[driven] = self._dead_zone[before] = self._fit.rows.band
+        self._dead_zone[driven] = self._dead_zone[before] = self._fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
         #: Of which command each row is a part.
         self._command = torch.arange(len(x))

@@ -6,22 +6,36 @@ searched for by the method of Levenberg (1944) and Marquardt (1963), with the ki
 at each step (Golub and Pereyra 1973). Errors are taken to be distributed as Student's t (Lange,
 Little and Taylor 1989), because a drive model leaves large ones. What rows say little about keeps
 to what is usual: a weak prior on every law, and on the products in the kinematics.
+
+Laws are compared many at a time: P of them are a tensor [P, L, C], and leave errors [P, N]. How
+far they come is computed by the compiled functions that simulators step with.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import ClassVar, NamedTuple, Protocol
 
+import numpy as np
 import torch
+from numba import njit
+from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import CURVES, DriveModel, Underway
-from neurosim.simulators.motion.network import chain, rows_underway
+from neurosim.simulators.motion.drive import (
+    CURVES,
+    LONG_WAIT,
+    PHASES,
+    SHORTEST,
+    DriveModel,
+    features_of,
+)
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
+from neurosim.simulators.motion.network import chain
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
 
@@ -39,6 +53,8 @@ _STEPS, _GAIN = 40, 0.05
 _AGAIN = 3
 #: The widest dead band, as a fraction of the largest command, and how many sizes are tried at once.
 _WIDEST, _TRIED = 0.5, 24
+#: So many models are computed together.
+_TOGETHER = 32
 #: A dead band must raise the log-likelihood by this much to be believed.
 _BELIEVED = 3.0
 #: Derivatives are differences over this share of each prior's width; no step is longer than this.
@@ -72,6 +88,131 @@ _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
 _AT_ONCE[_TOTAL], _AT_ONCE[_RATE] = _LOWEST[_TOTAL], _HIGHEST[_RATE]
 
 
+#: Pieces of constant twist of a command: while the one before it acts, and of its own.
+_PIECES = PHASES + PHASES + 1
+
+
+class Actuators(NamedTuple):
+    """The actuators of P drive models, [P, C], or of one, [C], as compiled functions take them."""
+
+    driven: NDArray  #: [C] their numbers
+    input_scale: NDArray  #: [C] ones, as commands are scaled
+    dead_zone: NDArray  #: dead bands
+    lag: NDArray  #: this and the next six as in DriveModel
+    slowing: NDArray
+    braking: NDArray
+    rate: NDArray
+    stick: NDArray
+    curve: NDArray
+    delay: NDArray
+
+    @classmethod
+    def of(cls, laws: Tensor, band: Tensor) -> Actuators:
+        """Return those of laws [P, L, C] with dead bands [C] or [P, C]."""
+        total, slowing, braking, rate = laws[:, : _RATE + 1].exp().unbind(1)
+        delay, stick = laws[:, _DELAY, :1], laws[:, _STICK]
+        lag = (total - delay).clamp(min=_SHORTEST)
+        curve = laws[:, _CURVE:_DELAY].mT
+        parts = (band.expand_as(lag), lag, slowing, slowing * braking, rate, stick, curve, delay)
+        count = lag.shape[1]
+        return cls(np.arange(count), np.ones(count), *(part.contiguous().numpy() for part in parts))
+
+    def one(self, number: int) -> Actuators:
+        """Return those of one of the models."""
+        return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
+
+
+@njit(error_model="numpy", cache=True)
+def _distances(several, before, told, time, follows, row, until, found, within):
+    """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
+
+    Args:
+        several: :class:`Actuators` of P models.
+        before: the command before each, [N, C].
+        told: the commands, [N, C].
+        time: durations, [N] s.
+        follows: whether a row's command followed that of the row before it, [N].
+        row: of each instant within a command the row, [K], ascending.
+        until: and the time since it began, [K] s.
+        found: [P, _PIECES, F, N], zeros, written.
+        within: [P, _PIECES, F, K], zeros, written: of the commands until these instants.
+    """
+    count = told.shape[1]
+    law, way = np.empty((count, _LAW)), np.empty(count)
+    begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
+    for p in range(len(several.lag)):
+        a = Actuators(
+            several.driven,
+            several.input_scale,
+            several.dead_zone[p],
+            several.lag[p],
+            several.slowing[p],
+            several.braking[p],
+            several.rate[p],
+            several.stick[p],
+            several.curve[p],
+            several.delay[p],
+        )
+        k = 0
+        for i in range(len(told)):
+            for c in range(count):
+                goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, told[i, c], c)
+                begins[c] = reached[c] if follows[i] else goals[0, c]
+            while k < len(row) and row[k] == i:
+                _cut(a, begins, goals, until[k], law, way, reached, within[p, :, :, k])
+                k += 1
+            _cut(a, begins, goals, time[i], law, way, reached, found[p, :, :, i])
+
+
+@njit(error_model="numpy", cache=True)
+def _cut(a, begins, goals, time, law, way, reached, found):
+    """Cut a command into pieces of constant twist.
+
+    Args:
+        a: :class:`Actuators` of one model.
+        begins: speeds, [C].
+        goals: that act until the delay has passed, and then, [2, C].
+        time: that it lasts, s.
+        law: [C, _LAW] scratch.
+        way: [C] scratch.
+        reached: [2 C], written: speeds and pushes at the end.
+        found: [_PIECES, F], written: ways, and products of mean speeds times time.
+    """
+    count, begin = len(begins), 0.0
+    for c in range(count):
+        reached[c], reached[count + c] = begins[c], 0.0
+    for own in range(2):
+        ends = time if own else min(a.delay[0], time)
+        span = ends - begin
+        if span <= 0.0:
+            continue
+        begin, settling = ends, SHORTEST
+        for c in range(count):
+            _law(a, c, reached[c], goals[own, c], reached[count + c], law[c])
+            settling = max(settling, law[c, 11])
+            way[c] = 0.0
+        changing = min(span, settling) if own else span
+        pieces = PHASES if own or span > LONG_WAIT else 1
+        first = PHASES if own else PHASES - pieces
+        last = 0.0
+        for k in range(pieces + own):
+            end = changing * (k + 1) / pieces if k < pieces else span
+            inverse = 1.0 / max(end - last, 1e-9)
+            for c in range(count):
+                left, missed = _follow(law[c], end)
+                gone = goals[own, c] * end - missed
+                found[first + k, c], way[c] = gone - way[c], gone
+                if end == span:
+                    reached[c], reached[count + c] = _come(law[c], span, left)
+            place = count
+            for c in range(count):
+                for d in range(c, count):
+                    product = found[first + k, c] * found[first + k, d]
+                    found[first + k, place] = product * inverse
+                    place += 1
+            last = end
+
+
 @dataclass(frozen=True)
 class Motion:
     """Rows as the drive model takes them.
@@ -82,9 +223,8 @@ class Motion:
         follows: whether a row's command followed that of the row before, [N].
         columns: of the inputs.
         longest: what durations are scaled by, s.
-        within: poses within the commands, where they are known.
+        within: poses within the commands, where they are known, in the order of the rows.
         weight: what each row counts, [N]; None: all alike.
-        band: dead bands of the actuators, scaled, [C]; None: they have none.
     """
 
     x: Tensor
@@ -94,7 +234,6 @@ class Motion:
     longest: float
     within: Within | None = None
     weight: Tensor | None = None
-    band: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -108,39 +247,55 @@ class Motion:
             within = Within(*(part[known] for part in within)) if len(known) else None
         parts = (self.x[:rows], self.y[:rows], self.follows[:rows])
         weight = None if self.weight is None else self.weight[:rows]
-        return Motion(*parts, self.columns, self.longest, within, weight, self.band)
+        return Motion(*parts, self.columns, self.longest, within, weight)
 
     def weighted(self, weight: Tensor) -> Motion:
         """Return the rows with other weights [N]."""
         return replace(self, weight=weight)
-
-    def banded(self, band: Tensor) -> Motion:
-        """Return the rows with other dead bands [C]."""
-        return replace(self, band=band)
 
     @property
     def commanded(self) -> Tensor:
         """What commands ask for, scaled, [N, C]."""
         return self.x[:, list(self.columns.driven)]
 
-    def inputs(self, drive: DriveModel) -> Tensor:
+    def inputs(self, fit: Fit) -> Tensor:
         """Return the inputs that a drive model makes of the rows, see :func:`chain`."""
         x = self.x.clone()
         for places in (self.columns.driven, self.columns.before):
-            x[:, list(places)] = drive.shaped(outside(x[:, list(places)], self.band))
-        return chain(drive, self.columns, x, self.follows, self.longest)
+            x[:, list(places)] = fit.drive.shaped(outside(x[:, list(places)], fit.band))
+        return chain(fit.drive, self.columns, x, self.follows, self.longest)
 
-    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
-        """Return a drive model with the best kinematics, and the errors that it leaves."""
-        return _fitted(drive, self)
+    def distances(self, actuators: Actuators) -> tuple[Tensor, Tensor]:
+        """Return what the twists of pieces of each model's commands are linear in.
+
+        Of whole rows, [P, pieces, F, N], and until the poses within them, [P, pieces, F, K].
+        """
+        x, columns, within = self.x, self.columns, self.within
+        if within is None:
+            none = torch.zeros(0, dtype=x.dtype)
+            within = Within(none.long(), none, none)
+        count = features_of(len(columns.driven))
+        found = [
+            torch.zeros(len(actuators.lag), _PIECES, count, rows, dtype=x.dtype)
+            for rows in (len(x), len(within.row))
+        ]
+        given = x[:, list(columns.before)], x[:, list(columns.driven)]
+        times = x[:, columns.duration] * self.longest, self.follows
+        parts = (*given, *times, within.row, within.time.to(x), *found)
+        _distances(actuators, *(part.numpy() for part in parts))
+        return found[0], found[1]
+
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
+        """Return the best kinematics of each model, and the errors that they leave."""
+        return _fitted(actuators, self)
 
 
 class Errors(NamedTuple):
-    """Errors of one kind.
+    """Errors of one kind that P models leave.
 
     Attributes:
-        error: [N].
-        size: what they are like, robustly.
+        error: [P, N].
+        size: what they are like, robustly, [P, 1].
         weight: what each counts, [N] or [].
     """
 
@@ -149,11 +304,11 @@ class Errors(NamedTuple):
     weight: Tensor
 
     @property
-    def cost(self) -> float:
-        """Minus the log-likelihood."""
+    def cost(self) -> Tensor:
+        """Minus the log-likelihood, [P]."""
         each = (self.error / self.size).square() / FREEDOM
         cost = (FREEDOM + 1.0) / 2.0 * each.log1p() + self.size.log()
-        return (self.weight * cost).sum().item()
+        return (self.weight * cost).sum(1)
 
 
 class Rows(Protocol):
@@ -162,16 +317,12 @@ class Rows(Protocol):
     Attributes:
         columns: of the inputs.
         belief: by how much a delay must raise the log-likelihood.
-        band: dead bands of the actuators, scaled, [C].
     """
 
     belief: ClassVar[float]
 
     @property
     def columns(self) -> CommandFeatures: ...
-
-    @property
-    def band(self) -> Tensor | None: ...
 
     def first(self, rows: int) -> Rows:
         """Return the first rows."""
@@ -181,17 +332,13 @@ class Rows(Protocol):
         """Return the rows with other weights [N]."""
         ...
 
-    def banded(self, band: Tensor) -> Rows:
-        """Return the rows with other dead bands [C]."""
-        ...
-
     @property
     def commanded(self) -> Tensor:
         """What commands ask for, scaled, [N, C]."""
         ...
 
-    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
-        """Return a drive model with the best kinematics, and the errors that it leaves."""
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
+        """Return the best kinematics [P, F, 3] of each model, and the errors that they leave."""
         ...
 
 
@@ -200,53 +347,66 @@ class Fit(NamedTuple):
 
     Attributes:
         drive: the model.
-        rows: these, with the dead bands that were found.
-        laws: as they are searched for, [L, C]; None if they were not.
+        rows: these.
+        band: dead bands, scaled, [C].
+        laws: as they are searched for, [L, C].
+        searched: whether they were; if not, speeds are reached at once.
+        actuators: of the model.
     """
 
     drive: DriveModel
     rows: Rows
-    laws: Tensor | None
+    band: Tensor
+    laws: Tensor
+    searched: bool
+    actuators: Actuators
+
+    @classmethod
+    def of(cls, rows: Rows, band: Tensor, laws: Tensor, searched: bool) -> Fit:
+        """Return the fit of rows with given laws and dead bands."""
+        actuators = Actuators.of(laws.unsqueeze(0), band)
+        parts = (torch.from_numpy(part) for part in actuators.one(0)[3:])
+        drive = DriveModel(*parts, rows.fitted(actuators)[0][0])
+        return cls(drive, rows, band, laws, searched, actuators)
 
 
-def fit_drive(motion: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
+def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
     """Return the drive model of rows.
 
     Args:
-        motion: rows.
+        rows: these.
         laws: whether to look for the actuators' laws; if not, speeds are reached at once.
         band: dead bands, scaled, [C]; found from the rows if not given.
     """
-    count = len(motion.columns.driven)
-    motion = motion.banded(torch.zeros(count, dtype=torch.float64) if band is None else band)
+    count = len(rows.columns.driven)
+    searched = rows.first(_ROWS)
     if not laws:
         at_once = _AT_ONCE.repeat(1, count)
-        motion = motion if band is not None else motion.banded(_dead_bands(motion, at_once))
-        return Fit(motion.fitted(_model(at_once))[0], motion, None)
-    lowest, highest = (_of_each(values, count) for values in (_LOWEST, _HIGHEST))
-    if band is None:
-        motion = motion.banded(_dead_bands(motion, _roughly(motion, lowest, highest)))
-    found = _searched(motion, lowest, highest)
-    if band is None:
-        # With the laws known better, slow commands say more.
-        again = motion.banded(_dead_bands(motion, found))
-        if not torch.equal(again.band, motion.band):
-            motion = again
-            found = _again(motion.first(_ROWS), found, lowest, highest)
-    return Fit(motion.fitted(_model(found))[0], motion, found)
+        return Fit.of(
+            rows, _dead_bands(searched, at_once) if band is None else band, at_once, False
+        )
+    limits = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
+    if band is not None:
+        return Fit.of(rows, band, _searched(searched, band, *limits), True)
+    band = _dead_bands(searched, _roughly(searched, *limits))
+    found = _searched(searched, band, *limits)
+    # With the laws known better, slow commands say more.
+    again = _dead_bands(searched, found)
+    if not torch.equal(again, band):
+        band, found = again, _again(searched, again, found, *limits)
+    return Fit.of(rows, band, found, True)
 
 
-def _roughly(motion: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
+def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
     """Return laws [L, C] that dead bands can be told by.
 
     They are without static friction, which could stand for a dead band.
     """
-    highest = highest.clone()
+    highest, none = highest.clone(), torch.zeros(lowest.shape[1], dtype=torch.float64)
     highest[_STICK] = 0.0
-    searched = motion.first(_ROWS)
     starts = [_start(lag, _RATES[-1], delay, lowest) for lag, delay in product(_LAGS, _DELAYS)]
-    best = min(starts, key=lambda one: _cost(one, searched.fitted(_model(one))[1]))
-    return _again(searched, best, lowest, highest)
+    best = int(_costs(rows, torch.stack(starts), none).argmin())
+    return _again(rows, none, starts[best], lowest, highest)
 
 
 def _start(lag: float, rate: float, delay: float, lowest: Tensor) -> Tensor:
@@ -256,83 +416,71 @@ def _start(lag: float, rate: float, delay: float, lowest: Tensor) -> Tensor:
     return torch.maximum(start, lowest)
 
 
-def _dead_bands(motion: Rows, laws: Tensor) -> Tensor:
+def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
     """Return the dead bands [C] that rows are best explained by, given the laws.
 
     Only an actuator that is driven both ways can have one. It lies half way between two magnitudes
     that were commanded. First one band for all is sought, because where two wheels creep neither
     can be judged while the other is thought to move; then each for itself.
     """
-    searched, model = motion.first(_ROWS), _model(laws)
-    told, band = searched.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
+    told, band = rows.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
     ways = (told.amin(0) < 0.0) & (told.amax(0) > 0.0)
     each = [torch.arange(len(band)) == c for c in torch.nonzero(ways).flatten()]
     for group in (ways, *each * 2) if len(each) > 1 else each:
         given = told[:, group].abs().unique()
         given = given[(given > 0.0) & (given <= _WIDEST)]
         costs: dict[float, float] = {}
-
-        def cost(
-            size: float,
-            group: Tensor = group,
-            costs: dict[float, float] = costs,
-            others: Tensor = band,
-        ) -> float:
-            if size not in costs:
-                rows = searched.banded(torch.where(group, size, others))
-                costs[size] = sum(one.cost for one in rows.fitted(model)[1])
-            return costs[size]
-
         sizes = [0.0, *((given[1:] + given[:-1]) / 2.0).tolist()]
         low, high, best = 0, len(sizes), 0.0
         while True:
             stride = -(-(high - low) // _TRIED)
-            best = min((0.0, *sizes[low:high:stride]), key=cost)
+            tried = list(dict.fromkeys((0.0, *sizes[low:high:stride])))
+            new = [size for size in tried if size not in costs]
+            if new:
+                bands = torch.where(group, torch.tensor(new, dtype=band.dtype)[:, None], band)
+                found = _costs(rows, laws.repeat(len(new), 1, 1), bands)
+                costs.update(zip(new, found.tolist(), strict=True))
+            best = min(tried, key=costs.__getitem__)
             if stride == 1:
                 break
             place = sizes.index(best)
             low, high = max(place - stride, 0), min(place + stride + 1, len(sizes))
-        band = torch.where(group, best if cost(0.0) - cost(best) > _BELIEVED else 0.0, band)
+        band = torch.where(group, best if costs[0.0] - costs[best] > _BELIEVED else 0.0, band)
     return band
 
 
-def _searched(motion: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
+def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
     """Return the laws [L, C] that rows are best explained by, within limits.
 
     Args:
-        motion: rows.
+        rows: these.
+        band: dead bands, [C].
         lowest: that each law may be, [L, C].
         highest: that each law may be, [L, C].
     """
-    searched = motion.first(_ROWS)
-
-    def errors(laws: Tensor) -> list[Errors]:
-        return searched.fitted(_model(laws))[1]
-
-    coarse: list[tuple[float, float, float, Tensor]] = []
-    for lag, rate, delay in product(_LAGS, _RATES, _DELAYS):
-        start = _start(lag, rate, delay, lowest)
-        coarse.append((_cost(start, errors(start)), rate, delay, start))
-    coarse.sort(key=lambda one: one[0])
+    tried = list(product(_LAGS, _RATES, _DELAYS))
+    coarse = torch.stack([_start(*one, lowest) for one in tried])
+    order = _costs(rows, coarse, band).argsort().tolist()
 
     def best_of(starts: list[Tensor], longest_delay: float) -> tuple[Tensor, float]:
         limit = highest.clone()
         limit[_DELAY] = longest_delay
-        found = [_refined(errors, start, lowest, limit) for start in starts]
+        found = [_refined(rows, band, start, lowest, limit) for start in starts]
         return min(found, key=lambda one: one[1])
 
     def starts(longest_delay: float) -> list[Tensor]:
         # Of each rate the best, as no step leads from a rate that never limits to one that does.
         of_rates: dict[float, Tensor] = {}
-        for _, rate, delay, start in coarse:
+        for number in order:
+            _, rate, delay = tried[number]
             if delay <= longest_delay:
-                of_rates.setdefault(rate, start)
+                of_rates.setdefault(rate, coarse[number])
         return list(of_rates.values())[:_STARTS]
 
     found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
     if found[_DELAY, 0] > 0.0:
         at_once, cost = best_of([*starts(0.0)[:1], found], 0.0)
-        if cost < least + motion.belief:
+        if cost < least + rows.belief:
             found = at_once
     return found
 
@@ -344,29 +492,27 @@ def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
         fit: of the rows: where the search begins.
         weights: of the rows, [M, N].
     """
-    count = len(fit.drive.lag)
-    lowest, highest = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
+    limits = [_of_each(values, fit.laws.shape[1]) for values in (_LOWEST, _HIGHEST)]
     found = []
     for rows in map(fit.rows.weighted, weights):
-        drive = fit.drive
-        if fit.laws is not None:
-            drive = _model(_again(rows.first(_ROWS), fit.laws, lowest, highest))
-        found.append(rows.fitted(drive)[0])
+        laws = fit.laws
+        if fit.searched:
+            laws = _again(rows.first(_ROWS), fit.band, laws, *limits)
+        found.append(Fit.of(rows, fit.band, laws, fit.searched).drive)
     return found
 
 
-def _again(searched: Rows, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
+def _again(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
     """Return the laws [L, C] of rows that differ a little from those of which others are."""
     if laws[_DELAY, 0] == 0.0:
         highest = highest.clone()
         highest[_DELAY] = 0.0
-    found, _ = _refined(lambda one: searched.fitted(_model(one))[1], laws, lowest, highest, _AGAIN)
-    return found
+    return _refined(rows, band, laws, lowest, highest, _AGAIN)[0]
 
 
-def outside(command: Tensor, band: Tensor | None) -> Tensor:
+def outside(command: Tensor, band: Tensor) -> Tensor:
     """Return commands [N, C], zero within the dead band [C]."""
-    return command if band is None else torch.where(command.abs() < band, 0.0, command)
+    return torch.where(command.abs() < band, 0.0, command)
 
 
 def _of_each(values: Sequence[float], count: int) -> Tensor:
@@ -375,49 +521,45 @@ def _of_each(values: Sequence[float], count: int) -> Tensor:
 
 
 def _refined(
-    errors: Callable[[Tensor], list[Errors]],
-    laws: Tensor,
-    lowest: Tensor,
-    highest: Tensor,
-    steps: int = _STEPS,
+    rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor, steps: int = _STEPS
 ) -> tuple[Tensor, float]:
     """Return the best laws near others, and their cost, by Levenberg's and Marquardt's method.
 
     Args:
-        errors: of laws [L, C].
-        laws: to begin at.
+        rows: that they are to explain.
+        band: dead bands, [C].
+        laws: to begin at, [L, C].
         lowest: that each may be, [L, C].
         highest: that each may be, [L, C].
         steps: at most.
     """
+
+    def errors(laws: Tensor) -> list[Errors]:
+        return rows.fitted(Actuators.of(laws, band))[1]
+
     laws = torch.minimum(laws, highest)
     width = torch.tensor(_WIDTH, dtype=torch.float64).unsqueeze(1).expand_as(laws)
     varied = highest > lowest
     varied[_DELAY, 1:] = False  # a delay is one for all: the first column's
-    places = torch.nonzero(varied)
-    now = errors(laws)
-    cost, damping = _cost(laws, now), _DAMPING
+    unit = width[varied]
+    now = errors(laws[None])
+    cost, damping = float(_cost(laws[None], now)), _DAMPING
     for _ in range(steps):
-        size = torch.cat([one.size.expand_as(one.error) for one in now])
-        weight = torch.cat([one.weight.expand_as(one.error) for one in now])
-        error = torch.cat([one.error for one in now])
+        size = torch.cat([one.size[0].expand_as(one.error[0]) for one in now])
+        weight = torch.cat([one.weight.expand_as(one.error[0]) for one in now])
+        error = torch.cat([one.error[0] for one in now])
         # Weights of iteratively reweighted least squares for Student's t.
         weight = weight * (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
-        slopes, unit = [], width[varied]
-        for place in places:
-            at, moved = tuple(place), laws.clone()
-            share = _DIFFERENCE
-            if laws[at] + share * width[at] > highest[at]:
-                share = -share
-            moved[at] += share * width[at]
-            change = torch.cat([one.error for one in errors(moved)]) - error
-            slopes.append(change / size / share)
-        slope = torch.stack(slopes, dim=1)  # of each error, by each law in units of its prior
+        here, low, high = laws[varied], lowest[varied], highest[varied]
+        share = torch.where(here + _DIFFERENCE * unit > high, -_DIFFERENCE, _DIFFERENCE)
+        moved = laws.repeat(len(share), 1, 1)
+        moved[:, varied] += torch.diag(share * unit)
+        changes = torch.cat([one.error for one in errors(moved)], 1) - error
+        slope = (changes / size / share.unsqueeze(1)).T  # by each law in units of its prior
         off, counts = _off(laws)
         gradient = slope.T @ (weight * error / size) + off[varied]
         curvature = slope.T @ (weight.unsqueeze(1) * slope) + torch.diag(counts[varied])
         # What stands at a limit and would go beyond stays there.
-        here, low, high = laws[varied], lowest[varied], highest[varied]
         free = ~(((here <= low) & (gradient > 0.0)) | ((here >= high) & (gradient < 0.0)))
         before = cost
         while damping < _STIFFEST and cost == before:
@@ -427,8 +569,8 @@ def _refined(
             tried = laws.clone()
             tried[varied] = here + unit * step.clamp(-_LONGEST, _LONGEST)
             tried = torch.maximum(torch.minimum(tried, highest), lowest)
-            found = errors(tried)
-            reached = _cost(tried, found)
+            found = errors(tried[None])
+            reached = float(_cost(tried[None], found))
             if reached < cost:
                 laws, now, cost = tried, found, reached
                 damping = max(_LESS * damping, _FREEST)
@@ -439,110 +581,90 @@ def _refined(
     return laws, cost
 
 
-def _cost(laws: Tensor, errors: list[Errors]) -> float:
-    """Return minus the logarithm of laws' probability after errors."""
-    off, _ = _off(laws)
-    return sum(one.cost for one in errors) + 0.5 * off.square().sum().item()
+def _cost(laws: Tensor, errors: list[Errors]) -> Tensor:
+    """Return minus the logarithm of the probability [P] of laws [P, L, C] after errors."""
+    return sum(one.cost for one in errors) + 0.5 * _off(laws)[0].square().sum((1, 2))
+
+
+def _costs(rows: Rows, laws: Tensor, band: Tensor) -> Tensor:
+    """Return the costs [P] of laws [P, L, C] after rows, with dead bands [C] or [P, C]."""
+    pairs = zip(laws.split(_TOGETHER), band.expand_as(laws[:, 0]).split(_TOGETHER), strict=True)
+    return torch.cat([_cost(one, rows.fitted(Actuators.of(one, own))[1]) for one, own in pairs])
 
 
 def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
-    """Return how far laws [L, C] are off the usual, in widths of the prior, and where it counts."""
+    """Return how far laws [..., L, C] are off the usual, in widths of the prior; if it counts."""
     usual, width = (torch.tensor(v, dtype=torch.float64).unsqueeze(1) for v in (_USUAL, _WIDTH))
     counts = torch.ones_like(laws)
-    counts[_DELAY, 1:] = 0.0
-    counts[_RATE] = (laws[_RATE] < _USUAL[_RATE]).to(laws)  # above the usual it is no limit
+    counts[..., _DELAY, 1:] = 0.0
+    # Above the usual it is no limit.
+    counts[..., _RATE, :] = (laws[..., _RATE, :] < _USUAL[_RATE]).to(laws)
     return (laws - usual) / width * counts, counts
 
 
-def _model(laws: Tensor) -> DriveModel:
-    total, slowing, braking, rate = laws[: _RATE + 1].exp()
-    delay = laws[_DELAY, :1]
-    lag = (total - delay).clamp(min=_SHORTEST)
-    shape = DriveModel.shapes(len(lag))["kinematics"]
-    parts = lag, slowing, slowing * braking, rate, laws[_STICK], laws[_CURVE:_DELAY].T, delay
-    return DriveModel(*parts, torch.zeros(shape))
-
-
-def _fitted(drive: DriveModel, motion: Motion) -> tuple[DriveModel, list[Errors]]:
-    """Return a drive model with the best kinematics, and the errors that it leaves."""
-    x, turn = motion.inputs(drive), motion.y[:, 2]
-    columns = motion.columns
-    under, told = rows_underway(drive, columns, x), x[:, list(columns.driven)]
-    pieces = drive.pieces(under, told, x[:, columns.duration] * motion.longest)
-    linear = len(columns.driven)
+def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]:
+    """Return the best kinematics [P, F, 3], and the errors that they leave."""
+    x, y, within, linear = motion.x, motion.y, motion.within, len(motion.columns.driven)
+    pieces, parts = motion.distances(actuators)
+    turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _regression(sum(pieces[1:], pieces[0]), turn, linear, weight)
-    turns = [piece @ rate for piece in pieces[:-1]]
-    turns.append(turn - sum(turns, torch.zeros_like(turn)))
-    ahead, aside, heading = 0.0, 0.0, -turn / 2.0
-    for piece, part in zip(pieces, turns, strict=True):
-        chord, angle = se2.chord(part), heading + part / 2.0
-        ahead = ahead + (chord * angle.cos()).unsqueeze(1) * piece
-        aside = aside + (chord * angle.sin()).unsqueeze(1) * piece
-        heading = heading + part
-    moved = se2.mid_turn(motion.y)
-    columns_x, columns_y = torch.cat([ahead, -aside], 1), torch.cat([aside, ahead], 1)
-    speeds, shifts_left = _regression(
-        torch.cat([columns_x, columns_y]),
-        torch.cat([moved[:, 0], moved[:, 1]]),
-        linear,
-        torch.cat([weight, weight]),
-    )
-    kinematics = torch.stack([*speeds.view(2, -1), rate], dim=1)
-    laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
-    drive = DriveModel(*laws, kinematics)
-    return drive, [turns_left, shifts_left, *_errors_within(drive, motion, under, told, weight)]
-
-
-def _errors_within(
-    drive: DriveModel, motion: Motion, under: Underway, told: Tensor, weight: Tensor
-) -> list[Errors]:
-    """Return the errors of poses within commands.
-
-    They are from the same commands as the rows, which they are not to outweigh: they count as many
-    as there are rows, at most.
-    """
-    within = motion.within
-    if within is None or len(within.row) == 0:
-        return []
-    row = within.row
-    under = Underway(*(part[row] for part in under))
-    changing, twist = drive.phases(under, told[row], within.time.to(told))
-    error = se2.compose(changing, se2.exp(twist)) - within.moved.to(told)
-    # What is short is measured by what is short.
-    size = (1.4826 * error.abs().median(0).values).clamp(min=1e-6)
-    weight = weight[row] * min(len(motion.x) / len(row), 1.0)
-    return [Errors(error[:, k], size[k], weight) for k in range(error.shape[1])]
+    rate, turns_left = _regression(pieces.sum(1), turn, linear, weight)
+    turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
+    turns[:, -1] = turn - turns[:, :-1].sum(1)
+    heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
+    chord = se2.chord(turns)
+    ahead = torch.einsum("pkn,pkfn->pfn", chord * heading.cos(), pieces)
+    aside = torch.einsum("pkn,pkfn->pfn", chord * heading.sin(), pieces)
+    moved = se2.mid_turn(y)
+    both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
+    twice = torch.cat([weight, weight])
+    speeds, shifts_left = _regression(both, moved[:, :2].T.flatten(), linear, twice)
+    kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
+    errors = [turns_left, shifts_left]
+    if within is not None and len(within.row):
+        # They are from the same commands as the rows, which they are not to outweigh: they count
+        # as many as there are rows, at most.
+        counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
+        twists = (kinematics.mT[:, None] @ parts).transpose(2, 3)  # [P, pieces, K, 3]
+        steps = se2.exp(twists).unbind(1)
+        pose = steps[0]
+        for step in steps[1:]:
+            pose = se2.compose(pose, step)
+        error = pose - within.moved.to(x)
+        # What is short is measured by what is short.
+        size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-6)
+        errors += [Errors(error[..., k], size[..., k], counts) for k in range(error.shape[2])]
+    return kinematics, errors
 
 
 def _regression(
     features: Tensor, target: Tensor, linear: int, weight: Tensor
 ) -> tuple[Tensor, Errors]:
-    """Return the weights of a regression with Huber's loss, and the errors that they leave.
+    """Return the weights [P, k F] of regressions with Huber's loss, and the errors that they leave.
 
     Args:
-        features: [N, k F]: k times linear features and products.
+        features: [P, k F, N]: k times linear features and products.
         target: [N].
         linear: how many of F are linear.
         weight: what each row counts, [N].
     """
     width = linear + linear * (linear + 1) // 2
     product = torch.arange(features.shape[1]) % width >= linear
-    shares, size = weight, target.square().mean().sqrt().clamp(min=1e-9)
-    pull = torch.zeros(features.shape[1], dtype=features.dtype)
-    weights = pull
+    shares, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
     # By a product alone a target would be of the size that it has, or less.
-    power = features.square().mean(0).sqrt().clamp(min=1e-9)
+    power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
-    for _ in range(_REGRESSIONS):
+    for step in range(_REGRESSIONS):
         weighed = features * shares.unsqueeze(1)
-        square = weighed.T @ features
-        least = 1e-9 * square.diagonal().mean().clamp(min=1e-12)
-        square.diagonal().add_(pull + least)
-        weights = torch.linalg.solve(square, weighed.T @ target)
-        error = (features @ weights - target).abs()
+        square = weighed @ features.mT
+        diagonal = square.diagonal(dim1=1, dim2=2)
+        diagonal.add_(pull + 1e-9 * diagonal.mean(1, keepdim=True).clamp(min=1e-12))
+        weights = torch.linalg.solve(square, weighed @ target)
+        error = (weights.unsqueeze(1) @ features).squeeze(1) - target
         # The median of the magnitude is 0.67 standard deviations of a normal distribution.
-        size = (1.4826 * error.median()).clamp(min=1e-9)
-        shares = weight * (_HUBER * size / error.clamp(min=1e-12)).clamp(max=1.0)
+        size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-9)
+        if step == _REGRESSIONS - 1:
+            break
+        shares = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()
-    return weights, Errors(features @ weights - target, size, weight)
+    return weights, Errors(error, size, weight)

@@ -21,6 +21,8 @@ _USUAL, _PULL = 0.7, 0.1
 #: The least such logarithm: of shorter lengths, squares of far inputs leave too few digits for a
 #: covariance that can be factored.
 _LEAST = -3.0
+#: No logarithm is further from 0.
+_MOST = 7.0
 #: Added to the diagonal of a covariance.
 _JITTER = 1e-7
 #: A row is told by the others when less than this share of its variance is left.
@@ -115,36 +117,68 @@ def learn_process(
             torch.full((functions,), -0.7, dtype=x.dtype),
         ]
     )
-    lowest = torch.full_like(start, -7.0)
-    lowest[:inputs] = _LEAST
-    found = start.clone().requires_grad_()
-    identity = torch.eye(len(own), dtype=x.dtype)
+    found = start.clone()
+    optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
 
-    def loss() -> Tensor:
-        optimiser.zero_grad()
-        bounded = torch.maximum(found, lowest).clamp(max=7.0)
-        lengths = bounded[:inputs].exp() * spread
-        power, noise = (2.0 * bounded[inputs:]).exp().view(2, functions)
-        shared = covariance(own, own, lengths)
-        matrix = power[:, None, None] * (shared + _JITTER * identity)
-        matrix = matrix + torch.diag_embed((noise / trust).T + 1e-9)
-        triangle = torch.linalg.cholesky(matrix)
-        part = torch.linalg.solve_triangular(triangle, values.T.unsqueeze(2), upper=False)
-        log_size = triangle.diagonal(dim1=-2, dim2=-1).log().sum()
-        value = 0.5 * part.square().sum() + log_size
-        value = value + _PULL * (found[:inputs] - _USUAL).square().sum()
-        value = value + 0.05 * found[inputs : inputs + functions].square().sum()
-        value.backward()
+    def loss() -> float:
+        value, found.grad = unlikelihood(found, own, values, trust, spread)
         return value
 
-    optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
     optimiser.step(loss)
-    least = float(loss().detach())
-    result = torch.maximum(found.detach(), lowest).clamp(max=7.0)
+    least, result = loss(), _bounded(found, inputs)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
     process = Process(choose_centres(x, elsewhere, lengths, centres), lengths, power, noise)
     return process, least
+
+
+def _bounded(found: Tensor, inputs: int) -> Tensor:
+    lowest = torch.full_like(found, -_MOST)
+    lowest[:inputs] = _LEAST
+    return torch.maximum(found, lowest).clamp(max=_MOST)
+
+
+def unlikelihood(
+    found: Tensor, x: Tensor, y: Tensor, trust: Tensor, spread: Tensor
+) -> tuple[float, Tensor]:
+    """Return minus the log-likelihood of rows, with the pull to what is usual, and its gradient.
+
+    Rasmussen and Williams 2006, equations 5.8 and 5.9.
+
+    Args:
+        found: logarithms of lengths in spreads of their inputs, and of the functions' standard
+            deviations and those of their noise, [J + 2 F].
+        x: inputs, [N, J].
+        y: values, [N, F].
+        trust: reciprocals of their relative noise variances, [N, F].
+        spread: of the inputs, [J].
+    """
+    inputs, functions = x.shape[1], y.shape[1]
+    bounded = _bounded(found, inputs)
+    lengths = bounded[:inputs].exp() * spread
+    power, noise = (2.0 * bounded[inputs:]).exp().view(2, functions)
+    shared = covariance(x, x, lengths)
+    matrix = power[:, None, None] * shared
+    diagonal = matrix.diagonal(dim1=1, dim2=2)
+    diagonal.add_(_JITTER * power[:, None] + (noise / trust).T + 1e-9)
+    triangle = torch.linalg.cholesky(matrix)
+    solved = torch.cholesky_solve(y.T.unsqueeze(2), triangle)
+    off = found[:inputs] - _USUAL
+    value = 0.5 * (y.T.unsqueeze(2) * solved).sum()
+    value = value + triangle.diagonal(dim1=1, dim2=2).log().sum() + _PULL * off.square().sum()
+    value = value + _PULL / 2.0 * found[inputs : inputs + functions].square().sum()
+    # By each covariance, [F, N, N]; then by what it is made of.
+    slope = 0.5 * (torch.cholesky_inverse(triangle) - solved @ solved.mT)
+    own = slope.diagonal(dim1=1, dim2=2)
+    of_power = ((slope * shared).sum((1, 2)) + _JITTER * own.sum(1)) * power
+    of_noise = (own.T / trust).sum(0) * noise
+    by_pairs = shared * torch.einsum("f,fnm->nm", power, slope)
+    ahead = 2.0 * (by_pairs.sum(1) @ x.square() - (x * (by_pairs @ x)).sum(0))
+    gradient = torch.cat([ahead / lengths.square(), 2.0 * of_power, 2.0 * of_noise])
+    gradient = torch.where(bounded == found, gradient, 0.0)
+    gradient[:inputs] += 2.0 * _PULL * off
+    gradient[inputs : inputs + functions] += _PULL * found[inputs : inputs + functions]
+    return float(value), gradient
 
 
 def choose_centres(x: Tensor, elsewhere: Tensor, lengths: Tensor, count: int) -> Tensor:

@@ -14,15 +14,14 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 import torch
 from numba import njit
-from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import DriveModel, Underway, features_of
-from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law
+from neurosim.simulators.motion.drive import Underway, features_of
+from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import FREEDOM, Errors, outside
+from neurosim.training.trainers.drive_fit import FREEDOM, Actuators, Errors, Fit, outside
 
 #: How long windows last, s, and how many begin within the length of one.
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
@@ -123,25 +122,14 @@ def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor
     return (*of, torch.stack(moves))
 
 
-class Laws(NamedTuple):
-    """The laws of actuators, [C] each, as the compiled functions take them."""
-
-    lag: NDArray
-    slowing: NDArray
-    braking: NDArray
-    rate: NDArray
-    stick: NDArray
-
-
 @njit(error_model="numpy", cache=True)
-def _driven(laws, delay, goals, before, time, joined, features, lasts, row, states):
+def _driven(a, told, before, time, joined, features, lasts, row, states):
     """Drive rows one after the other.
 
     Args:
-        laws: of the actuators.
-        delay: s.
-        goals: of the rows, [N, C].
-        before: speeds, and goals, before each row that is not joined to the one before it, [N, C].
+        a: :class:`Actuators` of one model.
+        told: commands of the rows, [N, C].
+        before: those before each row, of use where it is not joined to the row before it, [N, C].
         time: of the rows, s.
         joined: whether a row begins where that before it ended.
         features: [M, F], written: of each piece ways and products of mean speeds times time.
@@ -152,17 +140,19 @@ def _driven(laws, delay, goals, before, time, joined, features, lasts, row, stat
     Returns:
         How many pieces there are.
     """
-    count = goals.shape[1]
+    count, delay = told.shape[1], a.delay[0]
     speed, push, way = np.zeros(count), np.zeros(count), np.zeros(count)
-    law = np.zeros(_LAW)
+    law, goals, earlier = np.zeros(_LAW), np.zeros(told.shape), np.zeros(count)
     made, acting, start, acts = 0, 0, 0.0, 0.0
     for i in range(len(time)):
         if not joined[i]:
             acting, start, acts = i - 1, 0.0, delay  # before[i] acts until then
             for c in range(count):
-                speed[c], push[c] = before[i, c], 0.0
+                earlier[c] = _speed(a, before[i, c], c)
+                speed[c], push[c] = earlier[c], 0.0
             chain = i
         for c in range(count):
+            goals[i, c] = _speed(a, told[i, c], c)
             states[i, c], states[i, count + c] = speed[c], push[c]
         now, end = start, start + time[i]
         while now < end - 1e-9:
@@ -173,8 +163,8 @@ def _driven(laws, delay, goals, before, time, joined, features, lasts, row, stat
             span = until - now
             span /= np.ceil(span / PIECE - 1e-9)
             for c in range(count):
-                goal = goals[acting, c] if acting >= chain else before[chain, c]
-                _law(laws, c, speed[c], goal, push[c], law)
+                goal = goals[acting, c] if acting >= chain else earlier[c]
+                _law(a, c, speed[c], goal, push[c], law)
                 left, missed = _follow(law, span)
                 way[c] = goal * span - missed
                 speed[c], push[c] = _come(law, span, left)
@@ -205,7 +195,6 @@ class Chains:
         whole: where the rows begin that these were cut from, [K].
         columns: of their inputs.
         weight: what the whole rows count, [K]; None: all alike.
-        band: dead bands of the actuators, scaled, [C]; None: they have none.
     """
 
     told: Tensor
@@ -217,7 +206,6 @@ class Chains:
     whole: Tensor
     columns: CommandFeatures
     weight: Tensor | None = None
-    band: Tensor | None = None
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -263,26 +251,17 @@ class Chains:
         windows = Windows(*(part[some] for part in self.windows))
         whole = self.whole[self.whole < rows]
         weight = None if self.weight is None else self.weight[: len(whole)]
-        rest = windows, whole, self.columns, weight, self.band
+        rest = windows, whole, self.columns, weight
         return Chains(*(part[:rows] for part in parts), *rest)
 
     def weighted(self, weight: Tensor) -> Chains:
         """Return the rows with other weights of the whole rows, [K]."""
         return replace(self, weight=weight)
 
-    def banded(self, band: Tensor) -> Chains:
-        """Return the rows with other dead bands [C]."""
-        return replace(self, band=band)
-
     @property
     def commanded(self) -> Tensor:
         """What commands ask for, scaled, [N, C]."""
         return self.told
-
-    def _goals(self, drive: DriveModel) -> tuple[Tensor, Tensor]:
-        """Return the speeds [N, C] that commands, and those before them, come to in the end."""
-        told, before = (outside(part, self.band) for part in (self.told, self.before))
-        return drive.shaped(told), drive.shaped(before)
 
     def _counted(self) -> Windows:
         """Return the windows with the mean of what their rows count."""
@@ -296,13 +275,12 @@ class Chains:
         mean = (until[end] - until[first]) / (lasts[end] - lasts[first])
         return self.windows._replace(weight=weight * mean)
 
-    def driven(self, drive: DriveModel) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def driven(self, actuators: Actuators) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return features [M, F], durations and rows [M] of pieces, and how rows begin.
 
         They begin with speeds and pushes, [N, 2 C].
         """
-        goals, before = (part.numpy() for part in self._goals(drive))
-        time, count = self.time.numpy(), goals.shape[1]
+        time, count = self.time.numpy(), self.told.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
         most = int((time / PIECE).sum()) + 3 * len(time) + 8
         features = np.zeros((most, features_of(count)))
@@ -311,22 +289,21 @@ class Chains:
             np.zeros(most, np.int64),
             np.zeros((len(time), 2 * count)),
         )
-        laws = Laws(*(getattr(drive, name).numpy() for name in Laws._fields))
-        joined = self.joined.numpy()
-        some = (goals, before, time, joined, features, lasts, row, states)
-        made = _driven(laws, float(drive.delay), *some)
+        given = (self.told.numpy(), self.before.numpy(), time, self.joined.numpy())
+        made = _driven(actuators, *given, features, lasts, row, states)
         parts = (features[:made], lasts[:made], row[:made], states)
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
-    def inputs(self, drive: DriveModel, x: Tensor) -> tuple[Tensor, Underway]:
+    def inputs(self, fit: Fit, x: Tensor) -> tuple[Tensor, Underway]:
         """Return networks' inputs of whole rows, as of :func:`chain`, and what is under way there.
 
         Args:
-            drive: the drive model.
+            fit: the drive model.
             x: scaled inputs of the whole rows, as they were given.
         """
-        speed, push = self.driven(drive)[3][self.whole].chunk(2, 1)
-        goals, before = self._goals(drive)
+        drive = fit.drive
+        speed, push = self.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
+        goals, before = (drive.shaped(outside(part, fit.band)) for part in (self.told, self.before))
         begin = self.time.cumsum(0) - self.time
         number = torch.arange(len(begin))
         chain = torch.where(self.joined, 0, number).cummax(0).values
@@ -341,9 +318,21 @@ class Chains:
         x[:, list(self.columns.before)] = speed
         return torch.cat([x, before[self.whole]], 1), under
 
-    def fitted(self, drive: DriveModel) -> tuple[DriveModel, list[Errors]]:
-        """Return a drive model with the best kinematics, and the errors that it leaves."""
-        features, lasts, row, _ = self.driven(drive)
+    def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
+        """Return the best kinematics of each model, and the errors that they leave."""
+        each = [self._fitted(actuators.one(p)) for p in range(len(actuators.lag))]
+        kinematics, errors = zip(*each, strict=True)
+        together = [
+            Errors(torch.stack(error), torch.stack(size), weight[0])
+            for error, size, weight in (
+                zip(*kind, strict=True) for kind in zip(*errors, strict=True)
+            )
+        ]
+        return torch.stack(kinematics), together
+
+    def _fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
+        """Return the best kinematics [F, 3] of one model, and its errors."""
+        features, lasts, row, _ = self.driven(actuators)
         windows = self._counted()
         first, end, kind, _ = windows
         rows, width = len(self.time), features.shape[1]
@@ -383,9 +372,7 @@ class Chains:
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
         speeds, shifts_left = _regression(both, moved.T.flatten(), twice, linear)
-        kinematics = torch.stack([*speeds.view(2, width), rate], dim=1)
-        laws = (getattr(drive, name) for name in DriveModel.NAMES[:-1])
-        return DriveModel(*laws, kinematics), turns_left + shifts_left
+        return torch.stack([*speeds.view(2, width), rate], dim=1), turns_left + shifts_left
 
 
 def _regression(
@@ -429,5 +416,5 @@ def _regression(
         shares = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         pull = usual  # not before the size of errors is known
     error = features @ weights - target
-    left = [Errors(error[kind], size[kind[:1]].squeeze(0), windows.weight[kind]) for kind in kinds]
+    left = [Errors(error[kind], size[kind[:1]], windows.weight[kind]) for kind in kinds]
     return weights, left

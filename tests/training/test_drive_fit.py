@@ -1,0 +1,65 @@
+"""The compiled distances of rows against the drive model's own."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+
+from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of
+from neurosim.simulators.motion.network import rows_underway
+from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.training.base import Within
+from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion
+
+NAMES = ("prev_left", "prev_right", "left", "right", "duration")
+
+
+def several_laws(generator: torch.Generator) -> torch.Tensor:
+    """Return four models' laws [4, L, 2]: two with a delay, one that grips, one that sticks."""
+    laws = torch.zeros(4, 12, 2, dtype=torch.float64)
+    laws[:, 0] = torch.rand(4, 2, generator=generator, dtype=torch.float64) - 2.0
+    laws[:, 1:3] = 0.5 * torch.randn(4, 2, 2, generator=generator, dtype=torch.float64)
+    laws[:, 3] = torch.tensor([0.5, 1.5, 3.0, 0.0], dtype=torch.float64)[:, None]
+    laws[3, 4] = 0.05
+    laws[:, 5:11] = 0.1 * torch.randn(4, 6, 2, generator=generator, dtype=torch.float64)
+    laws[0, 11, 0], laws[3, 11, 0] = 0.06, 0.15
+    return laws
+
+
+@pytest.fixture
+def motion() -> Motion:
+    generator = torch.Generator().manual_seed(0)
+    rows = 40
+    x = 2.0 * torch.rand(rows, 5, generator=generator, dtype=torch.float64) - 1.0
+    x[:, 4] = 0.02 + 0.98 * torch.rand(rows, generator=generator, dtype=torch.float64)
+    follows = torch.arange(rows) % 5 > 0
+    x[1:, :2] = torch.where(follows[1:, None], x[:-1, 2:4], x[1:, :2])
+    row = torch.arange(rows).repeat_interleave(2)
+    time = x[row, 4] * 2.0 * torch.tensor([0.3, 0.8], dtype=torch.float64).repeat(rows)
+    y = torch.randn(rows, 3, generator=generator, dtype=torch.float64)
+    moved = torch.randn(2 * rows, 3, generator=generator, dtype=torch.float64)
+    return Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0, Within(row, time, moved))
+
+
+def test_distances_are_those_of_the_drive_model(motion):
+    laws = several_laws(torch.Generator().manual_seed(1))
+    bands = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.0, 0.3], [0.05, 0.0]], dtype=torch.float64)
+    actuators = Actuators.of(laws, bands)
+    pieces, within = motion.distances(actuators)
+    for p in range(len(laws)):
+        parts = (torch.from_numpy(part) for part in actuators.one(p)[3:])
+        drive = DriveModel(*parts, torch.zeros(features_of(2), 3))
+        fit = Fit(drive, motion, bands[p], laws[p], True, actuators)
+        x = motion.inputs(fit)
+        under = rows_underway(drive, motion.columns, x)
+        expected = drive.pieces(under, x[:, 2:4], x[:, 4] * 2.0)
+        # The piece after the speeds have settled, those in which they change, and all.
+        assert pytest.approx(expected[-1], abs=1e-9) == pieces[p, -1].T
+        assert pytest.approx(expected[-1 - PHASES], abs=1e-9) == pieces[p, PHASES].T
+        assert pytest.approx(sum(expected), abs=1e-9) == pieces[p].sum(0).T
+        row = motion.within.row
+        until = drive.pieces(
+            type(under)(*(part[row] for part in under)), x[row, 2:4], motion.within.time
+        )
+        assert pytest.approx(sum(until), abs=1e-9) == within[p].sum(0).T
+        assert pytest.approx(until[-1], abs=1e-9) == within[p, -1].T
