@@ -127,11 +127,11 @@ def check_robot(make: Callable[[], Robot]) -> None:
 
 def _beyond(command: list[float], takes: Commands) -> list[list[float]]:
     """Return a command with each number in turn beyond its limits, or none at all."""
-    found = []
+    commands = []
     for place, one in enumerate(takes.numbers):
         for value in (one.high + 0.01 * abs(one.high), 2.0 * one.low - one.high, math.nan):
-            found.append([*command[:place], value, *command[place + 1 :]])
-    return found
+            commands.append([*command[:place], value, *command[place + 1 :]])
+    return commands
 
 
 def _check_clock(robot: Robot) -> None:
@@ -175,9 +175,9 @@ def _check_sensors(robot: Any) -> None:
     for name, value in readings.items():
         _require(0.0 <= value <= 1.0, f"a reading lies in 0 to 1, but {name} is {value}")
     if isinstance(robot, Proximity):
-        found = np.asarray(robot.activations())
+        activations = np.asarray(robot.activations())
         _require(
-            found.shape == np.shape(robot.angles) == (len(names),),
+            activations.shape == np.shape(robot.angles) == (len(names),),
             "activations() and angles must have one number for each sensor",
         )
 
@@ -241,11 +241,11 @@ def _check_names(simulator: Simulator) -> None:
 
 
 def _poses(simulator: Simulator, rng: np.random.Generator) -> Tensor:
-    found = simulator.free_poses(_ROWS, rng)
-    if found is None:
-        found = rng.uniform(-0.3, 0.3, (_ROWS, 3))
-    _shape("free_poses(count, rng)", torch.as_tensor(found), (_ROWS, 3))
-    return torch.as_tensor(np.array(found, np.float64))
+    poses = simulator.free_poses(_ROWS, rng)
+    if poses is None:
+        poses = rng.uniform(-0.3, 0.3, (_ROWS, 3))
+    _shape("free_poses(count, rng)", torch.as_tensor(poses), (_ROWS, 3))
+    return torch.as_tensor(np.array(poses, np.float64))
 
 
 def _commands(simulator: Simulator, rng: np.random.Generator) -> Tensor:
@@ -278,9 +278,9 @@ def _check_function(name: str, function: Callable[..., Tensor], *inputs: Tensor)
 def _check_noise(simulator: Simulator, state: Tensor, command: Tensor) -> None:
     def seeded(seed: int) -> list[Tensor]:
         generator = torch.Generator().manual_seed(seed)
-        found = [simulator.step(state, command, generator)]
-        found += [simulator.sense(state, generator)] if simulator.reading_names else []
-        return [one.nan_to_num() for one in found]
+        results = [simulator.step(state, command, generator)]
+        results += [simulator.sense(state, generator)] if simulator.reading_names else []
+        return [one.nan_to_num() for one in results]
 
     mean = [simulator.step(state, command)]
     mean += [simulator.sense(state)] if simulator.reading_names else []
@@ -317,15 +317,15 @@ def _check_rollouts(
         drawn = compiled.draw(starts, 3)
         same = [Draws(starts)] if drawn.seeds is not None else [Draws(starts), drawn]
         for draws in same:
-            wanted, found = stepped.run(genes, draws), compiled.run(genes, draws)
+            wanted, got = stepped.run(genes, draws), compiled.run(genes, draws)
             assert wanted.poses is not None
-            assert found.poses is not None
+            assert got.poses is not None
             _require(
-                found.poses.shape == wanted.poses.shape,
-                f"compiled rollouts of a {controller.kind} have poses {found.poses.shape}, "
+                got.poses.shape == wanted.poses.shape,
+                f"compiled rollouts of a {controller.kind} have poses {got.poses.shape}, "
                 f"stepped ones {wanted.poses.shape}",
             )
-            away = float(np.abs(found.poses - wanted.poses).max())
+            away = float(np.abs(got.poses - wanted.poses).max())
             _require(
                 away <= tolerance,
                 f"compiled rollouts of a {controller.kind} are {away:.2g} (m or rad) away from "
@@ -482,8 +482,8 @@ def _check_judgement(task: Task, trajectory: Trajectory, shape: tuple[int, ...])
         same = np.array_equal(value, getattr(trajectory, name), equal_nan=True)
         _require(same, f"judge() must not change the trajectory's {name}")
     for name in ("fitness", "success", "reason", "segment", "progress", "over"):
-        found = np.shape(getattr(judged, name))
-        _require(found == shape, f"{name} of a trajectory {shape} must be {shape}, not {found}")
+        actual = np.shape(getattr(judged, name))
+        _require(actual == shape, f"{name} of a trajectory {shape} must be {shape}, not {actual}")
     _require(
         np.isfinite(judged.fitness).all(),
         "fitness must be finite, whatever the poses are: where the robot was not seen they are NaN "
@@ -565,16 +565,16 @@ def check_reality(reality: Any, genes: Any) -> None:
         json.dumps(about)
     instruction = getattr(reality, "instruction", None)
     assert instruction is None or isinstance(instruction, str), "instruction is a sentence"
-    found: list[Any] = [reality.trial(row, number) for number in range(2)]
+    trials: list[Any] = [reality.trial(row, number) for number in range(2)]
     if hasattr(reality, "trials"):
         several = reality.trials(np.stack([row, row]), np.arange(2))
         assert np.shape(several) == (2,), "trials() returns a fitness for each individual"
-        alike = np.allclose([_fitness(value) for value in several], [*map(_fitness, found)])
+        alike = np.allclose([_fitness(value) for value in several], [*map(_fitness, trials)])
         assert alike, "trials() returns what trial() does for its number"
-        found += list(several)
-    for value in found:
+        trials += list(several)
+    for value in trials:
         if isinstance(value, Tracked):
-            steps = {np.shape(one.poses) for one in found if isinstance(one, Tracked)}
+            steps = {np.shape(one.poses) for one in trials if isinstance(one, Tracked)}
             alike = len(steps) == 1 and np.shape(value.poses)[1:] == (3,)
             assert alike, "poses are [K, 3], of all trials alike"
         value = _fitness(value)
@@ -582,8 +582,8 @@ def check_reality(reality: Any, genes: Any) -> None:
         assert math.isfinite(number), f"a fitness is {value!r}"
 
 
-def _fitness(found: Any) -> Any:
-    return found.fitness if isinstance(found, Tracked) else found
+def _fitness(trial: Any) -> Any:
+    return trial.fitness if isinstance(trial, Tracked) else trial
 
 
 def check_trainer(trainer: type[Trainer], *, generations: int = 2) -> None:

@@ -167,7 +167,9 @@ def _colours(
         raise UserError(_not_found(path, tracker.colours, tracker.seen, geometry is not None))
     if not by_hand:
         founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
-    return {which: found.as_dict() for which, found in zip(("front", "rear"), founds, strict=True)}
+    return {
+        which: colour.as_dict() for which, colour in zip(("front", "rear"), founds, strict=True)
+    }
 
 
 def _no_tag(path: Path, tracker: TagTracker, geometry: Geometry | None) -> str:

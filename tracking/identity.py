@@ -31,22 +31,22 @@ def doubtful(time: NDArray, front: NDArray, rear: NDArray) -> NDArray:
     Returns:
         [N] bool, with the frames in which it was lost for a moment.
     """
-    found = np.flatnonzero(np.isfinite(front).all(axis=1) & np.isfinite(rear).all(axis=1))
+    seen = np.flatnonzero(np.isfinite(front).all(axis=1) & np.isfinite(rear).all(axis=1))
     result = np.zeros(len(time), bool)
-    if len(found) < 2:
+    if len(seen) < 2:
         return result
-    when, middle = time[found], (front[found] + rear[found]) / 2
-    middle = middle / np.median(np.hypot(*(front[found] - rear[found]).T))
+    when, middle = time[seen], (front[seen] + rear[seen]) / 2
+    middle = middle / np.median(np.hypot(*(front[seen] - rear[seen]).T))
     gaps, ways = np.diff(when), np.hypot(*np.diff(middle, axis=0).T)
     speeds = _speeds(when, middle)
     begin, known, certain, top = 0, 0, True, 0.0
-    for last in [*np.flatnonzero(ways > _reach(gaps, 0.0)), len(found) - 1]:
+    for last in [*np.flatnonzero(ways > _reach(gaps, 0.0)), len(seen) - 1]:
         # From begin to last it was followed without a jump.
         if certain:
             fresh = np.flatnonzero(when[begin : last + 1] - when[begin] >= _SPAN) + begin
             top, known = max(top, speeds[fresh].max(initial=0.0)), last
-        result[found[begin] : found[last] + 1] = not certain
-        if last + 1 < len(found) and ways[last] > _reach(gaps[last], top):
+        result[seen[begin] : seen[last] + 1] = not certain
+        if last + 1 < len(seen) and ways[last] > _reach(gaps[last], top):
             way = np.hypot(*(middle[last + 1] - middle[known]))
             certain = bool(way <= _reach(when[last + 1] - when[known], top))
         begin = last + 1

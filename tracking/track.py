@@ -155,12 +155,12 @@ def track(
     joined = Poses(
         *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Poses))
     )
-    found = joined.quality > 0
+    tracked = joined.quality > 0
     summary = {
         "units": {"x": "m", "y": "m", "theta": "rad", "time": "s"},
-        "frames": len(found),
-        "found": float(found.mean()),
-        "quality": float(np.median(joined.quality[found])),
+        "frames": len(tracked),
+        "found": float(tracked.mean()),
+        "quality": float(np.median(joined.quality[tracked])),
         "undecided": sum(session.get("undecided", 0) for session in sessions),
         "doubtful": int(joined.doubtful.sum()),
         "sessions": sessions,

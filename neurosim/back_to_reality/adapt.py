@@ -123,19 +123,19 @@ def agreement(
         are alike); ``poses`` (m, root mean square) where they were tracked.
     """
     real = compared.fitness
-    found: dict[str, Any] = {"individuals": len(real)}
+    result: dict[str, Any] = {"individuals": len(real)}
     for name, parameters in (("before", before), ("after", after)):
         fitness = compared.simulated.fitness(compared.genes, parameters)
         apart = np.abs(fitness - real)
-        found[name] = {
+        result[name] = {
             "norm": float(np.linalg.norm(apart)),
             "rms": float(np.sqrt(np.mean(apart**2))),
             "median": float(np.median(apart)),
             "rank": rank_correlation(fitness, real),
         }
         if compared.poses is not None:
-            found[name]["poses"] = float(compared.discrepancy(parameters[None])[0])
-    return found
+            result[name]["poses"] = float(compared.discrepancy(parameters[None])[0])
+    return result
 
 
 def rank_correlation(one: NDArray[np.float64], other: NDArray[np.float64]) -> float | None:

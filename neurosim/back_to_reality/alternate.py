@@ -147,9 +147,9 @@ class Alternation:
                 self._policies(cycle, best)
                 self._confirm()
                 best = self._believed().genes
-        start, found = self._record.latest()[0], self._believed()
+        start, believed = self._record.latest()[0], self._believed()
         return Found(
-            found.genes, found.fitness, start.fitness, self._sets, self._journal.evaluations,
+            believed.genes, believed.fitness, start.fitness, self._sets, self._journal.evaluations,
             self._journal.used, self._record, self.cycles,
         )  # fmt: skip
 

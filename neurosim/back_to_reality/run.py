@@ -193,18 +193,18 @@ def back_to_reality(
                     ask=ask,
                 ) as journal,
             ):
-                found = Alternation(
+                result = Alternation(
                     simulated, journal, shares, settings, seed=seed, state=state,
                     save=checkpoint.save, progress=progress, scalars=scalars,
                 ).run()  # fmt: skip
         finally:
             if not ((journal and journal.made) or resume or checkpoint.saved):
                 checkpoint.remove()  # nothing came of it
-        content = _content(found, simulated, begun, task, controller)
+        content = _content(result, simulated, begun, task, controller)
         with files.new_folder(out) as partial:
             shutil.copyfile(checkpoint.folder / TRIALS, partial / TRIALS)
-            saved_in = _simulators(found, simulated, partial)
-            saved = _controller(found, simulated, task, controller, content, saved_in)
+            saved_in = _simulators(result, simulated, partial)
+            saved = _controller(result, simulated, task, controller, content, saved_in)
             if saved.kind != "plan" or saved.given:
                 saved.write(partial / "controller")
             files.write_json(partial / "back-to-reality.json", FORMAT, VERSION, content)
@@ -213,13 +213,13 @@ def back_to_reality(
 
 
 def _content(
-    found: Found,
+    result: Found,
     simulated: Simulated,
     begun: Mapping[str, Any],
     task: Task,
     controller: Controller,
 ) -> dict[str, Any]:
-    genes = simulated.real_genes(found.genes)
+    genes = simulated.real_genes(result.genes)
     named = controller.named(genes)
     parameters = [
         {"name": one.name, "unit": one.unit, "low": one.low, "high": one.high, "before": one.value}
@@ -233,31 +233,31 @@ def _content(
         "settings": settings,
         "seed": begun["seed"],
         "parameters": parameters,
-        "start": {"genes": begun["start"], "fitness": found.start},
-        "best": {"fitness": found.fitness, "times_start": _times(found)},
-        "evaluations": found.evaluations,
-        "trials": found.trials,
+        "start": {"genes": begun["start"], "fitness": result.start},
+        "best": {"fitness": result.fitness, "times_start": _times(result)},
+        "evaluations": result.evaluations,
+        "trials": result.trials,
         "simulated_trials": simulated.tried,
-        "real": [one.fitness for one in found.record.all],
+        "real": [one.fitness for one in result.record.all],
         "believed": [
-            found.record.believed(settings["confirm"], first + 1).fitness
-            for first in range(len(found.record))
+            result.record.believed(settings["confirm"], first + 1).fitness
+            for first in range(len(result.record))
         ],
-        "cycles": found.cycles,
+        "cycles": result.cycles,
     }
 
 
-def _times(found: Found) -> float | None:
-    return found.fitness / found.start if found.start > 0.0 else None
+def _times(result: Found) -> float | None:
+    return result.fitness / result.start if result.start > 0.0 else None
 
 
-def _simulators(found: Found, simulated: Simulated, folder: Path) -> list[str]:
+def _simulators(result: Found, simulated: Simulated, folder: Path) -> list[str]:
     """Write the adapted simulators, where they can be written; return their names.
 
     Without L3 it is the one that was begun with; the other sets were only drawn around it.
     """
-    names, adapted = [], any("L3" in cycle for cycle in found.cycles)
-    for place, one in enumerate(found.sets if adapted else found.sets[:1]):
+    names, adapted = [], any("L3" in cycle for cycle in result.cycles)
+    for place, one in enumerate(result.sets if adapted else result.sets[:1]):
         simulator = simulated.adjusted(one)
         names.append("simulator" if not place else f"simulator-{place + 1}")
         if not write_simulator(simulator, folder / names[-1]):
@@ -266,7 +266,7 @@ def _simulators(found: Found, simulated: Simulated, folder: Path) -> list[str]:
 
 
 def _controller(
-    found: Found,
+    result: Found,
     simulated: Simulated,
     task: Task,
     controller: Controller,
@@ -274,8 +274,8 @@ def _controller(
     simulators: list[str],
 ) -> SavedController:
     """Return the best controller as it is saved, with what the adapted simulator expects of it."""
-    genes = simulated.real_genes(found.genes)
-    evaluator = Evaluator(simulated.adjusted(found.sets[0]), task, controller)
+    genes = simulated.real_genes(result.genes)
+    evaluator = Evaluator(simulated.adjusted(result.sets[0]), task, controller)
     judged, trajectory = evaluator.judge(genes[None], evaluator.expectation())
     assert trajectory.poses is not None
     fitness = float(judged.fitness[0].mean())
@@ -308,7 +308,7 @@ def _controller(
             "run": 0,
             "interrupted": False,
             "robot": content["reality"],
-            "fitness_in_reality": found.fitness,
-            "history": found.cycles[-1]["L1"] if found.cycles else {"best": [], "mean": []},
+            "fitness_in_reality": result.fitness,
+            "history": result.cycles[-1]["L1"] if result.cycles else {"best": [], "mean": []},
         },
     )

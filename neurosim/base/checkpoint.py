@@ -146,8 +146,8 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, 
     for name in [*other, *(name for name in one if name not in other)]:
         here, there = one.get(name), other.get(name)
         if isinstance(here, dict) and isinstance(there, dict):
-            if (found := _difference(here, there)) is not None:
-                return f"{name}.{found[0]}", *found[1:]
+            if (difference := _difference(here, there)) is not None:
+                return f"{name}.{difference[0]}", *difference[1:]
         elif here != there:
             return name, here, there
     return None
@@ -155,9 +155,9 @@ def _difference(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, 
 
 def _digest(arrays: Mapping[str, NDArray[Any]]) -> NDArray[np.uint8]:
     """Return the SHA-256 [32] of arrays: their names, kinds, shapes and numbers."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in sorted(arrays):
         array = arrays[name]
-        found.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
-        found.update(np.ascontiguousarray(array).tobytes())
-    return np.frombuffer(found.digest(), np.uint8)
+        digest.update(f"{name} {array.dtype.str} {array.shape}\n".encode())
+        digest.update(np.ascontiguousarray(array).tobytes())
+    return np.frombuffer(digest.digest(), np.uint8)

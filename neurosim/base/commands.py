@@ -169,19 +169,19 @@ class Commands:
             return se2.of_wheels(
                 speed[0] * given[..., 0], speed[1] * given[..., 1], self.measures["track"]
             )
-        found = np.zeros((*given.shape[:-1], 3))
+        twist = np.zeros((*given.shape[:-1], 3))
         if self.body == "car":
-            found[..., 0] = given[..., 0]
-            found[..., 2] = given[..., 0] * np.tan(given[..., 1]) / self.measures["wheelbase"]
+            twist[..., 0] = given[..., 0]
+            twist[..., 2] = given[..., 0] * np.tan(given[..., 1]) / self.measures["wheelbase"]
         elif self.body == "twist":
             for place, name in enumerate(self.names):
-                found[..., _TWIST[name]] = given[..., place]
+                twist[..., _TWIST[name]] = given[..., place]
         else:
             raise UserError(
                 "this robot does not give its body, so its motion cannot be computed: name a "
                 "body in its commands"
             )
-        return found
+        return twist
 
     def percent(self, command: ArrayLike) -> NDArray[np.float64]:
         """Return the forward and the turning speed [..., 2], in percent of the greatest.
@@ -246,8 +246,8 @@ class Commands:
 
     def _place(self, part: int) -> int | None:
         """Return which number is a part of the twist, if one is."""
-        found = [place for place, name in enumerate(self.names) if _TWIST.get(name) == part]
-        return found[0] if self.body == "twist" and found else None
+        places = [place for place, name in enumerate(self.names) if _TWIST.get(name) == part]
+        return places[0] if self.body == "twist" and places else None
 
 
 #: Of a robot on two wheels that are commanded in percent of their full speed.

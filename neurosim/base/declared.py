@@ -162,7 +162,7 @@ def hints_of(source: Any) -> dict[str, Any]:
     Each is evaluated where it was written; a name that only type checkers import is ``object``. Of
     a class that is no dataclass they are those of its ``__init__``.
     """
-    found: dict[str, Any] = {}
+    hints: dict[str, Any] = {}
     for owner in reversed(source.__mro__[:-1]) if isinstance(source, type) else [source]:
         fields = dataclasses.is_dataclass(owner) or hasattr(owner, "__struct_fields__")
         if isinstance(owner, type) and not fields:
@@ -175,8 +175,8 @@ def hints_of(source: Any) -> dict[str, Any]:
                     annotation = eval(annotation, dict(vars(module)) if module else {})
                 except Exception:
                     annotation = object
-            found[name] = annotation
-    return found
+            hints[name] = annotation
+    return hints
 
 
 def checks(function: F) -> F:
@@ -211,8 +211,8 @@ def _check(values: dict[str, Any], hints: dict[str, Any]) -> None:
 @functools.cache
 def _plain_hints(source: Any) -> dict[str, Any]:
     """Return the annotations that are or have numbers or chosen words, and nothing but these."""
-    found = hints_of(source).items()
-    return {name: hint for name, hint in found if _is_plain(hint) and not _is_text(hint)}
+    hints = hints_of(source).items()
+    return {name: hint for name, hint in hints if _is_plain(hint) and not _is_text(hint)}
 
 
 def _is_text(hint: Any) -> bool:

@@ -415,12 +415,12 @@ def _json_number(text: str) -> float:
 
 
 def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+    content = dict(pairs)
+    if len(content) < len(pairs):
         names = [name for name, _ in pairs]
         twice = next(name for name in names if names.count(name) > 1)
         raise ValueError(f"the key {twice!r:.40} appears twice in one object")
-    return found
+    return content
 
 
 def parse_json(text: str) -> Any:
@@ -476,11 +476,11 @@ def read_json(
         raise FileError(
             path, f"expected {format!r}, found {document.get('format')!r}", field="format"
         )
-    found = document.get("version")
-    if isinstance(found, bool) or not isinstance(found, int) or not oldest <= found <= version:
+    stored = document.get("version")
+    if isinstance(stored, bool) or not isinstance(stored, int) or not oldest <= stored <= version:
         raise FileError(
             path,
-            f"this neurosim reads version {version}, found {found!r}; "
+            f"this neurosim reads version {version}, found {stored!r}; "
             "use the neurosim that wrote it, or make it again",
             field="version",
         )
@@ -595,8 +595,8 @@ def read_csv(
         raise FileError(path, what)
     for name in columns:
         if name not in table:
-            found = ", ".join(table.columns)
-            raise FileError(path, f"this column is missing; found {found}", field=name)
+            present = ", ".join(table.columns)
+            raise FileError(path, f"this column is missing; found {present}", field=name)
         if table.columns.to_list().count(name) > 1:
             raise FileError(path, "this column stands twice", line=1, field=name)
     return pd.DataFrame(
@@ -839,12 +839,12 @@ def read_tensors(
     for name, shape in (shapes or {}).items():
         if name not in tensors:
             raise FileError(path, "this tensor is missing", field=name)
-        found = tensors[name].shape
-        matches = len(found) == len(shape) and all(
-            want is None or want == have for want, have in zip(shape, found, strict=True)
+        stored = tensors[name].shape
+        matches = len(stored) == len(shape) and all(
+            want is None or want == have for want, have in zip(shape, stored, strict=True)
         )
         if not matches:
-            raise FileError(path, f"expected shape {tuple(shape)}, found {found}", field=name)
+            raise FileError(path, f"expected shape {tuple(shape)}, found {stored}", field=name)
         if tensors[name].dtype.kind == "f" and tensors[name].itemsize < 4:
             raise FileError(
                 path, f"expected float32 or float64, found {tensors[name].dtype}", field=name
@@ -866,7 +866,7 @@ def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
     path = Path(path)
     text = read_text(path, "a file of JSON lines in UTF-8")
     whole = text[: text.rfind("\n") + 1]
-    found = []
+    rows = []
     for line, part in enumerate(whole.removesuffix("\n").split("\n") if whole else (), 1):
         try:
             row = parse_json(part)
@@ -874,8 +874,8 @@ def read_json_lines(path: str | Path) -> tuple[list[dict[str, Any]], int]:
             row = None
         if not isinstance(row, dict):
             raise FileError(path, "expected a JSON object", line=line)
-        found.append(row)
-    return found, len(whole.encode())
+        rows.append(row)
+    return rows, len(whole.encode())
 
 
 class JsonLines:
@@ -899,8 +899,8 @@ class JsonLines:
         head = json.loads(
             json.dumps({"format": format, "version": version, **about}, default=plain)
         )
-        found, length = read_json_lines(self.path) if self.path.exists() else ([], 0)
-        for row in found[:1]:
+        rows, length = read_json_lines(self.path) if self.path.exists() else ([], 0)
+        for row in rows[:1]:
             wrong = [name for name in {**head, **row} if head.get(name) != row.get(name)]
             if wrong:
                 raise FileError(
@@ -909,10 +909,10 @@ class JsonLines:
                     line=1,
                     field=wrong[0],
                 )
-        self.rows = found[1:]
+        self.rows = rows[1:]
         self._file = open_own(self.path)
         self._file.truncate(length)
-        if not found:
+        if not rows:
             self.append(head)
 
     def append(self, row: Mapping[str, Any]) -> None:

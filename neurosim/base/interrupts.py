@@ -229,10 +229,10 @@ def deferred_interrupt() -> Iterator[Interrupt]:
     try:
         yield interrupt
     except SystemError as error:
-        found = interruption_in(error)
-        if found is None:
+        interruption = interruption_in(error)
+        if interruption is None:
             raise
-        raise found from None
+        raise interruption from None
     finally:
         _deferring[0] -= 1
         _deferred_until[0] = time.monotonic()
@@ -298,7 +298,7 @@ def _replaced(answer: Any) -> dict[int, Any]:
     if threading.current_thread() is not threading.main_thread():
         return {}
     handlers = {number: signal.getsignal(number) for number in SIGNALS}
-    before = {number: found for number, found in handlers.items() if callable(found)}
+    before = {number: handler for number, handler in handlers.items() if callable(handler)}
     for number in before:
         signal.signal(number, answer)
     return before

@@ -56,11 +56,11 @@ def main(out: Path) -> None:
         evolve = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
         _run(*evolve, "--generations", 2, "--robust-generations", 2, "--final-draws", 64)
         _run("plan-check", controller, simulator, "--draws", 64)
-        saved, found = read_controller(controller), read_simulator(simulator)
+        saved, model = read_controller(controller), read_simulator(simulator)
         task = make_task(saved.task)
-        plan = make_controller("plan", found, task, slots=len(saved.commands))
+        plan = make_controller("plan", model, task, slots=len(saved.commands))
         settings = ReplanSettings(generations=1)
-        Replanner(found, task, plan, saved.commands, settings).next(np.array(saved.start))
+        Replanner(model, task, plan, saved.commands, settings).next(np.array(saved.start))
     compiled_ahead().touch()
 
 

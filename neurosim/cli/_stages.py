@@ -235,13 +235,13 @@ class Stage:
     ) -> Any:
         """Return paths with those of earlier stages in place of the stages' names."""
         several = isinstance(value, list)
-        found = []
+        paths = []
         for text in value if several else [value]:
             if not isinstance(text, str):
                 raise self.wrong(f"expected a path, found {text!r}", key_of(each))
             first, *rest = Path(text).parts or ("",)
             if each.type is NEW:
-                found.append(str(folder / text))
+                paths.append(str(folder / text))
                 continue
             path = Path(text)
             if first in made and made[first].path is not None:
@@ -253,8 +253,8 @@ class Stage:
                     f"{text} is neither a file nor an earlier stage{near}", key_of(each)
                 )
             inputs.setdefault(key_of(each), []).append(path)
-            found.append(str(path))
-        return found if several else found[0]
+            paths.append(str(path))
+        return paths if several else paths[0]
 
     def _texts(self, each: click.Parameter, value: Any) -> list[str]:
         """Return a value as words of the command line."""
@@ -336,11 +336,11 @@ def _nearest(key: str, known: list[str]) -> str:
 def _latest(made: Mapping[str, Made], argument: str) -> list[str]:
     """Return the names of the earlier stages that an argument takes by default."""
     kinds = TAKES.get(argument, (argument,))
-    found = {}
+    latest = {}
     for name, one in made.items():
         if one.kind in kinds:
-            found[one.kind if len(kinds) == 1 else name] = name
-    return list(found.values())
+            latest[one.kind if len(kinds) == 1 else name] = name
+    return list(latest.values())
 
 
 @dataclass(frozen=True)
@@ -366,7 +366,7 @@ class Experiment:
 
     def at(self, point: Mapping[str, Any]) -> list[Stage]:
         """Return the stages with the options of a combination."""
-        found = []
+        stages = []
         for stage in self.stages:
             options, swept = dict(stage.options), set()
             for key, value in point.items():
@@ -374,8 +374,8 @@ class Experiment:
                 if name == stage.name or (key == "seed" and options.get("seed") is SWEPT):
                     options[option or "seed"] = value
                     swept.add(key)
-            found.append(replace(stage, options=options, swept=frozenset(swept)))
-        return found
+            stages.append(replace(stage, options=options, swept=frozenset(swept)))
+        return stages
 
 
 #: Stands for the seed of a sweep.
@@ -422,16 +422,16 @@ def experiment_of(file: Path, tables: Mapping[str, Any], commands: click.Group) 
     if not tables:
         raise FileError(file, "has no table; each stage needs one, such as [train]")
     stages = [_stage(file, name, table, seed, commands) for name, table in tables.items()]
-    found = Experiment(file, stages, sweep, summary)
+    experiment = Experiment(file, stages, sweep, summary)
     names = [stage.name for stage in stages]
     for key in sweep:
         name, _, option = key.partition(".")
         if key != "seed" and (name not in names or not option):
             what = f"is neither seed nor an option of a stage{_nearest(name, names)}"
             raise FileError(file, what, field=f"sweep.{key}")
-    for point in found.points():
+    for point in experiment.points():
         made: dict[str, Made] = {}
-        for stage in found.at(point):
+        for stage in experiment.at(point):
             name = stage.output()
             out = None if name is None else Path(name)
             line = stage.line(made, out, Path())
@@ -441,13 +441,13 @@ def experiment_of(file: Path, tables: Mapping[str, Any], commands: click.Group) 
             if out is not None and out in taken and not stage.in_place:
                 raise stage.wrong(f"another stage writes {out}, too", "out")
             made[stage.name] = Made(out, MAKES.get(" ".join(stage.words)))
-    return found
+    return experiment
 
 
 def _sweep(file: Path, table: Any) -> dict[str, list[Any]]:
     if not isinstance(table, dict):
         raise FileError(file, "expected a table", field="sweep")
-    found: dict[str, list[Any]] = {}
+    axes: dict[str, list[Any]] = {}
     for key, value in table.items():
         parts = value.items() if isinstance(value, dict) else [("", value)]
         for option, values in parts:
@@ -456,14 +456,14 @@ def _sweep(file: Path, table: Any) -> dict[str, list[Any]]:
                 raise FileError(file, f"expected a list, found {values!r}", field=f"sweep.{name}")
             if len({json.dumps(each, default=str) for each in values}) < len(values):
                 raise FileError(file, "has a value twice", field=f"sweep.{name}")
-            found[name] = values
+            axes[name] = values
     count = 1
-    for values in found.values():
+    for values in axes.values():
         count *= len(values)
     if count > MOST_POINTS:
         what = f"has {count} combinations; expected at most {MOST_POINTS}"
         raise FileError(file, what, field="sweep")
-    return found
+    return axes
 
 
 def _stage(file: Path, name: str, table: Any, seed: Any, commands: click.Group) -> Stage:

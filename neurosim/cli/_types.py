@@ -71,10 +71,10 @@ class Real(click.FloatRange):
     def convert(self, value: Any, param: Any, ctx: Any) -> float:
         """Return the number in SI; what is a number already is in SI."""
         typed = isinstance(value, str)
-        found = super().convert(value if typed else self._from_si(value), param, ctx)
-        if not math.isfinite(found):
+        number = super().convert(value if typed else self._from_si(value), param, ctx)
+        if not math.isfinite(number):
             self.fail(f"{value} is not a finite number.", param, ctx)
-        return self._to_si(found) if typed else float(value)
+        return self._to_si(number) if typed else float(value)
 
     def shown(self, value: float) -> str:
         """Return a number in SI as it is typed."""
@@ -122,8 +122,8 @@ def range_of(kind: click.ParamType) -> str:
         kind = click.Tuple([kind.kind])
     parts = kind.types if isinstance(kind, click.Tuple) else ()
     parts = [kind.part] if isinstance(kind, Numbers) else parts
-    found = [one._describe_range() for one in parts if isinstance(one, Real | Whole)]
-    return "; ".join(dict.fromkeys(found))
+    ranges = [one._describe_range() for one in parts if isinstance(one, Real | Whole)]
+    return "; ".join(dict.fromkeys(ranges))
 
 
 class Option(click.Option):
@@ -218,16 +218,16 @@ class Pairs(_Named):
             return dict(value)
         if not isinstance(value, str):
             self.fail(f"{value!r}: expected {self.name}, such as {self._example}", param, ctx)
-        found: dict[str, str] = {}
+        pairs: dict[str, str] = {}
         for part in value.split(","):
             name, given, word = (side.strip() for side in part.partition("="))
             word = word if given else name
             if not (name and word) or not (given or self._alone):
                 self.fail(f"{part!r}: expected {self.name}, such as {self._example}", param, ctx)
-            if name in found:
+            if name in pairs:
                 self.fail(f"{name!r} is named twice", param, ctx)
-            found[name] = word
-        return found
+            pairs[name] = word
+        return pairs
 
     def shown(self, value: dict[str, str]) -> str:
         """Return names and words as they are typed."""

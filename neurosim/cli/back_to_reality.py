@@ -145,8 +145,8 @@ def back_to_reality(
     from neurosim.simulators.legged.simulator import LeggedSimulator
     from neurosim.trials.realities import open_reality
 
-    found = LeggedSimulator() if simulator is None else read_simulator(simulator)
-    made, family = make_both(found, task, task_options, controller, controller_options)
+    model = LeggedSimulator() if simulator is None else read_simulator(simulator)
+    made, family = make_both(model, task, task_options, controller, controller_options)
     chosen = settings_named(settings)
     chosen = replace(
         chosen,
@@ -156,10 +156,10 @@ def back_to_reality(
         **how,
     )
     with open_reality(
-        reality, family, made, found, camera=camera, calibration=calibration, **reality_options
+        reality, family, made, model, camera=camera, calibration=calibration, **reality_options
     ) as real:
         content = run(
-            found if simulator is None else simulator,
+            model if simulator is None else simulator,
             made,
             family,
             real,

@@ -32,11 +32,11 @@ def check_robot(robot: str, robot_options: dict[str, Any], ask: bool, as_json: b
 
     asked = (lambda question: click.confirm(question, err=True)) if ask else None
     with open_rig(robot, robot_options, Setup(camera="none")) as rig, rig.robot as tried:
-        found = check(tried, asked)
+        findings = check(tried, asked)
         about = tried.describe()
-    wrong = sum(one.verdict == "wrong" for one in found)
-    result = {"robot": about, "wrong": wrong, "findings": [one.describe() for one in found]}
-    lines = [f"{_MARKS[one.verdict]}  {one.what}: {one.says}." for one in found]
+    wrong = sum(one.verdict == "wrong" for one in findings)
+    result = {"robot": about, "wrong": wrong, "findings": [one.describe() for one in findings]}
+    lines = [f"{_MARKS[one.verdict]}  {one.what}: {one.says}." for one in findings]
     emit(result, as_json, "\n".join(lines))
     if wrong:
         raise click.exceptions.Exit(1)

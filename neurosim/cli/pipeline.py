@@ -110,17 +110,17 @@ class _Run:
     def point(self, point: Mapping[str, Any]) -> dict[str, Any]:
         """Run all stages with a combination of swept values; return what came of each."""
         made: dict[str, Made] = {}
-        found = {}
+        stages = {}
         for stage in self.experiment.at(point):
             folder = self._folder_of(stage, made, point)
             row, now = self._stage(stage, made, folder)
-            found[stage.name] = {
+            stages[stage.name] = {
                 "out": None if row.get("out") is None else self.folder / row["out"],
                 "seconds": row["seconds"],
                 "done_before": not now,
                 "result": row.get("result") or {},
             }
-        return {"sweep": dict(point), "stages": found}
+        return {"sweep": dict(point), "stages": stages}
 
     def _folder_of(
         self, stage: Stage, made: Mapping[str, Made], point: Mapping[str, Any]

@@ -57,9 +57,9 @@ def plan_check(
     model = read_simulator(simulator)
     if at_line == "ignore":
         model.perimeter = None
-    found = check(controller, model, draws=draws, seed=seed, **how)
-    emit(found.as_dict(), as_json, lambda: _in_words(found))
-    warn_unsupported(found.unsupported)
+    checked = check(controller, model, draws=draws, seed=seed, **how)
+    emit(checked.as_dict(), as_json, lambda: _in_words(checked))
+    warn_unsupported(checked.unsupported)
 
 
 def _in_words(check: Check) -> str:

@@ -149,7 +149,7 @@ def track(
             doubtful=doubtful, partial=partial,
         )  # fmt: skip
         result.pop("poses")
-        where, found, then = out, result["markers"], ""
+        where, colours, then = out, result["markers"], ""
         remedy = "click on each with --click U,V, or name others with --markers"
     else:
         if clicks:
@@ -171,7 +171,7 @@ def track(
         for session in result["sessions"]:
             if session.get("warning"):
                 click.echo(f"session {session['session']}: {session['warning']}", err=True)
-        where, found = recording, least_confident(result["sessions"])
+        where, colours = recording, least_confident(result["sessions"])
         then = "\n" + next_step("dataset", recording, "-o", "DATASET")
         remedy = "name others with --markers; neurosim watch shows what a click on each finds"
     if result["undecided"]:
@@ -180,7 +180,7 @@ def track(
             "pairs, or tags, fitted the robot, and none was accepted",
             err=True,
         )
-    problem = warning(found)
+    problem = warning(colours)
     doubtful_poses = describe_doubtful(result)
     if doubtful_poses and not problem:
         click.echo(f"{recording}: {doubtful_poses}", err=True)
@@ -190,7 +190,7 @@ def track(
         result,
         as_json,
         f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
-        f"median quality {result['quality']:.2f}.\n{describe_markers(found)}.{then}",
+        f"median quality {result['quality']:.2f}.\n{describe_markers(colours)}.{then}",
     )
 
 

@@ -162,9 +162,9 @@ def read_controller(folder: str | Path) -> SavedController:
     x, y, heading = content.get("start", (0.0, 0.0, 0.0))
     start = float(x), float(y), float(heading)
     family, genes = _plan(path, content) if kind == "plan" else _network(path, content)
-    found = SavedController(family, genes, start=start, **{name: content[name] for name in _PARTS})
-    _check_prediction(path, found)
-    return found
+    saved = SavedController(family, genes, start=start, **{name: content[name] for name in _PARTS})
+    _check_prediction(path, saved)
+    return saved
 
 
 def _plan(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[np.float64]]:
@@ -208,11 +208,11 @@ def _network(path: Path, content: dict[str, Any]) -> tuple[Controller, NDArray[n
     return family, files.read_tensors(weights, {"genes": (family.genes,)})["genes"].astype(float)
 
 
-def _check_prediction(path: Path, found: SavedController) -> None:
-    predicted = found.predicted
-    if not found.commands:
+def _check_prediction(path: Path, saved: SavedController) -> None:
+    predicted = saved.predicted
+    if not saved.commands:
         return
-    expected, poses = len(found.given) + 1, predicted.get("poses")
+    expected, poses = len(saved.given) + 1, predicted.get("poses")
     if poses is None or len(poses) != expected:
         raise FileError(
             path,

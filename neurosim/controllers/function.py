@@ -53,8 +53,8 @@ class Function(Controller):
         seen: Mapping[str, NDArray] = dict(
             zip(self.inputs, observation.cpu().numpy().T, strict=True)
         )
-        found = self.function(seen, genes.cpu().numpy()) if self.genes else self.function(seen)
-        columns = [np.broadcast_to(np.asarray(one, float), len(observation)) for one in found]
+        returned = self.function(seen, genes.cpu().numpy()) if self.genes else self.function(seen)
+        columns = [np.broadcast_to(np.asarray(one, float), len(observation)) for one in returned]
         return torch.from_numpy(np.stack(columns, axis=1)).to(observation), memory
 
     def settings(self) -> dict[str, Any]:

@@ -233,10 +233,10 @@ class Gaits(Controller):
     def act(self, genes: Tensor, observation: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
         """Return the commands [B, joints] rad at the observed times; nothing is remembered."""
         times, row = np.unique(observation[:, 0].numpy(), return_inverse=True)
-        found = np.empty((len(genes), len(self.outputs)))
+        angles = np.empty((len(genes), len(self.outputs)))
         for place, time in enumerate(times):  # one, where all began together
-            found[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
-        return torch.from_numpy(found), memory
+            angles[row == place] = self.over(genes.numpy()[row == place], np.array([time]))[:, 0]
+        return torch.from_numpy(angles), memory
 
     def from_named(self, values: Mapping[str, float]) -> NDArray[np.float64]:
         """Return the genes [G] of parameters by name, in their units; undoes :meth:`named`.
@@ -263,7 +263,7 @@ class Gait(Gaits):
     def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the commands [P, T, 12] rad of individuals [P, 20] at times [T] s."""
         stand, begin = standing(), np.clip(np.asarray(times) / BEGIN, 0.0, 1.0)[:, None]
-        found = np.empty((len(genes), len(times), len(JOINTS)))
+        joints = np.empty((len(genes), len(times), len(JOINTS)))
         for row, each in enumerate(genes):
             feet, at, cycle = loci(each)
             angles, _ = angles_of(feet, KNEE[:, None])
@@ -272,11 +272,11 @@ class Gait(Gaits):
                 for joint in range(3):
                     # Outwards is to the right on the right side.
                     sign = SIDE[leg] if joint == 1 else 1.0
-                    found[row, :, 3 * leg + joint] = np.interp(
+                    joints[row, :, 3 * leg + joint] = np.interp(
                         phase, at, sign * angles[leg, :, joint]
                     )
-            found[row] = stand + begin * (found[row] - stand)
-        return found
+            joints[row] = stand + begin * (joints[row] - stand)
+        return joints
 
     def check(self, genes: NDArray[np.float64]) -> None:
         """Refuse a gait [20] whose feet leave what the legs reach.

@@ -86,27 +86,27 @@ def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
 
 def _within(simulator: Any) -> dict[str, Any]:
     """Return settings of plans whose defaults leave what a simulator was made from."""
-    found: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     *names, last = simulator.command_names
     if last != "duration":
-        return found
+        return settings
     if (*names, last) == COMMAND_NAMES:
         speeds = [simulator.domain[name] for name in names if name in simulator.domain]
         fastest = max((abs(end) for pair in speeds for end in pair), default=math.inf)
         if fastest * (1.0 + simulator.slack) < Plan.max_speed:
-            found["max_speed"] = max(fastest, 1.0)
+            settings["max_speed"] = max(fastest, 1.0)
     elif set(names) <= set(simulator.domain):
         known = {one["name"]: one["unit"] for one in getattr(simulator, "inputs", ())}
-        found["names"] = tuple(names)
-        found["units"] = tuple(known.get(name, "1") for name in names)
-        found["limits"] = tuple(tuple(map(float, simulator.domain[name])) for name in names)
+        settings["names"] = tuple(names)
+        settings["units"] = tuple(known.get(name, "1") for name in names)
+        settings["limits"] = tuple(tuple(map(float, simulator.domain[name])) for name in names)
     low, high = simulator.domain.get("duration", (0.0, math.inf))
     slack = simulator.slack * (high - low) if math.isfinite(high) else 0.0
     shortest, longest = Plan.durations
     if shortest < low - slack or longest > high + slack:
         shortest = min(max(shortest, low), high)
-        found["durations"] = shortest, max(min(longest, high), shortest)
-    return found
+        settings["durations"] = shortest, max(min(longest, high), shortest)
+    return settings
 
 
 def _is_settings(maker: Any) -> bool:

@@ -59,11 +59,11 @@ class SineGait(Gaits):
         values = values_of(np.asarray(genes, np.float64), self.parameters)[:, None]
         amplitude, period, outer, front, right = np.moveaxis(values, -1, 0)
         wave = amplitude * np.sin(2.0 * np.pi * np.asarray(times) / period)
-        found = np.full((*wave.shape, len(JOINTS)), float(MIDDLE))
+        positions = np.full((*wave.shape, len(JOINTS)), float(MIDDLE))
         for leg, multiplier in enumerate((right, front, 1.0, front * right)):
-            found[..., 2 * leg] = INNER + multiplier * wave
-            found[..., 2 * leg + 1] = OUTER + multiplier * outer * wave
-        return found
+            positions[..., 2 * leg] = INNER + multiplier * wave
+            positions[..., 2 * leg + 1] = OUTER + multiplier * outer * wave
+        return positions
 
     def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the commands [P, T, 9] rad of individuals [P, 5] at times [T] s of a trial."""

@@ -48,14 +48,14 @@ class StableBaselinesEnvs(VecEnv):
 
     def step_wait(self) -> tuple[NDArray, NDArray, NDArray, list[dict[str, Any]]]:
         """Go on by a step; return observations, rewards, which trials ended, and infos."""
-        seen, rewards, terminated, truncated, found = self.envs.step(self._actions)
+        seen, rewards, terminated, truncated, info = self.envs.step(self._actions)
         ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
-        final = found.get("final_info", {})
+        final = info.get("final_info", {})
         names = [name for name in final if not name.startswith("_")]
         for row in np.flatnonzero(ended):
             infos[row] = {name: final[name][row] for name in names}
-            infos[row]["terminal_observation"] = found["final_obs"][row]
+            infos[row]["terminal_observation"] = info["final_obs"][row]
             infos[row]["TimeLimit.truncated"] = bool(truncated[row] and not terminated[row])
         return seen, rewards.astype(np.float32), ended, infos
 

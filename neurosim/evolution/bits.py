@@ -45,8 +45,8 @@ def encode(shares: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
     """Return bit strings [..., G bits] of shares [..., G] in 0..1, the highest bit first."""
     levels = 2**bits - 1
     whole = np.rint(np.clip(shares, 0.0, 1.0) * levels).astype(np.int64)
-    found = (whole[..., None] >> np.arange(bits)[::-1]) & 1
-    return found.astype(np.bool_).reshape(*shares.shape[:-1], -1)
+    encoded = (whole[..., None] >> np.arange(bits)[::-1]) & 1
+    return encoded.astype(np.bool_).reshape(*shares.shape[:-1], -1)
 
 
 def decode(strings: NDArray[np.bool_], bits: int) -> NDArray[np.float64]:

@@ -44,16 +44,16 @@ def gradient(signs: NDArray[np.int64], scores: NDArray[np.float64]) -> NDArray[n
     A parameter that no policy raised, or none lowered, says nothing. One that none left alone has
     no middle to be best.
     """
-    found = np.zeros(signs.shape[1])
+    slope = np.zeros(signs.shape[1])
     for place, column in enumerate(signs.T):
         plus, zero, minus = (scores[column == sign] for sign in (1, 0, -1))
         if not len(plus) or not len(minus):
             continue
         if len(zero) and zero.mean() > max(plus.mean(), minus.mean()):
             continue
-        found[place] = plus.mean() - minus.mean()
-    length = np.linalg.norm(found)
-    return found / length if length > 0.0 else found
+        slope[place] = plus.mean() - minus.mean()
+    length = np.linalg.norm(slope)
+    return slope / length if length > 0.0 else slope
 
 
 class PolicyGradient:

@@ -51,9 +51,9 @@ class SearchSpace:
             return self.given
         shape = self.runs, self.settings.population, self.genes
         drawn = np.random.default_rng([*self.seed, 0xF125]).standard_normal(shape)
-        found = self.start[:, None] + self.spread * drawn
-        found[:, 0] = self.start
-        return found if self.bounds is None else np.clip(found, *self.bounds)
+        population = self.start[:, None] + self.spread * drawn
+        population[:, 0] = self.start
+        return population if self.bounds is None else np.clip(population, *self.bounds)
 
 
 @runtime_checkable

@@ -153,11 +153,11 @@ def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
     ways, counts = np.unique(
         np.stack([judged.segment[0], judged.reason[0]])[:, failed], axis=1, return_counts=True
     )
-    found = [
+    failures = [
         Failure(int(segment) + 1, task.why(reason), float(count / failed.size))
         for (segment, reason), count in zip(ways.T, counts, strict=True)
     ]
-    return tuple(sorted(found, key=lambda failure: -failure.share))
+    return tuple(sorted(failures, key=lambda failure: -failure.share))
 
 
 def _spread(

@@ -183,8 +183,8 @@ class Journal:
         if not seen:
             return None
         unseen = np.full_like(seen[0], np.nan)
-        found = np.stack([_mean_pose(np.stack(trials or [unseen])) for trials in each])
-        return found if np.isfinite(found).any() else None
+        means = np.stack([_mean_pose(np.stack(trials or [unseen])) for trials in each])
+        return means if np.isfinite(means).any() else None
 
     def _make(self, rows: list[NDArray[np.float64]], why: str) -> None:
         together = hasattr(self._reality, "trials") and self._instruction is None
@@ -197,10 +197,10 @@ class Journal:
             call = partial(self._reality.trial, part[0], number)
             if together:
                 call = partial(self._reality.trials, part, number + np.arange(len(part)))
-            found = self._answer(call, len(part), number)
-            if together and np.shape(found)[:1] != (len(part),):
-                raise _no_number(found, number)
-            for row, one in zip(part, found if together else [found], strict=True):
+            answer = self._answer(call, len(part), number)
+            if together and np.shape(answer)[:1] != (len(part),):
+                raise _no_number(answer, number)
+            for row, one in zip(part, answer if together else [answer], strict=True):
                 self._write(row, one, why)
             self._stop_if_interrupted()
 
@@ -224,10 +224,10 @@ class Journal:
         try:
             try:
                 threading.Thread(target=work, daemon=True).start()
-                found, error = box.get(timeout=self._patience * trials)
+                answer, error = box.get(timeout=self._patience * trials)
             except KeyboardInterrupt:
                 self._interrupted = True
-                found, error = box.get(timeout=GRACE)
+                answer, error = box.get(timeout=GRACE)
         except queue.Empty:
             if hasattr(self._reality, "stop"):
                 self._reality.stop()
@@ -239,15 +239,15 @@ class Journal:
         if error is not None:
             self._stop_if_interrupted()
             raise error
-        return found
+        return answer
 
-    def _write(self, genes: NDArray[np.float64], found: Any, why: str) -> None:
-        fitness, poses = found, None
-        if isinstance(found, Tracked):
-            fitness, poses = found.fitness, _poses(found.poses)
+    def _write(self, genes: NDArray[np.float64], answer: Any, why: str) -> None:
+        fitness, poses = answer, None
+        if isinstance(answer, Tracked):
+            fitness, poses = answer.fitness, _poses(answer.poses)
             if poses is None:
                 raise UserError(
-                    f"reality returned poses of shape {np.shape(found.poses)} in trial "
+                    f"reality returned poses of shape {np.shape(answer.poses)} in trial "
                     f"{self._count + 1}, not [K, 3]"
                 )
             if self._steps not in (None, len(poses)):
@@ -307,15 +307,15 @@ class _Function:
         return self._function(genes)
 
 
-def _no_number(found: Any, number: int) -> UserError:
-    shown = "nothing" if found is None else f"{found!s:.40}"
+def _no_number(answer: Any, number: int) -> UserError:
+    shown = "nothing" if answer is None else f"{answer!s:.40}"
     return UserError(f"reality returned {shown} in trial {number + 1}, not a fitness; {_KEPT}")
 
 
-def _poses(found: Any) -> NDArray[np.float64] | None:
+def _poses(answer: Any) -> NDArray[np.float64] | None:
     """Return poses [K, 3], all NaN where one of the three is not finite; None if they are none."""
     try:
-        poses = np.array(found, np.float64)
+        poses = np.array(answer, np.float64)
     except (TypeError, ValueError):
         return None
     if poses.ndim != 2 or poses.shape[1] != 3 or not len(poses):
@@ -328,10 +328,10 @@ def _mean_pose(poses: NDArray[np.float64]) -> NDArray[np.float64]:
     seen = np.isfinite(poses[..., 0])
     given = np.where(seen[..., None], poses, 0.0)
     with np.errstate(invalid="ignore"):
-        found: NDArray[np.float64] = given.sum(axis=0) / seen.sum(axis=0)[:, None]
+        mean: NDArray[np.float64] = given.sum(axis=0) / seen.sum(axis=0)[:, None]
     east, north = (np.where(seen, f(given[..., 2]), 0.0).sum(axis=0) for f in (np.cos, np.sin))
-    found[:, 2] = np.where(seen.any(axis=0), np.arctan2(north, east), np.nan)
-    return found
+    mean[:, 2] = np.where(seen.any(axis=0), np.arctan2(north, east), np.nan)
+    return mean
 
 
 def _checked(row: dict[str, Any], path: Path, line: int) -> tuple[NDArray[np.float64], _Trial]:
@@ -350,7 +350,7 @@ def read_trials(path: str | Path) -> list[dict[str, Any]]:
     Raises:
         FileError: if it is missing or damaged.
     """
-    found = read_json_lines(path)[0][1:]
-    for line, row in enumerate(found, 2):
+    rows = read_json_lines(path)[0][1:]
+    for line, row in enumerate(rows, 2):
         _checked(row, Path(path), line)
-    return found
+    return rows

@@ -241,11 +241,11 @@ class Replanner:
         draws = onward.draw(4 * how.draws, self._rng) if uncertain else onward.expectation()
         with onward.threads_for(len(draws)):
             judged, _ = onward.judge(both, draws)
-            found, stands = judged.success.mean(axis=1).tolist()
-            best = int(stands > 0.0 and stands >= found)
+            drives, stands = judged.success.mean(axis=1).tolist()
+            best = int(stands > 0.0 and stands >= drives)
             expected = onward.run(both[[best]], onward.expectation())
         assert expected.poses is not None
-        return both[best], (found, stands)[best], expected.poses[0, 0, -1], search.done
+        return both[best], (drives, stands)[best], expected.poses[0, 0, -1], search.done
 
     def _first(self) -> NDArray[np.float64]:
         """Return a first population [P, G]: most of it near the rest of the plan, if there is one.

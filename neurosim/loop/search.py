@@ -128,13 +128,13 @@ class Search:
     def _remember(self, genes: NDArray, merit: Merit) -> None:
         self.population, self.merit, self.shown = genes, merit.merit, merit.shown
         runs, index = np.arange(len(genes)), merit.merit.argmax(axis=1)
-        found, value = genes[runs, index], merit.merit[runs, index]
+        candidates, value = genes[runs, index], merit.merit[runs, index]
         if not self.done:
-            self.top, self.top_merit = found.copy(), value.copy()
+            self.top, self.top_merit = candidates.copy(), value.copy()
         better = value > self.top_merit
-        self.top[better], self.top_merit[better] = found[better], value[better]
+        self.top[better], self.top_merit[better] = candidates[better], value[better]
         if self._keeps and (self.done + 1) % self._refresh == 0:
-            self._kept.append(found)
+            self._kept.append(candidates)
         # Who ranks behind the others is not the best of them, however high the fitness.
         shown = np.where(is_behind(merit.merit), -np.inf, merit.shown)
         best = shown.max(axis=1)
@@ -164,9 +164,9 @@ class Search:
 
     def state(self) -> dict[str, NDArray]:
         """Return all that the next generations depend on, as arrays."""
-        found = {f"optimiser.{name}": value for name, value in self.optimiser.state().items()}
-        found |= {name: np.array(getattr(self, name)) for name in _STATE}
-        return found | ({"kept": np.stack(self._kept)} if self._kept else {})
+        state = {f"optimiser.{name}": value for name, value in self.optimiser.state().items()}
+        state |= {name: np.array(getattr(self, name)) for name in _STATE}
+        return state | ({"kept": np.stack(self._kept)} if self._kept else {})
 
     def load(self, state: Mapping[str, Any]) -> None:
         """Go on from what :meth:`state` returned.

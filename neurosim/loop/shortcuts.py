@@ -141,9 +141,9 @@ def rollout(
         raise UserError(f"start must be x (m), y (m), heading (rad), not {start!r}")
     starts = np.tile(pose, (max(samples, 1), 1))
     draws = rollouts.draw(starts, seed, PLACING) if samples else Draws(starts)
-    found = rollouts.run(rows, draws)
+    trajectory = rollouts.run(rows, draws)
     index = ((0,) if single else (slice(None),)) + (() if samples else (0,))
-    return _picked(found, index, isinstance(what, Tensor))
+    return _picked(trajectory, index, isinstance(what, Tensor))
 
 
 def _picked(trajectory: Trajectory, index: tuple[Any, ...], tensors: bool) -> Trajectory:

@@ -51,12 +51,12 @@ class Lever:
 def levers_of(takes: Commands) -> list[Lever]:
     """Return the levers of a robot that takes these commands."""
     names = ("forward", "turn left") if _has_sides(takes) else takes.names
-    found = []
+    levers = []
     for place, name in enumerate(names):
         both = [keys[place] for keys in (KEYS, ARROWS) if place < len(keys)]
         axis = AXES[place] if place < len(AXES) else None
-        found.append(Lever(name, tuple(a for a, _ in both), tuple(b for _, b in both), axis))
-    return found
+        levers.append(Lever(name, tuple(a for a, _ in both), tuple(b for _, b in both), axis))
+    return levers
 
 
 def command_of(takes: Commands, levers: Sequence[float], max_speed: float) -> tuple[float, ...]:

@@ -69,19 +69,19 @@ def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
     kind = robot.describe().get("kind", "robot")
     names = robot.sensor_names if isinstance(robot, Sensors) else ()
     lacking = [name for name in source.sensors if name not in names]
-    found = []
+    gaps = []
     if lacking:
         there = f"it reads {', '.join(names)}" if names else "it has no sensors"
-        found.append(
+        gaps.append(
             f"the controller needs {', '.join(lacking)}, which this robot ({kind}) has not: {there}"
         )
     if source.needs_pose and not sees and not isinstance(robot, Counters):
-        found.append(
+        gaps.append(
             f"the controller needs the robot's pose, and nothing says it: this robot ({kind}) does "
             "not count how far its wheels turn, and no camera with a calibration that has points "
             "on the board tracks it while it drives"
         )
-    return found
+    return gaps
 
 
 class ClosedLoopSession(Session):

@@ -30,12 +30,12 @@ SHOWN = 50
 
 def test(artefacts: Artefacts) -> dict[int, HeldOut]:
     """Return predictions of held-out commands, by the simulator's place in ``artefacts``."""
-    found = {}
+    results = {}
     for place, simulator in _learned(artefacts):
         pair = dataset_of(simulator, artefacts.datasets)
         if pair is not None:
-            found[place] = held_out(simulator, *pair)
-    return found
+            results[place] = held_out(simulator, *pair)
+    return results
 
 
 def section(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> Section:
@@ -185,8 +185,8 @@ def _table(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> list[Block]:
     ]
 
 
-def _errors(name: str, found: Mapping[str, Any]) -> list[str]:
-    return [f"{found['mse']:.3f}", _error(name, found["mean_absolute_error"])]
+def _errors(name: str, errors: Mapping[str, Any]) -> list[str]:
+    return [f"{errors['mse']:.3f}", _error(name, errors["mean_absolute_error"])]
 
 
 def _figures(test_: HeldOut, prefix: str, whose: str) -> list[Block]:

@@ -37,10 +37,10 @@ def section(artefacts: Artefacts) -> Section | None:
     return Section("back-to-reality", "Back to reality", blocks) if blocks else None
 
 
-def verdict(found: Sequence[Artefact]) -> str:
+def verdict(runs: Sequence[Artefact]) -> str:
     """Say what came of alternations in reality, a sentence for each."""
     sentences = []
-    for one in found:
+    for one in runs:
         start, best = one.meta["start"]["fitness"], one.meta["best"]["fitness"]
         times = one.meta["best"].get("times_start")
         more = "" if times is None else f", {times:.2f} times that"
@@ -139,13 +139,13 @@ def _agreement(one: Artefact) -> Table:
         if name in cycle.get("L3", {})
     }
     measures = {"norm": "norm", "median": "median", "rank": "rank correlation"}
-    if any("poses" in found["after"] for found in each.values()):
+    if any("poses" in agreement["after"] for agreement in each.values()):
         measures["poses"] = "poses' distance, m"
     rows = []
-    for words, found in each.items():
-        values = [found[when].get(name) for name in measures for when in ("before", "after")]
+    for words, agreement in each.items():
+        values = [agreement[when].get(name) for name in measures for when in ("before", "after")]
         cells = ["-" if value is None else f"{value:.3f}" for value in values]
-        rows.append([words, str(found["individuals"]), *cells])
+        rows.append([words, str(agreement["individuals"]), *cells])
     return Table(
         f"{one.name}: fitness in the simulator against reality, before and after L3",
         ["controllers", "number", *("before", "after") * len(measures)],

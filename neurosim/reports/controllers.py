@@ -31,16 +31,20 @@ _SHOWN = {
 
 def section(artefacts: Artefacts) -> Section | None:
     """Write the section on the controllers; None without any."""
-    found = artefacts.controllers
-    if not found:
+    controllers = artefacts.controllers
+    if not controllers:
         return None
-    blocks: list[Block] = [_predictions(found), _tasks(found), *unknown_tasks(found)]
-    unmet = [(one.name, _unmet(one)) for one in found]
+    blocks: list[Block] = [
+        _predictions(controllers),
+        _tasks(controllers),
+        *unknown_tasks(controllers),
+    ]
+    unmet = [(one.name, _unmet(one)) for one in controllers]
     blocks += [Text(f"{name}: {each}") for name, each in unmet if each and each.worse]
-    pictures = [*_evolutions(found), *_paths(artefacts)]
+    pictures = [*_evolutions(controllers), *_paths(artefacts)]
     if pictures:
         blocks.append(Row(pictures))
-    driven = [(one, drives) for one in found if (drives := trajectories(one))]
+    driven = [(one, drives) for one in controllers if (drives := trajectories(one))]
     blocks += [
         Row(
             [
@@ -53,9 +57,9 @@ def section(artefacts: Artefacts) -> Section | None:
     return Section("controllers", "The controllers", blocks)
 
 
-def unknown_tasks(found: Sequence[Artefact]) -> list[Text]:
+def unknown_tasks(artefacts: Sequence[Artefact]) -> list[Text]:
     """Return a sentence on each task that is not registered here."""
-    names = dict.fromkeys(one.meta["task"]["name"] for one in found if one.task is None)
+    names = dict.fromkeys(one.meta["task"]["name"] for one in artefacts if one.task is None)
     return [
         Text(
             f"The task {name} is not registered on this computer, so its outline is not shown; "
@@ -65,10 +69,10 @@ def unknown_tasks(found: Sequence[Artefact]) -> list[Text]:
     ]
 
 
-def verdict(found: Sequence[Artefact]) -> str:
+def verdict(controllers: Sequence[Artefact]) -> str:
     """Say what the simulators expect of controllers, in a sentence or two for each task."""
     sentences = []
-    groups = by_task(found)
+    groups = by_task(controllers)
     for group in groups:
         fitness = [
             value for one in group if (value := one.meta["predicted"].get("fitness")) is not None
@@ -90,14 +94,14 @@ def verdict(found: Sequence[Artefact]) -> str:
                 f"the simulator on average ({min(fitness):.4g} to {max(fitness):.4g})"
             )
         sentences.append(f"{text[0].upper()}{text[1:]}.")
-    changes = [change for one in found if (change := change_at_transfer(one)) is not None]
+    changes = [change for one in controllers if (change := change_at_transfer(one)) is not None]
     if changes:
         sentences.append(
             "At the transfer to the robot the best of the population changed by "
             f"{100 * np.mean(changes):+.1f} % of its fitness{' on average' * (len(changes) > 1)}, "
             "in single trials of generations that follow each other."
         )
-    drives = [drive for one in found for drive in trajectories(one)]
+    drives = [drive for one in controllers for drive in trajectories(one)]
     if drives:
         apart = np.median([_apart(drive) for drive in drives])
         sentences.append(
@@ -106,10 +110,10 @@ def verdict(found: Sequence[Artefact]) -> str:
     return " ".join(sentences)
 
 
-def by_task(found: Sequence[Artefact]) -> list[list[Artefact]]:
+def by_task(controllers: Sequence[Artefact]) -> list[list[Artefact]]:
     """Return controllers in groups of the same task and settings."""
     groups: dict[str, list[Artefact]] = {}
-    for one in found:
+    for one in controllers:
         groups.setdefault(_key(one), []).append(one)
     return list(groups.values())
 
@@ -124,19 +128,19 @@ def history(controller: Artefact) -> dict[str, Any]:
     Raises:
         FileError: if the history is not that.
     """
-    found = controller.meta["evolution"].get("history", {})
+    recorded = controller.meta["evolution"].get("history", {})
     lines: dict[str, Any] = {}
-    wrong = found.get("transfer", 0) > len(found.get("best", ()))
+    wrong = recorded.get("transfer", 0) > len(recorded.get("best", ()))
     for prefix in ("", "robust_"):
-        names = [prefix + name for name in ("best", "mean") if found.get(prefix + name)]
-        lines |= {name: np.array(found[name], float) for name in names}
-        wrong |= len({len(found[name]) for name in names}) > 1 or names == [prefix + "mean"]
+        names = [prefix + name for name in ("best", "mean") if recorded.get(prefix + name)]
+        lines |= {name: np.array(recorded[name], float) for name in names}
+        wrong |= len({len(recorded[name]) for name in names}) > 1 or names == [prefix + "mean"]
     if wrong:
         raise FileError(
             controller.json, "expected best and mean of every generation", field="evolution.history"
         )
-    if "transfer" in found:
-        lines["transfer"] = found["transfer"]
+    if "transfer" in recorded:
+        lines["transfer"] = recorded["transfer"]
     return lines
 
 
@@ -162,7 +166,7 @@ def _key(controller: Artefact) -> str:
     return json.dumps([task["name"], task.get("settings")], sort_keys=True)
 
 
-def _predictions(found: Sequence[Artefact]) -> Table:
+def _predictions(controllers: Sequence[Artefact]) -> Table:
     """Write the table of predicted figures; a column that nothing is known for is left out."""
     columns: dict[str, Callable[[Artefact], str]] = {
         "kind": lambda one: one.content.kind,
@@ -178,7 +182,7 @@ def _predictions(found: Sequence[Artefact]) -> Table:
         "mean at transfer, at the end": _before_and_after,
         "fitness on the robot": _on_robot,
     }
-    rows = [[one.name, *(column(one) for column in columns.values())] for one in found]
+    rows = [[one.name, *(column(one) for column in columns.values())] for one in controllers]
     shown = [0, *(k for k in range(1, len(columns) + 1) if any(row[k] for row in rows))]
     head = ["controller", *columns]
     return Table(
@@ -227,8 +231,8 @@ def _contacts(controller: Artefact) -> str:
 
 
 def _unmet(controller: Artefact) -> Unmet | None:
-    found = controller.meta["predicted"].get("unmet")
-    return None if found is None else Unmet(**found)
+    unmet = controller.meta["predicted"].get("unmet")
+    return None if unmet is None else Unmet(**unmet)
 
 
 def _generations(controller: Artefact) -> str:
@@ -245,14 +249,14 @@ def _before_and_after(controller: Artefact) -> str:
 
 
 def _on_robot(controller: Artefact) -> str:
-    found = controller.meta["evolution"].get("robot_fitness")
-    if found is None:
+    fitness = controller.meta["evolution"].get("robot_fitness")
+    if fitness is None:
         return ""
-    return f"{found['mean']:.4g} +- {found['spread']:.2g}"
+    return f"{fitness['mean']:.4g} +- {fitness['spread']:.2g}"
 
 
-def _tasks(found: Sequence[Artefact]) -> Table:
-    groups = by_task(found)
+def _tasks(controllers: Sequence[Artefact]) -> Table:
+    groups = by_task(controllers)
     rows = []
     for group in groups:
         task = group[0].meta["task"]
@@ -262,12 +266,12 @@ def _tasks(found: Sequence[Artefact]) -> Table:
     return Table("Their tasks", ["task", "settings", "controllers"], rows, words=True)
 
 
-def _evolutions(found: Sequence[Artefact]) -> list[Picture]:
+def _evolutions(controllers: Sequence[Artefact]) -> list[Picture]:
     """Draw fitness over generations, of controllers of the same task together."""
     pictures = []
     for prefix, words in (("", "Evolution"), ("robust_", "Robust evolution")):
         groups: dict[tuple[str, str], list[Artefact]] = {}
-        for one in found:
+        for one in controllers:
             if prefix + "best" in history(one):
                 groups.setdefault((_key(one), _shown(one, prefix)), []).append(one)
         for place, ((_, shown), group) in enumerate(groups.items()):

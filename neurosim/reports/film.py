@@ -133,10 +133,10 @@ def along(
 
 def _seen(times: NDArray, poses: NDArray, at: NDArray) -> NDArray[np.float64]:
     """Return a track [N, 3] at other times; NaN where it has a gap of more than 0.5 s."""
-    found = np.column_stack([np.interp(at, times, column) for column in poses.T])
+    interpolated = np.column_stack([np.interp(at, times, column) for column in poses.T])
     after = np.clip(np.searchsorted(times, at), 1, len(times) - 1)
-    found[(times[after] - times[after - 1] > 0.5) | (at > times[-1] + 0.5)] = np.nan
-    return found
+    interpolated[(times[after] - times[after - 1] > 0.5) | (at > times[-1] + 0.5)] = np.nan
+    return interpolated
 
 
 def _boundaries(trial: Trial) -> tuple[NDArray, NDArray]:
@@ -175,8 +175,8 @@ def _samples(
     task = trial.task
     if simulator is None or controller is None or task is None or trial.meta.get("replanned"):
         return []
-    found, saved = simulator.content, controller.content
-    rollouts = SteppedRollouts(found, saved.controller, task.episode)
+    model, saved = simulator.content, controller.content
+    rollouts = SteppedRollouts(model, saved.controller, task.episode)
     starts = np.repeat(np.array(saved.start, float)[None], SAMPLES, axis=0)
     draws = rollouts.draw(starts, np.random.default_rng(seed))
     trajectory = rollouts.run(saved.genes[None], draws)
@@ -233,21 +233,21 @@ def write_film(
         raise UserError(f"{out} exists; name another video, or add --overwrite to replace it")
     others = [one for one in (simulator, controller) if one is not None]
     only = "--video shows the drive of a trial"
-    _, scene, found = filmed_trial([folder, *others], seed, only)
-    ground, place, scale = _ground(scene, found)
-    fps = (len(found.times) - 1) / found.times[-1]
+    _, scene, shown = filmed_trial([folder, *others], seed, only)
+    ground, place, scale = _ground(scene, shown)
+    fps = (len(shown.times) - 1) / shown.times[-1]
     size = (ground.shape[1], ground.shape[0])
     with atomic_path(out) as partial:
         writer = cv2.VideoWriter(check_name(partial), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not writer.isOpened():
             raise UserError(f"{out}: OpenCV cannot write this video here")
-        for number in range(len(found.times)):
-            writer.write(_frame(ground, found, number, place, scale))
+        for number in range(len(shown.times)):
+            writer.write(_frame(ground, shown, number, place, scale))
         writer.release()
     return {
-        "frames": len(found.times),
-        "seconds": float(found.times[-1]),
-        "samples": len(found.samples),
+        "frames": len(shown.times),
+        "seconds": float(shown.times[-1]),
+        "samples": len(shown.samples),
     }
 
 
@@ -267,10 +267,10 @@ def filmed_trial(folders: Sequence[str | Path], seed: int, only: str) -> tuple[T
     if not artefacts.trials:
         raise UserError(f"{folders[0]} is not a trial; {only}")
     trial = artefacts.trials[0]
-    found = film(artefacts, trial, seed)
-    if found is None:
+    shown = film(artefacts, trial, seed)
+    if shown is None:
         raise UserError(f"{folders[0]}: nothing saw the robot, so there is no drive to show")
-    return trial, Scene.of(trial.task, artefacts.place_of(trial), trial.board), found
+    return trial, Scene.of(trial.task, artefacts.place_of(trial), trial.board), shown
 
 
 def _ground(scene: Scene, film: Film) -> tuple[NDArray[np.uint8], NDArray, float]:

@@ -39,13 +39,13 @@ def section(artefacts: Artefacts) -> Section:
 
 def versions() -> str:
     """Return the versions that this page was made with."""
-    found = [f"Python {platform.python_version()}"]
+    parts = [f"Python {platform.python_version()}"]
     for name in ("neurosim", "numpy", "torch", "matplotlib"):
         try:
-            found.append(f"{name} {metadata.version(name)}")
+            parts.append(f"{name} {metadata.version(name)}")
         except metadata.PackageNotFoundError:
             continue
-    return ", ".join(found)
+    return ", ".join(parts)
 
 
 def _files(artefacts: Artefacts) -> Table:

@@ -103,11 +103,11 @@ def summarise(artefacts: Artefacts, tests: Mapping[int, HeldOut]) -> dict[str, A
         summary["test"] = {
             artefacts.simulators[place].name: test.errors() for place, test in tests.items()
         }
-    found = artefacts.controllers
-    fitness = [one.meta["predicted"].get("fitness") for one in found]
-    if found and None not in fitness and len(controllers.by_task(found)) == 1:
+    saved = artefacts.controllers
+    fitness = [one.meta["predicted"].get("fitness") for one in saved]
+    if saved and None not in fitness and len(controllers.by_task(saved)) == 1:
         summary["controller_fitness"] = float(np.mean(fitness))
-    changes = [controllers.change_at_transfer(one) for one in found]
+    changes = [controllers.change_at_transfer(one) for one in saved]
     if any(change is not None for change in changes):
         summary["change_at_transfer"] = float(np.mean([c for c in changes if c is not None]))
     late = [trial.meta["deadlines"] for trial in trials if trial.meta.get("deadlines") is not None]
@@ -127,7 +127,7 @@ def _verdict(artefacts: Artefacts, summary: Mapping[str, Any]) -> str:
         parts.append(_deadlines(artefacts))
     elif "test" in summary:
         name, errors = next(iter(summary["test"].items()))
-        error = {output: found["mean_absolute_error"] for output, found in errors.items()}
+        error = {output: measured["mean_absolute_error"] for output, measured in errors.items()}
         parts.append(
             f"The simulator {name} predicts a held-out command to within {error['dx']:.2f} cm "
             f"forward, {error['dy']:.2f} cm sideways and {error['dtheta']:.2f} degrees on average."

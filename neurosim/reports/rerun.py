@@ -54,7 +54,7 @@ def export_rerun(
     if out.exists():
         raise UserError(f"{out} exists; name a new file, or remove this one yourself")
     only = "only trials are exported to rerun"
-    trial, scene, found = filmed_trial([folder, *others], seed, only)
+    trial, scene, shown = filmed_trial([folder, *others], seed, only)
     with atomic_path(out) as partial:
         stream = rr.RecordingStream("neurosim", recording_id=trial.name)
         stream.save(partial)
@@ -64,9 +64,9 @@ def export_rerun(
             closed = [np.concatenate([line, line[:1]]) for line in lines]
             if closed:
                 stream.log(kind, rr.LineStrips3D(closed), static=True)
-        for number, time in enumerate(found.times):
+        for number, time in enumerate(shown.times):
             stream.set_time(TIMELINE, duration=float(time))
-            for name, poses in (("robot", found.robot), ("predicted", found.predicted)):
+            for name, poses in (("robot", shown.robot), ("predicted", shown.predicted)):
                 pose = poses[number]
                 if not np.isfinite(pose).all():
                     stream.log(name, rr.Clear(recursive=False))
@@ -78,17 +78,17 @@ def export_rerun(
                 known = poses[: number + 1]
                 known = known[np.isfinite(known).all(axis=1)]
                 stream.log(f"{name}/path", rr.LineStrips3D([_flat(known)], colors=colour))
-            if len(found.samples):
-                points = _flat(found.samples[:, number])
+            if len(shown.samples):
+                points = _flat(shown.samples[:, number])
                 stream.log("samples", rr.Points3D(points, colors=COLOURS["samples"], radii=0.01))
-            for sensor, name in enumerate(found.names):
-                reading = float(found.readings[number, sensor])
+            for sensor, name in enumerate(shown.names):
+                reading = float(shown.readings[number, sensor])
                 stream.log(f"sensors/{name}", rr.Scalars(reading))
         stream.disconnect()
     return {
-        "frames": len(found.times),
-        "samples": len(found.samples),
-        "sensors": list(found.names),
+        "frames": len(shown.times),
+        "samples": len(shown.samples),
+        "sensors": list(shown.names),
     }
 
 

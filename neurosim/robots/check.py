@@ -65,13 +65,13 @@ def check(robot: Robot, ask: Callable[[str], bool] | None = None) -> list[Findin
     """
     tried = _Tried(robot, ask)
     try:
-        found = [tried.latency(), tried.order(), tried.self_stopping()]
-        found += tried.numbers()
-        found += tried.dead_bands()
-        found.append(tried.battery())
+        findings = [tried.latency(), tried.order(), tried.self_stopping()]
+        findings += tried.numbers()
+        findings += tried.dead_bands()
+        findings.append(tried.battery())
     finally:
         robot.stop()
-    return found
+    return findings
 
 
 class _Tried:
@@ -130,7 +130,7 @@ class _Tried:
         self._robot.drive_for(self._gentle(), 0.3)
         self._wait(0.3 + 2.0)
         moved = self._counts() != before
-        found = self._stands(
+        finding = self._stands(
             "self-stopping", "it stops by itself after its command, with nothing sent",
             "it continues to drive after the end of its command, although its driver is "
             "SelfStopping",
@@ -140,23 +140,23 @@ class _Tried:
                 "self-stopping", "wrong",
                 "a command of 0.3 s did not move it: are its motors on, and its wheels free?",
             )  # fmt: skip
-        return found
+        return finding
 
     def numbers(self) -> list[Finding]:
         """See for each number of a command which way it drives, and how fast."""
-        found = []
+        findings = []
         for place, one in enumerate(self._takes.numbers):
             if not one.speed:
                 continue
             command = [0.0] * len(self._takes.numbers)
             command[place] = GENTLE * one.high
             if self._counter is not None and self._takes.body == "wheels":
-                found.append(self._wheel(place, command))
+                findings.append(self._wheel(place, command))
             elif self._counter is not None and one.name in ("v", "vx", "w", "omega"):
-                found.append(self._velocity(one, command))
+                findings.append(self._velocity(one, command))
             else:
-                found.append(self._seen(one.name, command))
-        return found
+                findings.append(self._seen(one.name, command))
+        return findings
 
     def _wheel(self, place: int, command: list[float]) -> Finding:
         assert self._counter is not None
@@ -246,7 +246,7 @@ class _Tried:
         """Find the least command that turns each wheel, by its counter."""
         if self._counter is None or self._takes.body != "wheels":
             return []
-        found = []
+        findings = []
         for place, one in enumerate(self._takes.numbers):
             least = math.nan
             for level in LEVELS:
@@ -265,15 +265,15 @@ class _Tried:
             what = f"dead band {one.name}"
             if math.isnan(least):
                 says = f"{100 * LEVELS[-1]:.0f} % do not turn it: are its motors on, and charged?"
-                found.append(Finding(what, "wrong", says, {}))
+                findings.append(Finding(what, "wrong", says, {}))
             elif least > 0.2:
                 says = (f"it turns from {100 * least:.0f} % on: record with speeds well above, or "
                         "let its program regulate them")  # fmt: skip
-                found.append(Finding(what, "wrong", says, measured))
+                findings.append(Finding(what, "wrong", says, measured))
             else:
                 says = f"it turns from {100 * least:.0f} % on, or below"
-                found.append(Finding(what, "good", says, measured))
-        return found
+                findings.append(Finding(what, "good", says, measured))
+        return findings
 
     def battery(self) -> Finding:
         """Read the battery."""

@@ -90,10 +90,10 @@ def angles_of(
     sine = y / np.maximum(down, 1e-9)
     spread = np.arcsin(np.clip(sine, -1.0, 1.0))
     swing = se2.wrapped(np.arctan2(x, z) - np.arctan2(along, -down * np.cos(spread)))
-    found = np.stack(
+    angles = np.stack(
         [np.clip(swing, *SWING), np.clip(spread, *SPREAD), knee * bent],
         axis=-1,
     )
     reached = (np.abs(cosine) <= 1.0) & (np.abs(sine) <= 1.0) & (np.abs(fold - bent) < 1e-12)
-    reached &= (np.abs(found[..., 0] - swing) < 1e-12) & (np.abs(found[..., 1] - spread) < 1e-12)
-    return found, reached
+    reached &= (np.abs(angles[..., 0] - swing) < 1e-12) & (np.abs(angles[..., 1] - spread) < 1e-12)
+    return angles, reached

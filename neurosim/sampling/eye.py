@@ -136,5 +136,5 @@ def steady_twist(times: NDArray[np.float64], poses: NDArray[np.float64]) -> NDAr
     terms = np.concatenate(
         [np.stack([cos, -sin, one, none], axis=1), np.stack([sin, cos, none, one], axis=1)]
     )
-    found = np.linalg.lstsq(terms, poses[:, :2].T.ravel(), rcond=None)[0]
-    return np.array([found[0], found[1], turn])
+    solution = np.linalg.lstsq(terms, poses[:, :2].T.ravel(), rcond=None)[0]
+    return np.array([solution[0], solution[1], turn])

@@ -105,12 +105,12 @@ def _drive(
     robot.set_speeds(left, right)
     begin = clock.now()
     clock.sleep_until(begin + SETTLE)
-    found = measure(duration)
+    measured = measure(duration)
     robot.set_speeds(-left, -right)
     clock.sleep_until(2 * clock.now() - begin)
     robot.stop()
     clock.sleep_until(clock.now() + SETTLE)
-    return found
+    return measured
 
 
 def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:

@@ -51,14 +51,14 @@ def full_turn(turns: Turns) -> float:
         UserError: if nothing was sampled to its end, or the sensors say the same again nowhere
             near to where the counters have it.
     """
-    found = [
+    repeats = [
         _period(rows)
         for (name, _, distance), rows in turns.items()
         if distance == 0 and name not in PIVOTS and len(rows) > 9
     ]
-    if not found:
+    if not repeats:
         raise UserError("no turn at the smallest distance was sampled to its end")
-    return float(np.median(found))
+    return float(np.median(repeats))
 
 
 def wheel_sizes(turns: Turns) -> tuple[float, float]:
@@ -193,7 +193,7 @@ class _Seen:
                 self.directions = np.mean(looking, axis=0)
             offs = [_between(self.directions, one) for one in looking]
             # Beyond what sensors see nothing says how the robot was turned.
-            offs = [off if math.isnan(found) else found for found in offs]
+            offs = [off if math.isnan(offset) else offset for offset in offs]
             off = offs[-1]
             self._halves.append(
                 [(half[0] - one, *half[1:]) for half, one in zip(halves, offs, strict=True)]
@@ -212,9 +212,9 @@ class _Seen:
         for k, halves in enumerate(self._halves):
             slipped = 0.0
             if len(halves) == 2:
-                expected, found = slopes[k] * apart, (both[k][1] - both[k][0])[:, 1:]
+                expected, change = slopes[k] * apart, (both[k][1] - both[k][0])[:, 1:]
                 doubt = (_READING / _SLIP) ** 2
-                slipped = float((expected * found).sum() / ((expected**2).sum() + doubt))
+                slipped = float((expected * change).sum() / ((expected**2).sum() + doubt))
             for _, each, share in halves:
                 each[:, 0] += before + slipped * share
             before += slipped
@@ -234,12 +234,14 @@ class _Seen:
         for halves in self._halves:
             angle = np.concatenate([angle for angle, _, _ in halves]) - off
             mean.append(_even(angle, np.concatenate([each for _, each, _ in halves]), count))
-        found = np.array(mean)
-        samples = np.empty((*found.shape[:2], found.shape[2] - 1))
+        averaged = np.array(mean)
+        samples = np.empty((*averaged.shape[:2], averaged.shape[2] - 1))
         for a in range(count):
-            order = np.argsort(found[:, a, 0])
+            order = np.argsort(averaged[:, a, 0])
             for s in range(samples.shape[2]):
-                samples[:, a, s] = np.interp(self._away, found[order, a, 0], found[order, a, 1 + s])
+                samples[:, a, s] = np.interp(
+                    self._away, averaged[order, a, 0], averaged[order, a, 1 + s]
+                )
         # A straight line through readings at the end of their range may leave it.
         return samples.clip(0.0, 1.0)
 

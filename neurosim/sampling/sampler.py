@@ -160,21 +160,21 @@ def _begin(out: Path, about: dict[str, Any], resume: bool) -> None:
         files.check_new_folder(out)
         files.write_json(path, FORMAT, VERSION, about)
         return
-    found = files.read_json(path, FORMAT, VERSION, formats.BegunSampling)
+    begun = files.read_json(path, FORMAT, VERSION, formats.BegunSampling)
     files.check_no_links(out)
-    if any(found[name] != about[name] for name in ("settings", "seed")):
+    if any(begun[name] != about[name] for name in ("settings", "seed")):
         raise FileError(
             path,
             "was started with other settings; give the same settings to continue",
             field="settings",
         )
-    then, now = found.get("motors", "counters"), about["motors"]
+    then, now = begun.get("motors", "counters"), about["motors"]
     if then != now:
         raise FileError(
             path, f"was begun with motors measured by {then}, not {now}", field="motors"
         )
     for part, names in _SAME.items():
-        then, now = (side.get(part) or {} for side in (found, about))
+        then, now = (side.get(part) or {} for side in (begun, about))
         for name in names:
             if then.get(name) not in (None, now.get(name)):
                 raise FileError(

@@ -97,12 +97,12 @@ def read_turns(folder: str | Path) -> Turns:
     parsers |= dict.fromkeys(("repeat", "distance", "turn"), files.integer)
     parsers |= dict.fromkeys(_ROW, files.number)
     table = files.read_csv(Path(folder) / "sensors.csv", parsers, drop_torn_line=True)
-    found = {}
+    turns = {}
     for _, turn in table.groupby("turn"):
         last = turn.iloc[-1]
         if last["whole"]:
-            found[last["object"], last["repeat"], last["distance"]] = turn[list(_ROW)].to_numpy()
-    return found
+            turns[last["object"], last["repeat"], last["distance"]] = turn[list(_ROW)].to_numpy()
+    return turns
 
 
 def reading_times(folder: str | Path) -> NDArray[np.float64]:

@@ -311,8 +311,8 @@ class CompiledRollouts:
         _on_cores(self._model, self._works, pilot, genes, begun, noise, together, *written)
         read = readings if self._reads else None
         if pilot.blind:
-            found = planned(poses, commands, active, rest)
-            return replace(found, readings=read)
+            trajectory = planned(poses, commands, active, rest)
+            return replace(trajectory, readings=read)
         return stepped(poses, driven, read, self._episode)
 
     def _buffers(

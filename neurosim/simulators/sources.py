@@ -31,7 +31,7 @@ def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
     Raises:
         FileError: if what says so is damaged.
     """
-    found = []
+    entries = []
     for path in map(Path, paths):
         entry: dict[str, Any] = {
             "path": str(path),
@@ -45,8 +45,8 @@ def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
                 if (folder / name).exists()
             ]
         )
-        found.append(entry if told is None else {**entry, "virtual": told})
-    return {"source": found}
+        entries.append(entry if told is None else {**entry, "virtual": told})
+    return {"source": entries}
 
 
 def named(simulator: str | Path) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def named(simulator: str | Path) -> dict[str, Any]:
 
 def digest(simulator: str | Path) -> str:
     """Return the SHA-256 of a simulator's files: their names and contents, weights included."""
-    folder, found = Path(simulator), hashlib.sha256()
+    folder, hashed = Path(simulator), hashlib.sha256()
     for path in sorted(path for path in folder.rglob("*") if path.is_file()):
-        found.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
-    return found.hexdigest()
+        hashed.update(f"{path.relative_to(folder).as_posix()} {sha256(path)}\n".encode())
+    return hashed.hexdigest()

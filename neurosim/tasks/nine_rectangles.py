@@ -215,8 +215,8 @@ class NineRectangles(Task):
     def region(self, poses: NDArray[np.float64]) -> NDArray[np.int64]:
         """Return the rectangle of each pose [..., 3]: its number, -1 forbidden, -2 outside."""
         poses = np.asarray(poses, np.float64)
-        found = _places(poses[..., 0].ravel(), poses[..., 1].ravel(), self._grid)
-        return found.reshape(poses.shape[:-1])
+        regions = _places(poses[..., 0].ravel(), poses[..., 1].ravel(), self._grid)
+        return regions.reshape(poses.shape[:-1])
 
     def outline(self) -> list[dict[str, Any]]:
         """Return the rectangles with their numbers."""

@@ -145,10 +145,10 @@ class _Maps:
         off = np.concatenate([self.rows.values[kept, s] - base for s in group])
         if not np.isfinite(smooth):
             return np.full(self.grid.shape, base)
-        found = self._known.setdefault((*group, part), np.zeros(self.grid.shape))
+        field = self._known.setdefault((*group, part), np.zeros(self.grid.shape))
         kappa = (self.grid.cell / LENGTH) ** 2
-        _conjugate_gradients(points, weights, off, kappa, smooth, self._exact, found)
-        return found + base
+        _conjugate_gradients(points, weights, off, kappa, smooth, self._exact, field)
+        return field + base
 
     def _base(self, group: Sequence[int]) -> float:
         return float(np.mean(self.base[list(group)]))
@@ -160,10 +160,10 @@ class _Maps:
             tested = self.rows.part == part
             if not tested.any() or tested.all():
                 continue
-            found = self.fit(mounts, smooth, group, ~tested, part).ravel()
+            field = self.fit(mounts, smooth, group, ~tested, part).ravel()
             for place, s in enumerate(group):
                 at = self.grid.weights(self.rows.looked_at(mounts[s])[tested])
-                predicted = (found[at[0]] * at[1]).sum(1)
+                predicted = (field[at[0]] * at[1]).sum(1)
                 off[tested, place] = self.rows.values[tested, s] - predicted
         return off
 
@@ -274,11 +274,11 @@ def _mounting(rows: _Rows, sensor: int) -> NDArray[np.float64]:
     # Readings that do not differ say nothing of where they are from.
     if rows.values.std() < 1e-6:
         return np.zeros(3)
-    found = min(
+    best = min(
         (np.array([ahead, aside, 0.04]) for ahead, aside in tries),
         key=lambda mount: coarse.error(mount[None], _SEARCHED, [0]),
     )
-    return _refine(coarse, found[None], [0], finest=8 * _FINEST)[0]
+    return _refine(coarse, best[None], [0], finest=8 * _FINEST)[0]
 
 
 def _refine(
@@ -291,24 +291,24 @@ def _refine(
 
     A step that made the error less is gone on with; where none does, steps are halved.
     """
-    found, least = mounts.copy(), maps.error(mounts, _SEARCHED, group)
+    best, least = mounts.copy(), maps.error(mounts, _SEARCHED, group)
     steps = np.array([STEP / 4, STEP / 4, 0.02])
     while (steps > finest).any():
         better = False
         for s in group:
             for axis in range(3):
                 for sign in (1.0, -1.0):
-                    tried = found.copy()
+                    tried = best.copy()
                     tried[s, axis] += sign * steps[axis]
                     if axis == 2 and not 0.0 <= tried[s, 2] <= LATEST:
                         continue
                     error = maps.error(tried, _SEARCHED, group)
                     if error < least:
-                        found, least, better = tried, error, True
+                        best, least, better = tried, error, True
                         break
         if not better:
             steps = steps / 2
-    return found
+    return best
 
 
 def _grouped(maps: _Maps, mounts: NDArray[np.float64]) -> list[list[int]]:
@@ -338,8 +338,8 @@ def _noise(
     """
     off = np.abs(maps.left_out(mounts, smooth, group))
     noise = np.zeros((len(group), 2))
-    found = maps.fit(mounts, smooth, group, np.ones(len(off), bool))
-    along_y, along_x = np.gradient(found, maps.grid.cell)
+    field = maps.fit(mounts, smooth, group, np.ones(len(off), bool))
+    along_y, along_x = np.gradient(field, maps.grid.cell)
     steep = np.hypot(along_x, along_y).ravel()
     for place, s in enumerate(group):
         at = maps.grid.weights(maps.rows.looked_at(mounts[s]))
@@ -357,12 +357,12 @@ def _tried(
     maps: _Maps, mounts: NDArray, smooth: float, group: Sequence[int], later: _Rows
 ) -> NDArray[np.float64]:
     """Return the root mean square error [G] on later readings; 0 where there are none."""
-    found = maps.fit(mounts, smooth, group, np.ones(len(maps.rows.part), bool)).ravel()
+    field = maps.fit(mounts, smooth, group, np.ones(len(maps.rows.part), bool)).ravel()
     error = np.zeros(len(group))
     for place, s in enumerate(group):
         if len(later.part):
             points, weights = maps.grid.weights(later.looked_at(mounts[s]))
-            off = later.values[:, s] - (found[points] * weights).sum(1)
+            off = later.values[:, s] - (field[points] * weights).sum(1)
             error[place] = np.sqrt(np.mean(off**2))
     return error
 

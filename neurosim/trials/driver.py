@@ -162,9 +162,9 @@ def driver_of(
 
 def source_of(folder: Path) -> dict[str, str]:
     """Return what names a controller: where it is, and what its files hold."""
-    found = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
+    source = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
     weights = folder / "weights.safetensors"
-    return {**found, "weights_sha256": sha256(weights)} if weights.exists() else found
+    return {**source, "weights_sha256": sha256(weights)} if weights.exists() else source
 
 
 class Replanned:
@@ -252,14 +252,14 @@ def missing(
     driver = source or Driver(saved, task.episode, {}, takes)
     kind = robot.describe().get("kind", "robot")
     columns = [name for name in saved.controller.outputs if name != "duration"]
-    found = []
+    lacking = []
     if sorted(columns) != sorted(takes.names):
-        found.append(
+        lacking.append(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
             f"{', '.join(takes.names)}"
         )
     elif saved.controller.blind and tuple(columns) != takes.names:
-        found.append(
+        lacking.append(
             f"the plan has its numbers in another order ({', '.join(columns)}) than this robot "
             f"({kind}): {', '.join(takes.names)}"
         )
@@ -268,20 +268,20 @@ def missing(
             for command in plan_of(saved):
                 takes.check(command.numbers)
         except UserError as error:
-            found.append(f"this robot ({kind}) does not take a command of the plan: {error}")
+            lacking.append(f"this robot ({kind}) does not take a command of the plan: {error}")
     goals = [name for name in saved.controller.inputs if name in OF_GOALS]
     if goals and task.episode.goals is None:
-        found.append(
+        lacking.append(
             f"the controller needs {', '.join(goals)}, and the task {task.name} gives no goals"
         )
     sees = (
         camera is not None and calibration is not None and CameraModel.read(calibration).has_board
     )
-    found += closed_loop.missing(driver, robot, sees=sees)
+    lacking += closed_loop.missing(driver, robot, sees=sees)
     poses = camera is not None or isinstance(robot, Counters)
     sensors = len(robot.sensor_names) if driver.reads and isinstance(robot, Sensors) else 0
     try:
         task.check_scored(poses, sensors > 0)
     except UserError as error:
-        found.append(f"this robot ({kind}) does not suit the task: {error}")
-    return found
+        lacking.append(f"this robot ({kind}) does not suit the task: {error}")
+    return lacking

@@ -86,10 +86,10 @@ def make_reality(
     maker = REALITIES.get(name)
     takes = inspect.signature(maker).parameters if callable(maker) else {}
     given = {key: value for key, value in given.items() if key == "controller" or key in takes}
-    found = REALITIES.make(name, {**given, **options})
-    if not isinstance(found, Reality | AbstractContextManager):
+    reality = REALITIES.make(name, {**given, **options})
+    if not isinstance(reality, Reality | AbstractContextManager):
         raise UserError(f"the reality {name!r} has no trial()")
-    return found
+    return reality
 
 
 @contextmanager

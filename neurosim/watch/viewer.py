@@ -152,7 +152,7 @@ class Viewer:
         lost = None if self._found_at is None else now - self._found_at
         span = self._times[-1] - self._times[0] if len(self._times) > 1 else 0.0
         seen = self._seen
-        found = seen is not None and seen.sighting.found
+        in_view = seen is not None and seen.sighting.found
         return {
             "number": self._number,
             "label": self._label,
@@ -164,14 +164,14 @@ class Viewer:
             "stale": now - self._shown_at > STALE_AFTER,
             "fps": round((len(self._times) - 1) / span, 1) if span > 0 else 0.0,
             "time": round(seen.time, 3) if seen is not None else 0.0,
-            "found": found,
-            "quality": round(seen.sighting.quality, 3) if found else 0.0,
+            "found": in_view,
+            "quality": round(seen.sighting.quality, 3) if in_view else 0.0,
             "ever_found": self._found_at is not None,
             "lost": lost is not None and lost > LOST_AFTER,
             "lost_for": round(lost, 1) if lost is not None else 0.0,
-            "front": _pixel(seen.sighting.front) if found else None,
-            "rear": _pixel(seen.sighting.rear) if found else None,
-            "pose": self._pose(seen) if found else None,
+            "front": _pixel(seen.sighting.front) if in_view else None,
+            "rear": _pixel(seen.sighting.rear) if in_view else None,
+            "pose": self._pose(seen) if in_view else None,
             "colours": {
                 which: self._describe(which, place) for place, which in enumerate(("front", "rear"))
             },
@@ -188,19 +188,19 @@ class Viewer:
 
     def _describe(self, which: str, place: int) -> dict[str, Any]:
         """Say what a marker's colour is, and what it looks like to this camera."""
-        pointed, found = self._pointed.get(which), self._found(which)
+        pointed, learned = self._pointed.get(which), self._found(which)
         named = _hex(drawn_with(self._what)[place])
         if isinstance(self._what, Tag):
             return {"name": "", "swatch": named, "found": None, "sure": None, "doubt": None}
         colour = self._what[place]
         named = colour.name if colour.name.startswith("#") else named
-        sure = found or pointed
+        sure = learned or pointed
         return {
             "name": colour.name,
-            "swatch": named if found is None else found.rgb,
-            "found": None if found is None else found.rgb,
+            "swatch": named if learned is None else learned.rgb,
+            "found": None if learned is None else learned.rgb,
             "sure": None if sure is None else round(sure.confidence, 2),
-            "doubt": None if found is None else found.as_dict()["doubt"],
+            "doubt": None if learned is None else learned.as_dict()["doubt"],
         }
 
     def _found(self, which: str) -> Found | None:
@@ -316,8 +316,8 @@ class Viewer:
         }
 
     def _told(self, which: str) -> dict[str, Any]:
-        found = self._found(which)
-        return {} if found is None else {"rgb": found.rgb, "sure": round(found.confidence, 3)}
+        colour = self._found(which)
+        return {} if colour is None else {"rgb": colour.rgb, "sure": round(colour.confidence, 3)}
 
     def _find_camera(self) -> str:
         missing = [name for name in CORNERS if name not in self._corners]

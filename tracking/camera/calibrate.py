@@ -187,7 +187,7 @@ def _find_all(
     source: str | Path | Sequence[str | Path], target: Target
 ) -> tuple[list[View], tuple[int, int]]:
     images = _pictures(source)
-    found: list[View] = []
+    views: list[View] = []
     size: tuple[int, int] | None = None
     first, seen = "", 0
     with Progress("looking for the chessboard", unit="pictures") as progress:
@@ -203,14 +203,14 @@ def _find_all(
             seen += 1
             view = target.find(image if image.ndim == 2 else cv2.cvtColor(image, _GREY))
             if view is not None:
-                found.append(view._replace(name=name))
+                views.append(view._replace(name=name))
             progress.advance()
-    if len(found) < FEWEST_PHOTOGRAPHS:
+    if len(views) < FEWEST_PHOTOGRAPHS:
         raise UserError(
-            f"the {target.name} was found in {len(found)} of {seen} pictures; at least "
+            f"the {target.name} was found in {len(views)} of {seen} pictures; at least "
             f"{FEWEST_PHOTOGRAPHS} are needed"
         )
-    return _spread(found, MOST_FRAMES), size
+    return _spread(views, MOST_FRAMES), size
 
 
 def _photographs(files: Iterable[Path]) -> Iterator[tuple[str, NDArray]]:
@@ -231,18 +231,20 @@ def _video_frames(path: Path) -> Iterator[tuple[str, NDArray]]:
                 yield f"{path}, frame {index}", frame
 
 
-def _spread(found: list[View], most: int) -> list[View]:
+def _spread(photographs: list[View], most: int) -> list[View]:
     """Keep the ``most`` views that differ most, by farthest-point selection on four corners."""
-    if len(found) <= most:
-        return found
-    corners = [view.pixels for view in found]
-    views = np.array([[c[0], c[-1], *_other_corners(c)] for c in corners]).reshape(len(found), -1)
+    if len(photographs) <= most:
+        return photographs
+    corners = [view.pixels for view in photographs]
+    views = np.array([[c[0], c[-1], *_other_corners(c)] for c in corners]).reshape(
+        len(photographs), -1
+    )
     chosen = [0]
     distance = np.linalg.norm(views - views[0], axis=1)
     while len(chosen) < most:
         chosen.append(int(distance.argmax()))
         distance = np.minimum(distance, np.linalg.norm(views - views[chosen[-1]], axis=1))
-    return [found[i] for i in sorted(chosen)]
+    return [photographs[i] for i in sorted(chosen)]
 
 
 def _other_corners(corners: NDArray) -> tuple[NDArray, NDArray]:

@@ -108,8 +108,8 @@ class Charuco:
 def find_corners(image: NDArray, pattern: tuple[int, int]) -> NDArray | None:
     """Return the inner corners [N, 2] of a chessboard in pixels, row by row, or None."""
     grey = image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
-    found, corners = cv2.findChessboardCorners(grey, pattern)
-    if not found:
+    visible, corners = cv2.findChessboardCorners(grey, pattern)
+    if not visible:
         return None
     reach = _reach(corners.reshape(pattern[1], pattern[0], 2))
     corners = cv2.cornerSubPix(grey, corners, (reach, reach), (-1, -1), _REFINE)

@@ -70,13 +70,13 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
         begin += STRETCH
         for _ in range(2):  # once more with the answers in the middle of what is tried
             answers = answers_to(times + shift, signals, near)
-            found = None if answers is None else delay_of(answers)
-            if found is None or abs(found.delay) >= REACH - STEP:
-                found = None
+            delay = None if answers is None else delay_of(answers)
+            if delay is None or abs(delay.delay) >= REACH - STEP:
+                delay = None
                 break
-            shift -= found.delay
-        if found is not None:
-            offsets.append((float(answers.times.mean()), shift, found.sd))
+            shift -= delay.delay
+        if delay is not None:
+            offsets.append((float(answers.times.mean()), shift, delay.sd))
     if not offsets:
         raise UserError(
             "the clock cannot be found from the motion: too few commands are seen to change the "

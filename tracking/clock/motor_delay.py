@@ -93,8 +93,8 @@ def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine])
         speeds to tell, or the answers lie beyond what is looked for.
     """
     answers = answers_to(*signals_of(times, poses), changes_of(lines))
-    found = None if answers is None else delay_of(answers)
-    return None if found is None or abs(found.delay) >= REACH - STEP else found
+    delay = None if answers is None else delay_of(answers)
+    return None if delay is None or abs(delay.delay) >= REACH - STEP else delay
 
 
 def signals_of(times: ArrayLike, poses: ArrayLike) -> tuple[NDArray, NDArray]:
@@ -130,12 +130,12 @@ def answers_to(times: NDArray, signals: NDArray, changes: NDArray) -> Answers | 
     """Return the misfit of every answer that is seen, over dead times and lags."""
     if len(times) < 2 or not len(changes):
         return None
-    found, fewest = [*_single(times, signals, changes)], FEWEST
-    if len(found) < fewest:
-        found, fewest = [*_in_windows(times, signals, changes)], FEWEST_WINDOWS
-    if not found:
+    answers, fewest = [*_single(times, signals, changes)], FEWEST
+    if len(answers) < fewest:
+        answers, fewest = [*_in_windows(times, signals, changes)], FEWEST_WINDOWS
+    if not answers:
         return None
-    when, misfits = zip(*found, strict=True)
+    when, misfits = zip(*answers, strict=True)
     return Answers(np.array(misfits), np.array(when), fewest)
 
 

@@ -73,15 +73,15 @@ class ClockFit:
 
 def pulses(lines: Iterable[LampLine]) -> list[tuple[float, float]]:
     """Return (on, off) robot times of the lamp in one session's command lines."""
-    found, on = [], None
+    flashes, on = [], None
     for line in lines:
         if line.kind == "lamp-on" and on is None:
             on = line.time
         elif line.kind == "lamp-off" and on is not None:
             if line.time > on:
-                found.append((on, line.time))
+                flashes.append((on, line.time))
             on = None
-    return found
+    return flashes
 
 
 def fit_clock(
@@ -231,12 +231,12 @@ def _nearest(times: NDArray, grid: NDArray) -> NDArray:
 
 
 def _peaks(shifts: NDArray, score: NDArray, most: int = 6) -> list[float]:
-    score, found = score.copy(), []
-    while len(found) < most and score.max(initial=0.0) > 0:
+    score, peaks = score.copy(), []
+    while len(peaks) < most and score.max(initial=0.0) > 0:
         place = int(score.argmax())
-        found.append(float(shifts[place]))
+        peaks.append(float(shifts[place]))
         score[np.abs(shifts - shifts[place]) < 0.3] = 0.0
-    return found
+    return peaks
 
 
 def _near(

@@ -45,10 +45,10 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
             is so late, or if the poses are early.
     """
     if delay is None:
-        found = lateness(max(logs, key=lambda log: len(log.pose_time)))
-        if found is None or -_EARLY <= found.delay <= ROBOTS:
+        late = lateness(max(logs, key=lambda log: len(log.pose_time)))
+        if late is None or -_EARLY <= late.delay <= ROBOTS:
             return list(logs), []
-        delay = found.delay
+        delay = late.delay
         much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
         said = [
             f"poses follow {much} their commands, as no robot does: their clocks differ; "
@@ -105,10 +105,10 @@ def _lagged(commands: NDArray, step: float, lag: float) -> NDArray:
     """Return commands (K, C) through a first-order lag, s."""
     if lag == 0.0:
         return commands
-    keep, found = np.exp(-step / lag), commands.copy()
-    for place in range(1, len(found)):
-        found[place] = keep * found[place - 1] + (1.0 - keep) * commands[place]
-    return found
+    keep, lagged = np.exp(-step / lag), commands.copy()
+    for place in range(1, len(lagged)):
+        lagged[place] = keep * lagged[place - 1] + (1.0 - keep) * commands[place]
+    return lagged
 
 
 def _features(speeds: NDArray) -> NDArray:

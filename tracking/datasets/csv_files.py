@@ -104,9 +104,9 @@ def import_csv(
     conventions, settings = conventions or Conventions(), settings or logs.Settings()
     columns, units = dict(columns or {}), dict(units or {})
     files.check_new_folder(out)
-    found = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
-    names = _names_of(found)
-    tables = [_Table(path, columns) for path in found]
+    inputs = [Path(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+    names = _names_of(inputs)
+    tables = [_Table(path, columns) for path in inputs]
     shape = _shape(tables[0], rows)
     commands = _commands(tables[0], shape)
     for name in units:
@@ -159,7 +159,7 @@ def import_csv(
     dataset = make(
         made,
         logs.inputs_of(units),
-        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in found],
+        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in inputs],
         left_out=left_out,
         settings={
             "shape": shape,

@@ -307,25 +307,27 @@ def build(
     warnings: list[str] = []
     for name, path in track(list(zip(names, recordings, strict=True)), "dataset", unit="recording"):
         recording = Recording(path)
-        found = displacements(recording, settings, correct_delay=correct_delay, doubtful=doubtful)
+        measured = displacements(
+            recording, settings, correct_delay=correct_delay, doubtful=doubtful
+        )
         if chained:
-            found.corrected.clear()  # the delay is learned with the rest
+            measured.corrected.clear()  # the delay is learned with the rest
             stretches, said = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
             drives += stretches
             warnings += [f"{name}: {sentence}" for sentence in said]
-        rows += [{"recording": name, **row} for row in found.rows]
-        sent += found.sent
+        rows += [{"recording": name, **row} for row in measured.rows]
+        sent += measured.sent
         seen = sensor_readings.readings_of(recording, name, doubtful=doubtful)
         readings.append(seen)
-        left_out.update(found.left_out)
+        left_out.update(measured.left_out)
         delays += [
             {
                 "recording": name,
                 "session": session,
                 **asdict(delay),
-                "corrected": session in found.corrected,
+                "corrected": session in measured.corrected,
             }
-            for session, delay in found.delays.items()
+            for session, delay in measured.delays.items()
         ]
         for session in recording.tracked_sessions():
             of = {"recording": name, "session": session["session"]}
@@ -402,13 +404,13 @@ def _check_one_robot(recordings: Sequence[Path]) -> None:
     for path in recordings:
         meta = Recording(path).meta
         robot, lab = meta["robot"], meta.get("virtual_lab")
-        found = {"kind": robot_kind(robot), **{key: robot.get(key) for key in _IDENTITY}}
+        identity = {"kind": robot_kind(robot), **{key: robot.get(key) for key in _IDENTITY}}
         ports = robot.get("ports")
         for side in ("left", "right"):
-            found[f"{side} motor"] = ports.get(side) if isinstance(ports, Mapping) else None
-        found["robot of the lab"] = lab.get("robot_seed") if isinstance(lab, Mapping) else None
-        first = found if first is None else first
-        for key, value in found.items():
+            identity[f"{side} motor"] = ports.get(side) if isinstance(ports, Mapping) else None
+        identity["robot of the lab"] = lab.get("robot_seed") if isinstance(lab, Mapping) else None
+        first = identity if first is None else first
+        for key, value in identity.items():
             if value != first[key]:
                 raise UserError(
                     f"{recordings[0]} and {path} are of different robots ({key}: {first[key]!r} "

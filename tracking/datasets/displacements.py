@@ -214,17 +214,17 @@ def displacements(
         for session in np.unique(poses.session)
     }
     left = {session: every.of_session(session) for session in tracks if not doubtful}
-    found = Displacements()
+    result = Displacements()
     for session in tracks:
         own, driven = poses.of_session(session), [x for x in lines if x.session == session]
         delay = motion_delay(own.time, own.pose, driven)
         if delay is None:
             continue
-        found.delays[session] = delay
+        result.delays[session] = delay
         certain = abs(delay.delay) > SIGNIFICANT * delay.sd and delay.answers >= FEWEST_ANSWERS
         if correct_delay and certain:
-            found.corrected.add(session)
-    late = {session: found.delays[session].delay for session in found.corrected}
+            result.corrected.add(session)
+    late = {session: result.delays[session].delay for session in result.corrected}
     attempts: Counter[int | None] = Counter()
     takes, names = recording.takes, recording.takes.names
     for place, line in enumerate(lines):
@@ -236,7 +236,9 @@ def displacements(
         planned = {**dict(zip(names, line.numbers, strict=True)), "duration": line.duration}
         attempts[line.command] += 1
         commanded = {"forward": line.forward, "turn": line.turn}
-        found.sent.append({**planned, **commanded, "fate": fate, "attempt": attempts[line.command]})
+        result.sent.append(
+            {**planned, **commanded, "fate": fate, "attempt": attempts[line.command]}
+        )
         if reason is None:
             shown = (
                 None if x is None else x._replace(time=x.time + late.get(line.session, 0.0))
@@ -250,7 +252,7 @@ def displacements(
             else:
                 # A session begins with the robot standing.
                 previous = takes.rest() if before is None else before.numbers
-                found.rows.append(
+                result.rows.append(
                     {
                         "command": line.command,
                         **{f"prev_{x}": v for x, v in zip(names, previous, strict=True)},
@@ -259,8 +261,8 @@ def displacements(
                     }
                 )
         if reason is not None:
-            found.left_out[reason] += 1
-    return found
+            result.left_out[reason] += 1
+    return result
 
 
 def _any_doubtful(poses: Poses, line: CommandLine, after: CommandLine) -> bool:

@@ -53,8 +53,8 @@ def logs_of(
     said: list[str] = []
     for number, (run, before, since) in enumerate(_runs(lines, recording.takes.rest()), start=1):
         poses = every.of_session(run[0].session)
-        found, why = _log_of(run, before, since, poses, f"{name}/{number}", settings)
-        logs += found
+        more, why = _log_of(run, before, since, poses, f"{name}/{number}", settings)
+        logs += more
         said += [f"stretch {number}: {sentence}" for sentence in why]
     return logs, said
 

@@ -134,10 +134,10 @@ def export_lerobot(
             }
             if episode.video is not None and episode.frames is not None:
                 path = folder / VIDEO.format(video_key=CAMERA, **chunk)
-                found, stats[CAMERA] = _film(episode.video, episode.frames, path, fps)
-                if size not in (None, found):
+                film_size, stats[CAMERA] = _film(episode.video, episode.frames, path, fps)
+                if size not in (None, film_size):
                     raise UserError("the videos are of different sizes: export them apart")
-                size = found
+                size = film_size
                 row |= {f"videos/{CAMERA}/{name}": value for name, value in chunk.items()}
                 row |= {f"videos/{CAMERA}/from_timestamp": 0.0}
                 row |= {f"videos/{CAMERA}/to_timestamp": count / fps}
@@ -261,7 +261,7 @@ def _stats(values: NDArray) -> dict[str, list]:
 
 def _together(rows: list[dict[str, Any]], features: Mapping[str, Any]) -> dict[str, Any]:
     """Return the statistics over all episodes."""
-    found = {}
+    combined = {}
     for name in features:
         each = {
             stat: np.array([row[f"stats/{name}/{stat}"] for row in rows], float)
@@ -271,14 +271,14 @@ def _together(rows: list[dict[str, Any]], features: Mapping[str, Any]) -> dict[s
         weights = weights.reshape(-1, *[1] * (each["mean"].ndim - 1))
         mean = (weights * each["mean"]).sum(axis=0)
         variance = (weights * (each["std"] ** 2 + (each["mean"] - mean) ** 2)).sum(axis=0)
-        found[name] = {
+        combined[name] = {
             "min": each["min"].min(axis=0).tolist(),
             "max": each["max"].max(axis=0).tolist(),
             "mean": mean.tolist(),
             "std": np.sqrt(variance).tolist(),
             "count": [int(each["count"].sum())],
         }
-    return found
+    return combined
 
 
 def _film(
@@ -315,13 +315,13 @@ def _film(
 def _features(
     names: Mapping[str, list[str]], size: tuple[int, int] | None, fps: int
 ) -> dict[str, Any]:
-    found: dict[str, Any] = {
+    features: dict[str, Any] = {
         name: {"dtype": "float32", "shape": [len(parts)], "names": parts, "fps": fps}
         for name, parts in names.items()
     }
     if size is not None:
         width, height = size
-        found[CAMERA] = {
+        features[CAMERA] = {
             "dtype": "video",
             "shape": [height, width, 3],
             "names": ["height", "width", "channels"],
@@ -338,8 +338,8 @@ def _features(
         }
     for name in ("timestamp", "frame_index", "episode_index", "index", "task_index"):
         kind = "float32" if name == "timestamp" else "int64"
-        found[name] = {"dtype": kind, "shape": [1], "names": None, "fps": fps}
-    return found
+        features[name] = {"dtype": kind, "shape": [1], "names": None, "fps": fps}
+    return features
 
 
 def _array(pa: Any, values: NDArray[np.float32]) -> Any:

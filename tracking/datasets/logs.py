@@ -312,8 +312,8 @@ def _spread(times: NDArray, duration: float) -> NDArray:
     wanted = np.arange(_WITHIN, duration - _WITHIN / 2, _WITHIN)
     if not len(times) or not len(wanted):
         return np.zeros(0, np.int64)
-    found = np.unique(np.abs(times[None, :] - wanted[:, None]).argmin(axis=1))
-    return found[(times[found] > _ROUNDING) & (times[found] < duration - _ROUNDING)]
+    places = np.unique(np.abs(times[None, :] - wanted[:, None]).argmin(axis=1))
+    return places[(times[places] > _ROUNDING) & (times[places] < duration - _ROUNDING)]
 
 
 def _steps(time: NDArray, commands: NDArray, settings: Settings) -> list[int]:

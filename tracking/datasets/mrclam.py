@@ -52,25 +52,25 @@ def import_mrclam(
     """
     settings = settings or Settings()
     files.check_new_folder(out)
-    found = _find([paths] if isinstance(paths, str | Path) else paths)
-    odometry = read_numbers(found["odometry"], _COLUMNS["odometry"])
-    truth = read_numbers(found["groundtruth"], _COLUMNS["groundtruth"])
+    by_role = _find([paths] if isinstance(paths, str | Path) else paths)
+    odometry = read_numbers(by_role["odometry"], _COLUMNS["odometry"])
+    truth = read_numbers(by_role["groundtruth"], _COLUMNS["groundtruth"])
     if odometry[-1, 0] < truth[0, 0] or truth[-1, 0] < odometry[0, 0]:
         raise UserError(
-            f"{found['odometry']} and {found['groundtruth']} have no time in common "
+            f"{by_role['odometry']} and {by_role['groundtruth']} have no time in common "
             f"({odometry[0, 0]:.3f} to {odometry[-1, 0]:.3f} s and "
             f"{truth[0, 0]:.3f} to {truth[-1, 0]:.3f} s)"
         )
     poses = np.column_stack([truth[:, 1], truth[:, 2], np.unwrap(truth[:, 3])])
     seen = np.ones(len(odometry), bool)
-    stem = found["odometry"].stem
+    stem = by_role["odometry"].stem
     log = Log(stem, odometry[:, 0], odometry[:, 1:], seen, truth[:, 0], poses)
     (log,), warnings = in_step([log], settings.delay)
     rows, left_out, windows = any_rows_of([log], ("v", "w"), settings)
     dataset = make(
         rows,
         VELOCITY_INPUTS,
-        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in found.values()],
+        sources=[{"path": path.name, "sha256": files.sha256(path)} for path in by_role.values()],
         left_out=left_out,
         settings=asdict(settings),
         reasons=REASONS,
@@ -122,16 +122,16 @@ def _find(paths: Sequence[str | Path]) -> dict[str, Path]:
         if len(paths) > 2:
             raise UserError(f"{folder} holds several robots; name the two files of one of them")
         wanted = f"one file ...Odometry... and one ...Groundtruth... in {folder}"
-    found: dict[str, Path] = {}
+    by_role: dict[str, Path] = {}
     for path in paths:
         role = _role_by_name(path) or _role_by_content(path)
-        if role in found:
-            raise UserError(f"{found[role]} and {path} are both {role}; expected {wanted}")
-        found[role] = path
-    if len(found) != 2:
+        if role in by_role:
+            raise UserError(f"{by_role[role]} and {path} are both {role}; expected {wanted}")
+        by_role[role] = path
+    if len(by_role) != 2:
         names = ", ".join(path.name for path in paths) or "neither"
         raise UserError(f"expected {wanted}; found {names}")
-    return {role: found[role] for role in _COLUMNS}
+    return {role: by_role[role] for role in _COLUMNS}
 
 
 def _role_by_name(path: Path) -> str | None:

@@ -64,12 +64,12 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
         seen = np.isfinite(track.pose).all(axis=1)
         looks = observed.of_session(session)
         known, where = _motion_at(track.time[seen], track.pose[seen], looks.time)
-        found = pd.DataFrame(where[known].round(_DIGITS), columns=list(PLACE))
-        found.insert(0, "time", looks.time[known])
-        found.insert(0, "recording", name)
+        rows = pd.DataFrame(where[known].round(_DIGITS), columns=list(PLACE))
+        rows.insert(0, "time", looks.time[known])
+        rows.insert(0, "recording", name)
         for place, sensor in enumerate(observed.names):
-            found[sensor] = looks.readings[known, place].round(_DIGITS)
-        parts.append(found)
+            rows[sensor] = looks.readings[known, place].round(_DIGITS)
+        parts.append(rows)
     return pd.concat(parts, ignore_index=True) if parts else no_readings()
 
 

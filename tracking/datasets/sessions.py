@@ -172,8 +172,8 @@ def _jumps(time: NDArray, poses: NDArray, longest: float) -> tuple[NDArray, NDAr
         longest: poses that are away for longer, s, are not.
     """
     away = np.zeros(len(time), bool)
-    found = _fast(time, poses)
-    for first, second in pairwise(found):
+    jumps = _fast(time, poses)
+    for first, second in pairwise(jumps):
         back = np.hypot(*(poses[second, :2] - poses[first - 1, :2]))
         out = np.hypot(*(poses[first, :2] - poses[first - 1, :2]))
         if time[second] - time[first] <= longest and back < out / 2 and not away[first - 1]:
@@ -189,12 +189,12 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     steps = np.diff(time)
     speed = np.hypot(*np.diff(poses[:, :2], axis=0).T) / steps
     limit = _JUMP * np.quantile(speed, 0.99)
-    found = []
+    jumps = []
     for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
         beside = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]
         if speed[place] > _BESIDE * np.median(beside):
-            found.append(place + 1)
-    return np.array(found, np.int64)
+            jumps.append(place + 1)
+    return np.array(jumps, np.int64)
 
 
 def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:

@@ -228,10 +228,10 @@ def _units(
         replace(now, length=length, angle=angle, time=time)
         for length, angle, time in product(LENGTHS, ANGLES, TIMES)
     ]
-    found = [other for other in others if sensible(other, _MENDED)]
-    found.sort(key=lambda other: len(given.besides(other)))
-    if found and found[0] != given:
-        return [_RIGHT.format(" ".join(given.besides(found[0])))]
+    fitting = [other for other in others if sensible(other, _MENDED)]
+    fitting.sort(key=lambda other: len(given.besides(other)))
+    if fitting and fitting[0] != given:
+        return [_RIGHT.format(" ".join(given.besides(fitting[0])))]
     said = []
     likely = {"m/s": _within(fast, _SPEEDS), "rad/s": _within(turning, _RATES)}
     for unit, gain in gains.items():

@@ -109,8 +109,8 @@ def rows_of(within: pd.DataFrame, kept: NDArray[np.bool_]) -> pd.DataFrame:
     """
     place = np.cumsum(kept) - 1
     row = within["row"].to_numpy()
-    found = within[kept[row]]
-    return found.assign(row=place[found["row"].to_numpy()]).reset_index(drop=True)
+    rows = within[kept[row]]
+    return rows.assign(row=place[rows["row"].to_numpy()]).reset_index(drop=True)
 
 
 def write(path: Path, within: pd.DataFrame) -> None:

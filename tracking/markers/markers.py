@@ -163,15 +163,15 @@ class Picture:
         mask = cv2.morphologyEx(mask.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((3, 3), np.uint8))
         count, labels, stats, centres = cv2.connectedComponentsWithStats(mask, connectivity=8)
         largest = 0.03 * mask.size
-        found = []
+        sized = []
         for label in range(1, count):
             _, _, width, height, area = stats[label]
             stretched = max(width, height) > 3.5 * min(width, height)
             if not self._least_area <= area <= largest or stretched or area < 0.4 * width * height:
                 continue
-            found.append((area, label))
-        found.sort(reverse=True)
-        return [self._describe(labels, stats, centres, label) for _, label in found[:most]]
+            sized.append((area, label))
+        sized.sort(reverse=True)
+        return [self._describe(labels, stats, centres, label) for _, label in sized[:most]]
 
     def _near(self, colour: Colour) -> NDArray:
         direction = np.array([math.cos(colour.hue), math.sin(colour.hue)], np.float32)

@@ -89,16 +89,16 @@ def found_colour(colour: Colour, look: Look, rival: float, together: float = 1.0
 
 def together(founds: Sequence[Found | None]) -> Found | None:
     """Return what several pictures say together; None where none shows the colour."""
-    seen = [found for found in founds if found is not None]
+    seen = [colour for colour in founds if colour is not None]
     if not seen:
         return None
-    hues = np.array([found.colour.hue for found in seen])
+    hues = np.array([colour.colour.hue for colour in seen])
     hue = math.atan2(np.sin(hues).mean(), np.cos(hues).mean())
-    middle = sorted(seen, key=lambda found: found.chroma)[len(seen) // 2]
+    middle = sorted(seen, key=lambda colour: colour.chroma)[len(seen) // 2]
     # Hues that differ from picture to picture are of different things.
     agreement = float(np.hypot(np.sin(hues).mean(), np.cos(hues).mean()))
-    confidence = sum(found.confidence for found in seen) / len(founds) * agreement
-    reason = min(seen, key=lambda found: found.confidence).reason
+    confidence = sum(colour.confidence for colour in seen) / len(founds) * agreement
+    reason = min(seen, key=lambda colour: colour.confidence).reason
     return replace(
         middle, colour=replace(middle.colour, hue=hue), confidence=confidence, reason=reason
     )
@@ -112,21 +112,21 @@ def unless_still(founds: Sequence[Found], front: NDArray, rear: NDArray) -> tupl
     if reach > 0.5 * apart:
         return tuple(founds)
     return tuple(
-        replace(found, confidence=STILL_CONFIDENCE, reason=STILL)
-        if found.confidence > STILL_CONFIDENCE
-        else found
-        for found in founds
+        replace(colour, confidence=STILL_CONFIDENCE, reason=STILL)
+        if colour.confidence > STILL_CONFIDENCE
+        else colour
+        for colour in founds
     )
 
 
 def least_confident(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mapping[str, Any]]:
     """Return the ``markers`` of that session of tracking.json with the lowest confidence."""
-    found = [session["markers"] for session in sessions if "markers" in session]
+    every = [session["markers"] for session in sessions if "markers" in session]
 
     def confidence(markers: Mapping[str, Mapping[str, Any]]) -> float:
         return min(seen.get("sure", 1.0) for seen in markers.values())
 
-    return min(found, key=confidence, default={})
+    return min(every, key=confidence, default={})
 
 
 def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:

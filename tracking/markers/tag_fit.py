@@ -108,10 +108,10 @@ def fit(grey: NDArray, tag: Tag, guess: Placed) -> Placed | None:
     pattern = _pattern(tag.dictionary, tag.number, _blur_level(start.side / cells))
     placed, clear = start, np.ones(len(seen), bool)
     for _ in range(_ROUNDS):
-        found = _steps(pattern, cells, pixels[:, clear], seen[clear], placed)
-        if found is None or np.abs(found[0].centre - start.centre).max() > 0.5 * start.side:
+        fitted = _steps(pattern, cells, pixels[:, clear], seen[clear], placed)
+        if fitted is None or np.abs(fitted[0].centre - start.centre).max() > 0.5 * start.side:
             return None
-        placed, white, black = found
+        placed, white, black = fitted
         places = np.linalg.solve(placed.axes, pixels - placed.centre[:, None])
         misses = np.abs(seen - white * _sample(pattern, places, cells)[0] - black)
         before = clear
@@ -148,13 +148,13 @@ def _steps(
             [along, along * places[0], along * places[1], model[None], np.ones((1, len(model)))]
         )
         try:
-            found = np.linalg.solve(design @ design.T, design @ seen)
+            solution = np.linalg.solve(design @ design.T, design @ seen)
         except np.linalg.LinAlgError:
             return None
-        gain, black = found[6:]
+        gain, black = solution[6:]
         if gain < _LEAST_CONTRAST:
             return None
-        step = -found[:6] / gain
+        step = -solution[:6] / gain
         centre = centre + step[:2]
         axes = axes + step[2:].reshape(2, 2).T
         if not 0.7 < abs(np.linalg.det(axes)) / start.side**2 < 1.4:

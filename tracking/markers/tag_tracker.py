@@ -131,12 +131,12 @@ class TagTracker:
             return []
         corners, numbers = _seen(self._detector, grey, factor)
         self.others |= {number for number in numbers if number != self.tag.number}
-        found = []
+        tags = []
         for number, corner in zip(numbers, corners, strict=True):
             if number == self.tag.number:
                 fitted = self._fit((grey, origin), Placed.of_corners(corner + origin))
-                found += [] if fitted is None else [fitted]
-        return found
+                tags += [] if fitted is None else [fitted]
+        return tags
 
     def _fit(self, part: tuple[NDArray, NDArray], guess: Placed) -> Placed | None:
         """Return the tag near a guess, in a part of a picture with its origin; None: not there."""

@@ -143,24 +143,24 @@ class Tracker:
             frame: BGR [H, W, 3] uint8.
             time: in seconds, later than the frame before.
         """
-        found = None
+        pair = None
         self._frames += 1
         if self._cast is not None and (self._lost or self._frames % CAST_CADENCE == 0):
             self._follow_light(frame)
         if self._motion is not None and self._lost == 0:
-            found = self._at_home(frame) or self._follow(frame, time)
-            if found is None:
-                found = self._follow_in_other_light(frame, time)
-        if self._lost == 0 and self._motion is not None and found is None:
+            pair = self._at_home(frame) or self._follow(frame, time)
+            if pair is None:
+                pair = self._follow_in_other_light(frame, time)
+        if self._lost == 0 and self._motion is not None and pair is None:
             self._strangers = Strangers(2.0 * float(np.hypot(*self._motion.axis)))
-        if found is None and is_searched(self._lost):
-            found = self._search(frame, time)
-        if found is None:
+        if pair is None and is_searched(self._lost):
+            pair = self._search(frame, time)
+        if pair is None:
             self._lost += 1
             if self._learned is not None and self._lost >= DROP_AFTER and self._is_doubtful():
                 self._forget()
             return LOST
-        measured, quality = found
+        measured, quality = pair
         pixels = np.array([m.centre for m in measured])
         if self._lost:
             self._strangers = Strangers()
@@ -192,11 +192,11 @@ class Tracker:
         self, frame: NDArray, time: float
     ) -> tuple[list[Measurement], float] | None:
         """Follow the pair into a picture whose light is not as it was."""
-        if self._follow_light(frame) and (found := self._follow(frame, time)) is not None:
-            return found
+        if self._follow_light(frame) and (pair := self._follow(frame, time)) is not None:
+            return pair
         looks, light = self._learned.looks, self._light
-        if self._follow_light(frame, math.inf) and (found := self._follow(frame, time)) is not None:
-            return found
+        if self._follow_light(frame, math.inf) and (pair := self._follow(frame, time)) is not None:
+            return pair
         self._learned.looks, self._light = looks, light
         return None
 
@@ -235,11 +235,11 @@ class Tracker:
             self._home = None  # it went there by itself
             return None
         margins = [0.5 * radius for radius in self._radii(middle_of(self._home))]
-        found = self._measure(frame, self._home, margins)
-        if found is None or not self._looks_like_it(found[0]):
+        pair = self._measure(frame, self._home, margins)
+        if pair is None or not self._looks_like_it(pair[0]):
             return None
         self._home = self._motion = None
-        return found
+        return pair
 
     def _is_at(self, place: NDArray, measured: list[Measurement]) -> bool:
         """Return whether both markers are where they were, [2, 2] pixels, to half a radius."""
@@ -352,19 +352,19 @@ class Tracker:
         if self._learned is None:
             return self._search_first(frame)
         own, others = [], []
-        for found in self._all_that_fit(frame):
-            pixels = np.array([m.centre for m in found[0]])
-            (own if self._reachable(pixels, time) else others).append((middle_of(pixels), found))
+        for pair in self._all_that_fit(frame):
+            pixels = np.array([m.centre for m in pair[0]])
+            (own if self._reachable(pixels, time) else others).append((middle_of(pixels), pair))
         if time - self._motion.time < ELSEWHERE_WITHIN:
             # The robot cannot be there yet: this is another, and stays another as it moves.
             known = [place for place, _ in others if not self._strangers.near(place)]
             self._strangers.places += known
         strangers = self._strangers.follow([place for place, _ in own + others])
-        own = [found for place, found in own if not any(place is other for other in strangers)]
+        own = [pair for place, pair in own if not any(place is other for other in strangers)]
         if len(own) > 1:
             # One that is where the robot was lost is the robot.
             home = self._motion.pixels if self._home is None else self._home
-            own = [found for found in own if self._is_at(home, found[0])] or own
+            own = [pair for pair in own if self._is_at(home, pair[0])] or own
         if len(own) > 1:
             self.undecided += 1
         return own[0] if len(own) == 1 else None
@@ -383,11 +383,11 @@ class Tracker:
                 off = abs(self.geometry.separation_of(near) / self._learned.separation - 1.0)
                 if off > 2 * SEPARATION_TOLERANCE:
                     continue
-                found = self._measure(frame, near, [margin, margin])
-                if found is None or not self._looks_like_it(found[0]):
+                measured = self._measure(frame, near, [margin, margin])
+                if measured is None or not self._looks_like_it(measured[0]):
                     continue
-                if not any(_same(found[0], other[0]) for other in fitting):
-                    fitting.append(found)
+                if not any(_same(measured[0], other[0]) for other in fitting):
+                    fitting.append(measured)
         return fitting
 
     def _search_first(self, frame: NDArray) -> tuple[list[Measurement], float] | None:
@@ -402,8 +402,8 @@ class Tracker:
             picture = Picture(frame, white)
             blobs = [picture.blobs(colour) for colour in self.colours]
             self._seen = [
-                seen or any(blob.area >= SEEN_AREA for blob in found)
-                for seen, found in zip(self._seen, blobs, strict=True)
+                seen or any(blob.area >= SEEN_AREA for blob in patches)
+                for seen, patches in zip(self._seen, blobs, strict=True)
             ]
             rated += [
                 (rate(pair, self.colours, self.geometry, self._start), pair, white)
@@ -426,13 +426,13 @@ class Tracker:
                 # Once more with what the first look at full resolution taught.
                 pixels = np.array([m.centre for m in measured])
                 self._learn([m.look for m in measured], [m.area for m in measured], pixels)
-                found = self._measure(frame, pixels, margins)
+                refined = self._measure(frame, pixels, margins)
                 if (
-                    found is not None
-                    and plausible(found[0], self.colours)
-                    and self._pointed_at(found[0])
+                    refined is not None
+                    and plausible(refined[0], self.colours)
+                    and self._pointed_at(refined[0])
                 ):
-                    return found
+                    return refined
             self._learned = self._cast = None
         return None
 

@@ -172,8 +172,8 @@ class ThymioFirmware:
         elif type_ == GET_VARIABLES and len(rest) == 2 and sum(rest) <= self._size:
             self._put("prox.horizontal", self.hardware.proximity())
             self._put("prox.ground.delta", self.hardware.ground())
-            found = self.memory[rest[0] : rest[0] + rest[1]]
-            return encode(VARIABLES, [rest[0], *found], NODE)
+            values = self.memory[rest[0] : rest[0] + rest[1]]
+            return encode(VARIABLES, [rest[0], *values], NODE)
         return b""
 
     def _description(self) -> bytes:

@@ -258,13 +258,13 @@ def servo(
         share: of the way that is left, in a frame.
         most: in a frame, rad.
     """
-    found = np.empty_like(commands)
+    reached = np.empty_like(commands)
     for joint in range(commands.shape[1]):
         now = first[joint]
         for frame in range(len(commands)):
             now += min(max(share * (commands[frame, joint] - now), -most), most)
-            found[frame, joint] = now
-    return found
+            reached[frame, joint] = now
+    return reached
 
 
 def _bumps(place: Place) -> tuple[tuple[float, float, float, float], ...]:

@@ -258,8 +258,8 @@ class Khepera:
         return self._set("D", self._speeds)
 
     def _scaled(self, values: list[int]) -> np.ndarray:
-        found = np.array([values[place] for place in self.dialect.sensors], float)
-        return np.clip(found / self.dialect.full_scale, 0.0, 1.0)
+        readings = np.array([values[place] for place in self.dialect.sensors], float)
+        return np.clip(readings / self.dialect.full_scale, 0.0, 1.0)
 
     def _sensors(self, letter: str) -> np.ndarray:
         values = self._ask(letter, self.dialect.values)

@@ -158,14 +158,14 @@ class _Check:
 
     def _beyond(self) -> list[str]:
         """Return commands of which one number is beyond its limits, or none at all."""
-        found = []
+        beyond = []
         for place, one in enumerate(self._greeting.commands.numbers):
             span = one.high - one.low
             for value in (f"{one.high + span:g}", f"{one.low - span:g}", "nan", "inf", "-inf", "x"):
                 words = self._gentle.split()
                 words[place] = value
-                found.append(" ".join(words))
-        return found
+                beyond.append(" ".join(words))
+        return beyond
 
     def _endings(self) -> None:
         for end in (b"\n", b"\r", b"\r\n"):

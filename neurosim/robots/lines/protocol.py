@@ -130,14 +130,14 @@ class Greeting:
         Raises:
             GreetingError: naming the line that is not as it must be.
         """
-        found = _Found()
+        parts = _Found()
         for words in lines:
             try:
-                found.take(words)
+                parts.take(words)
             except (ValueError, IndexError) as error:
                 what = error if isinstance(error, GreetingError) else "it has other words"
                 raise GreetingError(f"{' '.join(words)!r}: {what}") from None
-        return found.greeting()
+        return parts.greeting()
 
 
 class _Found:

@@ -243,11 +243,11 @@ class Bridge:
         except OSError as error:
             raise self._cut(str(error)) from None
 
-    def _until(self, found: Callable[[], T | None], seconds: float) -> T | None:
+    def _until(self, wanted: Callable[[], T | None], seconds: float) -> T | None:
         """Take what comes until something is found, and return it; None if it is not in time."""
         until, reads = time.monotonic() + seconds, 0
         while True:
-            answer = found()
+            answer = wanted()
             left = max(until - time.monotonic(), 0.0)
             # Bounded: what floods the line must not keep us here for ever.
             reads = 0 if left else reads + 1
@@ -257,7 +257,7 @@ class Bridge:
             assert self._socket is not None
             pending = isinstance(self._socket, ssl.SSLSocket) and self._socket.pending()
             if not pending and not select.select([self._socket], [], [], left)[0]:
-                return found()
+                return wanted()
             try:
                 data = self._socket.recv(_PIECE)
             except (ssl.SSLWantReadError, TimeoutError):
@@ -267,7 +267,7 @@ class Bridge:
             for text in end.feed(data):
                 self._take(text)
             if end.refusal:
-                return found()
+                return wanted()
             self._send()
             if not data:
                 raise self._cut("it hung up")

@@ -317,12 +317,12 @@ class Ros:
                 f"no node of ROS {does} {topic}: start the driver of the base, or name its topic "
                 f"with {option}{others}"
             )
-        found = str(self._bridge.call("/rosapi/topic_type", topic=topic).get("type"))
-        if _plain(found) != _plain(kind):
+        published = str(self._bridge.call("/rosapi/topic_type", topic=topic).get("type"))
+        if _plain(published) != _plain(kind):
             twists = {_plain(STAMPED): "add --stamped", _plain(TWIST): "leave out --stamped"}
-            mend = twists.get(_plain(found)) if option == "--cmd-vel" else None
+            mend = twists.get(_plain(published)) if option == "--cmd-vel" else None
             raise RobotError(
-                f"the messages of {topic} are of type {found}, not {kind}: "
+                f"the messages of {topic} are of type {published}, not {kind}: "
                 + (mend or f"name another topic with {option}")
             )
         return nodes

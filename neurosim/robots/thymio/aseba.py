@@ -64,7 +64,7 @@ class Reader:
     def feed(self, data: bytes) -> list[Message]:
         """Take bytes; return the messages that are whole."""
         self._data += data
-        found = []
+        messages = []
         while len(self._data) >= 6:
             length, source, type_ = struct.unpack_from("<HHH", self._data)
             if length > LONGEST or type_ not in _FROM_NODES:
@@ -72,9 +72,9 @@ class Reader:
                 continue
             if len(self._data) < 6 + length:
                 break
-            found.append(Message(type_, source, self._data[6 : 6 + length]))
+            messages.append(Message(type_, source, self._data[6 : 6 + length]))
             self._data = self._data[6 + length :]
-        return found
+        return messages
 
 
 @dataclass

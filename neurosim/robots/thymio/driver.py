@@ -345,9 +345,9 @@ class Thymio:
         for _ in range(TRIES):
             self._send(request)
             for message in self._heard():
-                found = wanted(message)
-                if found is not None:
-                    return found
+                answer = wanted(message)
+                if answer is not None:
+                    return answer
         raise gone()
 
     def _gone(self) -> RobotError:

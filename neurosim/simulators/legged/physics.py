@@ -103,14 +103,14 @@ class Physics:
         control = np.repeat(np.ascontiguousarray(commands, np.float64), steps, axis=1)
         whole = np.asarray(np.isfinite(states).all(axis=1))
         begun = np.where(whole[:, None], states, self._standing)
-        found, _ = self._pool.rollout(
+        frames, _ = self._pool.rollout(
             list(models) if isinstance(models, Sequence) else models, self._data, begun, control
         )
-        found = found[:, steps - 1 :: steps]
+        frames = frames[:, steps - 1 :: steps]
         # Where numbers blow up MuJoCo stops, and its clock with it.
-        due = begun[:, :1] + frame * np.arange(1, found.shape[1] + 1)
-        found[(np.abs(found[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
-        return found
+        due = begun[:, :1] + frame * np.arange(1, frames.shape[1] + 1)
+        frames[(np.abs(frames[..., 0] - due) > 1e-6) | ~whole[:, None]] = np.nan
+        return frames
 
     def walk(
         self,
@@ -136,9 +136,9 @@ class Physics:
         for first in range(0, frames, _CHUNK):
             part = slice(first, min(first + _CHUNK, frames))
             chosen = [models[int(row)] for row in going] if isinstance(models, Sequence) else models
-            found = self.frames(chosen, states[going], commands[going, part])
-            seen = poses_of(found, poses[going, first], self._make)
-            states[going] = found[:, -1]
+            walked = self.frames(chosen, states[going], commands[going, part])
+            seen = poses_of(walked, poses[going, first], self._make)
+            states[going] = walked[:, -1]
             poses[going, first + 1 : part.stop + 1] = seen
             over = np.isnan(seen[:, -1, 0])
             if reach is not None:

@@ -142,9 +142,9 @@ class LeggedSimulator(Simulator):
             rows = frames == count
             held = np.repeat(given[rows, None, :-1], count, axis=1)
             states = np.ascontiguousarray(before[rows, 3:])
-            found = self.physics.frames(self.model, states, held)
-            poses = poses_of(found, before[rows, :3], type(self.build))
-            after[rows] = np.concatenate([poses[:, -1], found[:, -1]], axis=1)
+            walked = self.physics.frames(self.model, states, held)
+            poses = poses_of(walked, before[rows, :3], type(self.build))
+            after[rows] = np.concatenate([poses[:, -1], walked[:, -1]], axis=1)
         return torch.from_numpy(after)
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:

@@ -244,12 +244,12 @@ def _add_walls(t, x, y, theta, reach, sums, out, variance):
         u = row - r
         a, b, p, q = (1.0 - u) * (1.0 - v), (1.0 - u) * v, u * (1.0 - v), u * v
         table = t.excess[0]
-        found = a * table[r, c, s] + b * table[r, c + 1, s]
-        out[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
+        reading = a * table[r, c, s] + b * table[r, c + 1, s]
+        out[s] += weight * (reading + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
         if t.noise == SAMPLES_NOISE:
             table = t.variance[0]
-            found = a * table[r, c, s] + b * table[r, c + 1, s]
-            variance[s] += weight * (found + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
+            reading = a * table[r, c, s] + b * table[r, c + 1, s]
+            variance[s] += weight * (reading + p * table[r + 1, c, s] + q * table[r + 1, c + 1, s])
 
 
 @kernel(forceinline=True)
@@ -259,22 +259,22 @@ def _sense(t, x, y, theta, sums, out, variance):
     for s in range(len(out)):
         out[s] = t.ambient[s]
         variance[s] = t.ambient_variance[s]
-    found, alone = 0, True
+    count, alone = 0, True
     to_x, to_y = 0.0, 0.0
     for w in range(len(t.walls)):
         seen, dx, dy = _visible(t.walls[w], t.screens, x, y, reach)
         if seen:
             wall = t.walls[w]
             along = (x - wall[0]) * wall[2] + (y - wall[1]) * wall[3]
-            alone = found == 0 and reach < along < wall[4] - reach
-            found += 1
+            alone = count == 0 and reach < along < wall[4] - reach
+            count += 1
             to_x, to_y = dx, dy
             if not alone:
                 break
-    if found and alone:
+    if count and alone:
         distance = math.sqrt(to_x * to_x + to_y * to_y) - t.radius
         _add(t, 0, distance, math.atan2(to_y, to_x) - theta, out, variance)
-    elif found:
+    elif count:
         _add_walls(t, x, y, theta, reach, sums, out, variance)
     for o in range(len(t.obstacles)):
         dx, dy = t.obstacles[o, 0] - x, t.obstacles[o, 1] - y

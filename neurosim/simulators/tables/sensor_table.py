@@ -140,7 +140,7 @@ class SensorTable:
         """
         samples: dict[str, list[Samples]] = {name: [] for name in OBJECTS}
         for path in paths:
-            found = Samples.read(path)
+            sampled = Samples.read(path)
             named = [name for name in OBJECTS if name in Path(path).stem.lower()]
             if len(named) != 1:
                 raise UserError(
@@ -148,8 +148,8 @@ class SensorTable:
                     f"{' or '.join(OBJECTS)}"
                 )
             if convention == "evorobotpy2":
-                found = as_evorobotpy2(found, cylinder=named[0] == "cylinder")
-            samples[named[0]].append(found)
+                sampled = as_evorobotpy2(sampled, cylinder=named[0] == "cylinder")
+            samples[named[0]].append(sampled)
         return cls.from_samples(samples)
 
 
