@@ -85,7 +85,7 @@ def motion_network() -> MotionNetwork:
     """Return a random ensemble of the size that the default trainer yields."""
     names = ("prev_left", "prev_right", "left", "right", "duration")
     derived = Derived(swing=0.03)
-    network = ProductSummationNetwork(len(names) + len(derived), 10, 1, phases=True, ceilings=True)
+    network = ProductSummationNetwork(len(names) + len(derived), 10, 1)
     torch.manual_seed(0)
     genes = 0.1 * torch.randn(9, 3, network.genes, dtype=torch.float64)
     shares = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])

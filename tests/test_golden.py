@@ -1,8 +1,8 @@
 """Results that must not change by more than matters to a user, whatever computes them.
 
-``golden.json`` was written before the compiled loops became one; but for the results of robots with
-a drive model, which were written anew when commands that wait for the robot's answer became part of
-the state. Those of a robot that answers at once were not. Poses agree to a micrometre, and
+``golden.json`` was written before the compiled loops became one; but for the results of motion
+networks, which were written anew by the last code in which product units could have phases and
+ceilings of their own, of networks without these. Poses agree to a micrometre, and
 fitness to what such a difference makes of it; a statistic of samples, whose random numbers may be
 others, agrees within its own scatter.
 """

@@ -11,15 +11,13 @@ from torch import Tensor
 class Expanded(NamedTuple):
     r"""Networks as sums of product units, a linear map and a constant.
 
-    .. math:: \sum_p w_p \min\Bigl(\prod_i |x_i|^{e_{pi}}, e^{c_p}\Bigr)
-              \cos\Bigl(\pi \sum_{i: x_i < 0} \phi_{pi}\Bigr) + \sum_i a_i x_i + b
+    .. math:: \sum_p w_p \prod_i |x_i|^{e_{pi}}
+              \cos\Bigl(\pi \sum_{i: x_i < 0} e_{pi}\Bigr) + \sum_i a_i x_i + b
 
     Leading dimensions are of several networks.
     """
 
     exponents: Tensor  #: of the product units, [..., P, I]
-    phases: Tensor  #: of the product units, in half turns, [..., P, I]
-    ceilings: Tensor  #: of the logarithms of the product units' magnitudes, [..., P]
     weights: Tensor  #: of the product units, [..., P]
     linear: Tensor  #: weights of the inputs, [..., I]
     bias: Tensor  #: [...]
@@ -30,7 +28,7 @@ class Expanded(NamedTuple):
         Args:
             patterns: 1 where an input is negative, else 0, [S, I].
         """
-        signs = torch.cos(torch.pi * (self.phases @ patterns.T)).transpose(-1, -2)
+        signs = torch.cos(torch.pi * (self.exponents @ patterns.T)).transpose(-1, -2)
         return self.weights.unsqueeze(-2) * signs
 
     def times(self, factor: Tensor | float) -> Expanded:

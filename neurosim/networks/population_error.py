@@ -48,12 +48,12 @@ class PopulationError:
             kernel: use the compiled kernel; by default on a CPU.
 
         Raises:
-            ValueError: if the networks have ceilings, or the kernel is to run elsewhere.
+            ValueError: if the kernel is to run elsewhere.
         """
         self.network = network
         on_cpu = x.device.type == "cpu"
-        if network.ceilings or (kernel and not on_cpu):
-            raise ValueError("expected networks without ceilings and, for the kernel, the CPU")
+        if kernel and not on_cpu:
+            raise ValueError("the kernel needs the CPU")
         self.kernel = on_cpu if kernel is None else kernel
         self._rows = SortedRows(network, x)
         self._log2 = self._rows.log2() if self.kernel else None

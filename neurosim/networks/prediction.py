@@ -34,7 +34,6 @@ class Prediction:
         if network.products == 0:
             return
         self._exponents = parts.exponents.flatten(0, 1).T.contiguous()  # [I, O * P]
-        self._ceilings = parts.ceilings.flatten()
         signed = parts.signed(sign_patterns(network.inputs).to(genes))
         self._signed = signed.transpose(0, 1).flatten(1)  # [2^I, O * P]
         self._bits = 2 ** torch.arange(network.inputs, device=genes.device)
@@ -45,8 +44,7 @@ class Prediction:
             return self._network.forward(self._genes, x).T
         if self._network.products == 0:
             return torch.addmm(self._bias, x, self._linear)
-        magnitude = (self._log_magnitude(x) @ self._exponents).minimum(self._ceilings)
-        units = magnitude.clamp(min=-LOG_LIMIT).exp()
+        units = (self._log_magnitude(x) @ self._exponents).clamp(-LOG_LIMIT, LOG_LIMIT).exp()
         units = units * self._signed[((x < 0) * self._bits).sum(-1)]
         products = units.unflatten(-1, self._groups).sum(-1)
         return torch.addmm(self._bias, x, self._linear) + products

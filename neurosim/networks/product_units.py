@@ -17,10 +17,6 @@ it turns, and that a displacement is about speed times duration. So inputs are s
 and the magnitude of each is taken to be at least ``floor``: an input that is zero counts as a very
 small positive one, which a positive exponent takes to nearly nothing. The sum of ``w_i ln|x_i|``
 is kept within :data:`LOG_LIMIT`, so that no exponents overflow.
-
-**Inputs unlike those learned from.** A power that nobody has seen there may be anything: a negative
-exponent of an input that was never small has a unit grow ten-thousandfold where one is. A network
-may therefore have *ceilings*: no unit is much larger than it was on the rows it was learned from.
 """
 
 from __future__ import annotations
@@ -31,7 +27,6 @@ from typing import Annotated, NamedTuple
 import torch
 from msgspec import Meta
 from torch import Tensor
-from torch.nn.functional import pad
 
 from neurosim.base.declared import Checked, Count
 from neurosim.networks.expanded import Expanded
@@ -52,12 +47,6 @@ class Weights(NamedTuple):
     summation_bias: Tensor  #: [..., S]
     summation_weights: Tensor  #: from summation units to the output, [..., S]
     bias: Tensor  #: of the output, [...]
-    #: Of the product units, [..., P, I]: their exponents, but for networks that have phases; not
-    #: needed to join the genes of others.
-    phases: Tensor = torch.empty(0)
-    #: Of the product units, [..., P]: what the logarithms of their magnitudes are kept below;
-    #: LOG_LIMIT, but for networks that have ceilings; not needed to join the genes of others.
-    ceilings: Tensor = torch.empty(0)
 
 
 @dataclass(frozen=True)
@@ -65,27 +54,20 @@ class ProductSummationNetwork(Checked):
     """The shape of a network with one output; its weights are one row of genes.
 
     All activations are linear, as in the paper. Genes are laid out as the fields of
-    :class:`Weights` in order, each row by row; phases and
-    ceilings only where there are any. Product units have no bias: it would be a factor, which
-    their weight to the output is already.
+    :class:`Weights` in order, each row by row. Product units have no bias: it would be a factor,
+    which their weight to the output is already.
 
     Attributes:
         inputs: number of inputs I, scaled to about [-1, 1].
         products: number of product units P.
         summations: number of summation units S.
         floor: the smallest magnitude of an input in a product unit.
-        phases: a negative input turns a product unit not by its exponent times pi but by a
-            number of its own, which stands in the cosine in the exponent's place. So a unit may
-            be odd or even in an input whatever its exponent.
-        ceilings: every product unit has a magnitude of its own that it is kept below.
     """
 
     inputs: Count
     products: Units = 10
     summations: Units = 10
     floor: Annotated[float, Meta(gt=0, lt=1)] = 0.01
-    phases: bool = False
-    ceilings: bool = False
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -99,16 +81,12 @@ class ProductSummationNetwork(Checked):
 
     def _sizes(self) -> tuple[int, ...]:
         p, s, i = self.products, self.summations, self.inputs
-        optional = (p * i if self.phases else 0, p if self.ceilings else 0)
-        return (p * i, p, s * i, s, s, 1, *optional)
+        return (p * i, p, s * i, s, s, 1)
 
     def split(self, genes: Tensor) -> Weights:
         """Return views of the weights in ``genes``, [..., G]."""
         parts = genes.split(self._sizes(), dim=-1)
         units = (self.products, self.inputs)
-        ceilings = parts[7].clamp(-LOG_LIMIT, LOG_LIMIT)
-        if not self.ceilings:
-            ceilings = genes.new_full((), LOG_LIMIT).expand(parts[1].shape)
         return Weights(
             exponents=parts[0].unflatten(-1, units),
             product_weights=parts[1],
@@ -116,52 +94,33 @@ class ProductSummationNetwork(Checked):
             summation_bias=parts[3],
             summation_weights=parts[4],
             bias=parts[5].squeeze(-1),
-            phases=parts[6 if self.phases else 0].unflatten(-1, units),
-            ceilings=ceilings,
         )
 
     def join(self, weights: Weights) -> Tensor:
         """Return the genes [..., G] of these weights."""
-        genes = [
+        parts = (
             weights.exponents.flatten(-2),
             weights.product_weights,
             weights.summation.flatten(-2),
             weights.summation_bias,
             weights.summation_weights,
             weights.bias.unsqueeze(-1),
-        ]
-        if self.phases:
-            genes.append(weights.phases.flatten(-2))
-        if self.ceilings:
-            genes.append(weights.ceilings)
-        return torch.cat(genes, dim=-1)
+        )
+        return torch.cat(parts, dim=-1)
 
     def log_magnitude(self, x: Tensor) -> Tensor:
         """Return ln|x| of scaled inputs, the magnitude taken to be at least the floor."""
         return x.abs().clamp(min=self.floor).log()
 
-    def product_units(
-        self,
-        exponents: Tensor,
-        x: Tensor,
-        phases: Tensor | None = None,
-        ceilings: Tensor | None = None,
-    ) -> Tensor:
-        """Return the net values of product units.
+    def product_units(self, exponents: Tensor, x: Tensor) -> Tensor:
+        """Return the net values [..., P, N] of product units.
 
         Args:
             exponents: [..., P, I].
             x: scaled inputs, [N, I].
-            phases: [..., P, I]; the exponents if not given.
-            ceilings: [..., P]; none if not given.
-
-        Returns:
-            [..., P, N].
         """
         magnitude = exponents @ self.log_magnitude(x).T
-        if ceilings is not None:
-            magnitude = magnitude.minimum(ceilings.unsqueeze(-1))
-        turns = (exponents if phases is None else phases) @ (x < 0).to(x).T
+        turns = exponents @ (x < 0).to(x).T
         return magnitude.clamp(-LOG_LIMIT, LOG_LIMIT).exp() * torch.cos(torch.pi * turns)
 
     def forward(self, genes: Tensor, x: Tensor) -> Tensor:
@@ -175,7 +134,7 @@ class ProductSummationNetwork(Checked):
             [P, N].
         """
         w = self.split(genes)
-        products = self.product_units(w.exponents, x, w.phases, w.ceilings)
+        products = self.product_units(w.exponents, x)
         sums = w.summation @ x.T + w.summation_bias.unsqueeze(-1)
         return (
             (w.product_weights.unsqueeze(-1) * products).sum(-2)
@@ -191,34 +150,7 @@ class ProductSummationNetwork(Checked):
         w = self.split(genes)
         return Expanded(
             w.exponents,
-            w.phases,
-            w.ceilings,
             w.product_weights,
             linear=(w.summation_weights.unsqueeze(-1) * w.summation).sum(-2),
             bias=(w.summation_weights * w.summation_bias).sum(-1) + w.bias,
-        )
-
-    def pack(self, expanded: Expanded) -> Tensor:
-        """Return the genes [..., G] of plain sums; :meth:`expand` gives them back.
-
-        The linear map goes into the first summation unit, if there is one; the others have
-        nothing to add, nor have product units that the sums lack.
-        """
-        missing = self.products - expanded.weights.shape[-1]
-        linear = expanded.linear
-        summation = linear.new_zeros(*linear.shape[:-1], self.summations, self.inputs)
-        summation[..., :1, :] = linear.unsqueeze(-2)
-        summation_weights = torch.zeros_like(summation[..., 0])
-        summation_weights[..., :1] = 1.0
-        return self.join(
-            Weights(
-                exponents=pad(expanded.exponents, (0, 0, 0, missing)),
-                product_weights=pad(expanded.weights, (0, missing)),
-                summation=summation,
-                summation_bias=torch.zeros_like(summation_weights),
-                summation_weights=summation_weights,
-                bias=expanded.bias,
-                phases=pad(expanded.phases, (0, 0, 0, missing)),
-                ceilings=pad(expanded.ceilings, (0, missing)),
-            )
         )

@@ -21,7 +21,7 @@ from neurosim.simulators.numbers import numbers as random_numbers
 from neurosim.simulators.sampling import Stepper
 
 #: Version 2 has the members of an ensemble, 3 may have sensors in a motion network.
-FORMAT, VERSION = "neurosim-simulator", 6
+FORMAT, VERSION = "neurosim-simulator", 7
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}

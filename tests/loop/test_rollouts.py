@@ -48,13 +48,12 @@ def same(found, wanted):
 
 @pytest.mark.parametrize("swing", [None, 0.03])
 @pytest.mark.parametrize("names", [NAMES, (*NAMES[2:], *NAMES[:2])])
-@pytest.mark.parametrize("shared", [False, True])
 @pytest.mark.parametrize(
     ("members", "form", "central"),
     [(1, DISPLACEMENT, False), (1, DRIVEN, False), (3, DRIVEN, False), (3, DRIVEN, True)],
 )
-def test_expected_paths_are_those_of_single_steps(members, form, central, shared, names, swing):
-    how = {**form, "names": names, "shared": shared, "noise": False, "swing": swing}
+def test_expected_paths_are_those_of_single_steps(members, form, central, names, swing):
+    how = {**form, "names": names, "noise": False, "swing": swing}
     sim, family = random_motion_network(members=members, central=central, **how), plans(8, 6)
     fast, slow = both(sim, family)
     wanted = by_protocol(sim, [START] * 8, family)

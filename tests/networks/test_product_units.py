@@ -55,24 +55,6 @@ def test_no_exponent_overflows():
     assert unit([-1e6], [0.5]) == pytest.approx(math.exp(LOG_LIMIT))
 
 
-def test_no_unit_is_larger_than_its_ceiling():
-    network = ProductSummationNetwork(1, 2, 0, ceilings=True)
-    exponents, x = tensor([2.0], [-1.0]), tensor([0.5], [-0.25])
-    ceilings = tensor(math.log(0.1), math.log(3.0))
-    # 0.25 and 0.0625, 2 and -4; the sign of what is too large stays.
-    found = network.product_units(exponents, x, ceilings=ceilings)
-    torch.testing.assert_close(found, tensor([0.1, 0.0625], [2.0, -3.0]))
-    weights = Weights(
-        exponents, tensor(1.0, 10.0), tensor(0.0)[:0, None], tensor(), tensor(), tensor(7.0)[0],
-        ceilings=ceilings,
-    )  # fmt: skip
-    genes = network.join(weights)
-    torch.testing.assert_close(network.forward(genes, x), tensor(27.1, -22.9375))
-    wild = genes.clone()
-    wild[-2:] = 1e6
-    assert (network.split(wild).ceilings == LOG_LIMIT).all()
-
-
 def by_hand():
     network = ProductSummationNetwork(2, 1, 1)
     genes = network.join(
@@ -146,16 +128,10 @@ def test_the_fast_error_is_the_plain_one(kernel, inputs, products, summations, r
         # A unit's size is exp of a sum that is rounded to single precision, relative to its terms;
         # large units may cancel.
         w = network.split(each)
-        units = network.product_units(w.exponents, x, w.phases, w.ceilings)
+        units = network.product_units(w.exponents, x)
         size = plain.abs() + (w.product_weights.unsqueeze(-1) * units).abs().sum(-2)
         allowed = 1e-6 + 2e-4 * max(1, spread) * size.square().mean(-1)
         assert ((found - plain.square().mean(-1)).abs() <= allowed).all()
-
-
-def test_networks_with_ceilings_have_no_fast_error():
-    network = ProductSummationNetwork(5, 3, 2, ceilings=True)
-    with pytest.raises(ValueError, match="without ceilings"):
-        PopulationError(network, torch.ones(4, 5), torch.ones(2, 4))
 
 
 @given(**shapes)
@@ -167,74 +143,14 @@ def test_fast_predictions_are_the_plain_ones(inputs, products, summations, rows,
     genes = spread * torch.randn(3, network.genes, generator=g, dtype=torch.float64)
     plain = network.forward(genes, x).T
     torch.testing.assert_close(Prediction(network, genes)(x), plain, rtol=1e-9, atol=1e-6)
-
-
-def test_a_phase_says_what_a_negative_input_does_whatever_its_exponent():
-    network = ProductSummationNetwork(2, 1, 0, phases=True)
-    x = torch.tensor([[-0.5, 0.5], [0.5, -0.5], [-0.5, -0.5], [0.5, 0.5]], dtype=torch.float64)
-    exponents = torch.tensor([[2.0, 1.0]], dtype=torch.float64)
-    phases = torch.tensor([[1.0, 0.0]], dtype=torch.float64)  # odd in x0, even in x1
-    found = network.product_units(exponents, x, phases)[0]
-    assert found.tolist() == pytest.approx([-0.125, 0.125, -0.125, 0.125])
-
-
-@given(ceilings=st.booleans(), **shapes)
-@settings(max_examples=20, deadline=None)
-def test_networks_with_phases_and_ceilings_are_the_same_by_all_ways(
-    inputs, products, summations, rows, spread, seed, ceilings
-):
-    g = torch.Generator().manual_seed(seed)
-    network = ProductSummationNetwork(inputs, products, summations, phases=True, ceilings=ceilings)
-    x = rows_with_zeros_and_negatives(g, rows, inputs)
-    genes = spread * torch.randn(3, network.genes, generator=g, dtype=torch.float64)
-    if ceilings:
-        genes[:, -products:].clamp_(-LOG_LIMIT, LOG_LIMIT)
-    plain = network.forward(genes, x)
-    torch.testing.assert_close(Prediction(network, genes)(x).T, plain, rtol=1e-9, atol=1e-6)
     torch.testing.assert_close(network.join(network.split(genes)), genes)
-    if not ceilings:
-        targets = torch.zeros(1, rows, dtype=torch.float64)
-        fast = PopulationError(network, x, targets)(genes[None])[0]
-        torch.testing.assert_close(
-            fast, plain.square().mean(-1), rtol=4e-4 * max(1, spread), atol=1e-6
-        )
-    # With the exponents for phases and no ceilings it is the network without.
-    ordinary = ProductSummationNetwork(inputs, products, summations)
-    same = network.join(ordinary.split(genes[:, : ordinary.genes]))
-    torch.testing.assert_close(
-        network.forward(same, x), ordinary.forward(genes[:, : ordinary.genes], x)
-    )
-
-
-@given(st.booleans(), st.booleans(), st.integers(0, 3), st.integers(0, 2**31))
-@settings(max_examples=30, deadline=None)
-def test_what_is_packed_is_the_same_function_and_is_expanded_again(phases, ceilings, more, seed):
-    g = torch.Generator().manual_seed(seed)
-    shape = {"phases": phases, "ceilings": ceilings}
-    network = ProductSummationNetwork(3, 2, 4, **shape)
-    genes = torch.randn(5, 2, network.genes, generator=g, dtype=torch.float64)
-    sums = network.expand(genes)
-    wider = ProductSummationNetwork(3, 2 + more, 1, **shape)
-    packed = wider.pack(sums)
-    x = rows_with_zeros_and_negatives(g, 20, 3)
-    torch.testing.assert_close(
-        wider.forward(packed[0], x), network.forward(genes[0], x), rtol=1e-9, atol=1e-6
-    )
-    again = wider.expand(packed)
-    assert again.weights[..., 2:].count_nonzero() == 0
-    for name in ("exponents", "phases", "ceilings", "weights"):
-        part, same = getattr(sums, name), getattr(again, name)
-        kept = same[..., :2, :] if part.ndim == 4 else same[..., :2]
-        torch.testing.assert_close(kept, part)
-    torch.testing.assert_close(again.linear, sums.linear)
-    torch.testing.assert_close(again.bias, sums.bias)
 
 
 def test_patterns_of_signs():
     assert sign_patterns(2).tolist() == [[0, 0], [1, 0], [0, 1], [1, 1]]
     half = torch.tensor([[0.5, 1.0]], dtype=torch.float64)
     none = torch.zeros(1, dtype=torch.float64)
-    sums = Expanded(half, half, none, none + 3.0, half[0], none[0])
+    sums = Expanded(half, none + 3.0, half[0], none[0])
     # Cosines of 0, 90, 180 and 270 degrees.
     expected = [[3.0], [0.0], [-3.0], [0.0]]
     assert sums.signed(sign_patterns(2)).numpy() == pytest.approx(np.array(expected), abs=1e-12)

@@ -74,7 +74,6 @@ def random_motion_network(
     units=6,
     swing=0.03,
     noise=True,
-    shared=False,
     products=4,
     summations=1,
     size=0.05,
@@ -92,7 +91,6 @@ def random_motion_network(
         units: how many kernel units.
         swing: of :class:`Derived`.
         noise: whether there is a noise model; or the model.
-        shared: whether all networks have the same product units.
         products: of each network.
         summations: of each network.
         size: what the networks' outputs are scaled by, m and rad.
@@ -101,13 +99,11 @@ def random_motion_network(
     """
     derived, count = Derived(swing), members + central
     inputs = len(names) + len(derived)
-    network = ProductSummationNetwork(inputs, products, summations, phases=True, ceilings=True)
+    network = ProductSummationNetwork(inputs, products, summations)
     genes = 2.0 / inputs * normal(seed, count, 3, network.genes)
     weights = network.split(genes)
+    weights.exponents.abs_()  # so that no unit is large where an input is small
     weights.product_weights[0, 0, :2] = weights.product_weights[-1, 2] = 0.0  # left out
-    if shared:
-        weights.exponents[:] = weights.exponents[:1, :1]
-        genes[..., -products:] = genes[:1, :1, -products:]  # the ceilings
     model = noise_model(seed) if noise is True else noise or None
     if scale is None:
         scale = [LONGEST if name == "duration" else FASTEST for name in names]

@@ -33,7 +33,7 @@ from neurosim.simulators.motion.noise import (
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
 #: The oldest version that is read: earlier networks had units of other kinds.
-_OLDEST = 6
+_OLDEST = 7
 
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")

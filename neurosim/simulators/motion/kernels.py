@@ -45,7 +45,7 @@ _ROUND = 1.5 * 2.0**52
 #: For exp(-x / 2) as a power of 2.
 HALF_LOG2_E = -0.5 / math.log(2.0)
 
-#: Groups of units are filled up to multiples of it with such that weigh nothing: what is left over
+#: Units of a row are filled up to multiples of it with such that weigh nothing: what is left over
 #: beside whole vectors takes several times as long.
 LANES = 16
 #: As :data:`neurosim.simulators.motion.network.HELD`.
@@ -56,17 +56,12 @@ class MotionModel(NamedTuple):
     """A motion network's numbers: C-contiguous, float64 but for indices, which are int64.
 
     Networks are those of the mean (0) and of the members (1 + m); a row is one output of one
-    network, ``3 * network + output``. It is a sum of terms, each over a group of product units;
-    groups that several networks share stand here once.
+    network, ``3 * network + output``.
     """
 
     exponents: np.ndarray  #: [I, U] of all product units, for base-2 logarithms
-    ceiling: np.ndarray  #: [U] of the base-2 logarithms of their magnitudes
-    group: np.ndarray  #: [K + 1] first product unit of each group, and their number
-    terms: np.ndarray  #: [R + 1] first term of each row, and their number
-    term_group: np.ndarray  #: [T] the group of product units that each term sums
-    term_weight: np.ndarray  #: [T] its first weight in ``signed``
-    signed: np.ndarray  #: [2^I, W] weights times cosines; bit i of the index: input i is negative
+    first: np.ndarray  #: [R + 1] first product unit of each row, and their number
+    signed: np.ndarray  #: [2^I, U] weights times cosines; bit i of the index: input i is negative
     linear: np.ndarray  #: [R, I] of scaled inputs
     bias: np.ndarray  #: [R]
     kernel_weights: np.ndarray  #: [R, K]
@@ -112,7 +107,7 @@ def scratch(a):
     """Return the arrays that :func:`step` and :func:`sense` write to, see there."""
     inputs, actuators, networks = len(a.nearness), len(a.driven), len(a.bias) // 3
     under = (2 + a.slots) * actuators + a.slots
-    size = 2 * inputs + (_LAW + 6) * actuators + 1 + under + len(a.ceiling) + len(a.centres[0])
+    size = 2 * inputs + (_LAW + 6) * actuators + 1 + under + len(a.exponents[0]) + len(a.centres[0])
     numbers = np.empty(size)
     x, end = numbers[:inputs], 2 * inputs
     log2 = numbers[inputs:end]
@@ -124,12 +119,12 @@ def scratch(a):
     end += under
     distance = numbers[end : end + 3 * actuators].reshape(3, actuators)
     end += 3 * actuators
-    units = numbers[end : end + len(a.ceiling)]
-    end += len(a.ceiling)
+    units = numbers[end : end + len(a.exponents[0])]
+    end += len(a.exponents[0])
     nearness = numbers[end : end + len(a.centres[0])]
     means, sizes = np.empty((networks, 3)), np.empty((networks, SIZES))
-    done, moved = np.empty(networks + len(a.group), np.bool_), np.empty((2, 3))
-    return x, log2, law, memory, began, distance, units, nearness, means, sizes, done, moved
+    known, moved = np.empty(networks, np.bool_), np.empty((2, 3))
+    return x, log2, law, memory, began, distance, units, nearness, means, sizes, known, moved
 
 
 @kernel(forceinline=True)
@@ -145,13 +140,12 @@ def step(a, states, command, z, work):
         z: [N, DRAWS or more] numbers of the noise; N = 0: there is none.
         work: of :func:`scratch`.
     """
-    x, log2, law, memory, began, distance, units, nearness, means, sizes, done, moved = work
+    x, log2, law, memory, began, distance, units, nearness, means, sizes, known, moved = work
     first, count = states[0], len(a.driven)
     noisy = a.noisy and len(z) > 0
     same = _inputs(a, first, command, memory, began, x)
     swung(a, x)
-    done[:] = False
-    known, summed = done[: len(means)], done[len(means) :]
+    known[:] = False
     pattern = _prepare(a, x, log2, nearness)
     if a.drives:
         phases(a, x, began, law, distance, memory, moved[0], moved[1])
@@ -166,7 +160,7 @@ def step(a, states, command, z, work):
         mean, size = means[m], sizes[m]
         if not known[m]:
             known[m] = True
-            _predict(a, x, m, pattern, log2, units, nearness, summed, moved, mean)
+            _predict(a, x, m, pattern, log2, units, nearness, moved, mean)
             if noisy:
                 spread(a, scale, mean, size)
         dx, dy, turn = mean[0], mean[1], mean[2]
@@ -506,7 +500,7 @@ def _prepare(a, x, log2, nearness):
 
 
 @kernel(forceinline=True)
-def _predict(a, x, network, pattern, log2, units, nearness, summed, moved, mean):
+def _predict(a, x, network, pattern, log2, units, nearness, moved, mean):
     """Write the mean displacement [3] (m, m, rad) that a network predicts.
 
     Args:
@@ -514,8 +508,7 @@ def _predict(a, x, network, pattern, log2, units, nearness, summed, moved, mean)
         x: [I] inputs.
         network: 0 for the mean, 1 + m for a member.
         pattern, log2, nearness: of :func:`_prepare`.
-        units: [U] product units, written group by group.
-        summed: [K] whether a group is written, changed.
+        units: [U] product units, written row by row.
         moved: [2, 3], of :func:`phases`.
         mean: [3], written.
     """
@@ -525,13 +518,10 @@ def _predict(a, x, network, pattern, log2, units, nearness, summed, moved, mean)
         total = a.bias[row]
         for i in range(len(x)):
             total += a.linear[row, i] * x[i]
-        for t in range(a.terms[row], a.terms[row + 1]):
-            group, weight = a.term_group[t], a.term_weight[t]
-            begin, end = a.group[group], a.group[group + 1]
-            if not summed[group]:
-                summed[group] = True
-                _units(a.exponents, a.ceiling, log2, begin, end, units)
-            total += _dot(signed[weight : weight + end - begin], units[begin:end])
+        begin, end = a.first[row], a.first[row + 1]
+        if end > begin:
+            _units(a.exponents, log2, begin, end, units)
+            total += _dot(signed[begin:end], units[begin:end])
         if len(nearness) > 0:
             total += _dot(a.kernel_weights[row], nearness)
         mean[o] = total
@@ -575,10 +565,10 @@ def _exp2(z):
 
 
 @kernel(fastmath={"contract", "nsz"})
-def _units(exponents, ceiling, log2, begin, end, out):
+def _units(exponents, log2, begin, end, out):
     """Write the magnitudes of the product units from ``begin`` to before ``end``."""
     inputs, count = exponents.shape[0], end - begin
-    ceiling, out = ceiling[begin:end], out[begin:end]
+    out = out[begin:end]
     if 5 <= inputs <= 7:
         # Without the detour through memory; both kinds of robots have five inputs, and up to two
         # derived from them. One that is not there counts as the first to the power of 0.
@@ -594,7 +584,7 @@ def _units(exponents, ceiling, log2, begin, end, out):
         for u in range(count):
             z = e0[u] * l0 + e1[u] * l1 + e2[u] * l2 + e3[u] * l3 + e4[u] * l4
             z += e5[u] * l5 + e6[u] * l6
-            out[u] = _exp2(max(min(z, ceiling[u]), -_LOG2_LIMIT))
+            out[u] = _exp2(max(min(z, _LOG2_LIMIT), -_LOG2_LIMIT))
         return
     for u in range(count):
         out[u] = 0.0
@@ -603,7 +593,7 @@ def _units(exponents, ceiling, log2, begin, end, out):
         for u in range(count):
             out[u] += e[u] * log
     for u in range(count):
-        out[u] = _exp2(max(min(out[u], ceiling[u]), -_LOG2_LIMIT))
+        out[u] = _exp2(max(min(out[u], _LOG2_LIMIT), -_LOG2_LIMIT))
 
 
 @kernel(fastmath=_FAST)

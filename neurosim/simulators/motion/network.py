@@ -657,7 +657,7 @@ class MotionNetwork(Simulator):
         centres, lengths = units.centres.cpu().numpy(), units.lengths.cpu().numpy()
         centres = _filled(centres.T).T
         signed_of = parts.signed(sign_patterns(self.network.inputs)).numpy()
-        exponents, ceilings = parts.exponents.numpy(), parts.ceilings.numpy() / math.log(2.0)
+        exponents = parts.exponents.numpy()
         plain = {
             "linear": parts.linear.numpy(),
             "bias": parts.bias.numpy(),
@@ -670,39 +670,21 @@ class MotionNetwork(Simulator):
         networks = [[(m, 1.0)] for m in range(count)]
         if not self.central:
             networks = [average, *networks]
-        groups: dict[bytes, int] = {}
-        found: list[tuple[NDArray, NDArray]] = []
+        powers: list[NDArray] = []
         weights: list[NDArray] = []
-        sizes, terms, rows = [0], [], [0]
+        first = [0]
         for network in networks:
             for o in range(len(OUTPUTS)):
-                sums: dict[int, NDArray] = {}
-                for m, factor in network:
-                    used = (signed_of[m, o] != 0.0).any(axis=0)
-                    if not used.any():
-                        continue
-                    own, ceiling = exponents[m, o][used], ceilings[m, o][used]
-                    group = groups.setdefault(own.tobytes() + ceiling.tobytes(), len(groups))
-                    if group == len(found):
-                        found.append((_filled(own.T), _filled(ceiling)))
-                        sizes.append(sizes[-1] + len(found[-1][1]))
-                    weight = factor * _filled(signed_of[m, o][:, used])
-                    sums[group] = sums.get(group, 0.0) + weight
-                for group, weight in sums.items():
-                    terms.append((group, sum(w.shape[1] for w in weights)))
-                    weights.append(weight)
-                rows.append(len(terms))
-        empty = np.empty((self.network.inputs, 0))
-        columns = np.array(terms, np.int64).reshape(-1, 2).T
+                own = [(m, factor, (signed_of[m, o] != 0.0).any(0)) for m, factor in network]
+                powers.append(_filled(np.concatenate([exponents[m, o][u] for m, _, u in own]).T))
+                row = [factor * signed_of[m, o][:, u] for m, factor, u in own]
+                weights.append(_filled(np.concatenate(row, axis=1)))
+                first.append(first[-1] + powers[-1].shape[1])
         outputs = len(networks) * len(OUTPUTS)
         arrays = {
-            "exponents": np.concatenate([empty, *(own for own, _ in found)], axis=1),
-            "ceiling": np.concatenate([np.empty(0), *(ceiling for _, ceiling in found)]),
-            "group": np.array(sizes, np.int64),
-            "terms": np.array(rows, np.int64),
-            "term_group": columns[0],
-            "term_weight": columns[1],
-            "signed": np.concatenate([np.empty((2**self.network.inputs, 0)), *weights], axis=1),
+            "exponents": np.concatenate(powers, axis=1),
+            "first": np.array(first, np.int64),
+            "signed": np.concatenate(weights, axis=1),
             "linear": plain["linear"].reshape(outputs, -1),
             "bias": plain["bias"].reshape(outputs),
             "kernel_weights": plain["kernel_weights"].reshape(outputs, -1),

@@ -25,7 +25,8 @@ from neurosim.base.declared import Checked, Count
 from neurosim.base.errors import UserError
 from neurosim.base.se2 import tensors as se2
 from neurosim.base.threads import one_thread
-from neurosim.networks import Expanded, ProductSummationNetwork
+from neurosim.networks import ProductSummationNetwork
+from neurosim.networks.product_units import Weights
 from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.drive import DriveModel, Underway
@@ -409,11 +410,19 @@ class CombinedTrainer:
             kernel[1 + m] = kernel[0] + part + trusted * (own - mean)
         network = ProductSummationNetwork(inputs, products=0, summations=1)
         none = torch.zeros(1 + count, OUTPUTS, 0, inputs, dtype=torch.float64)
-        expanded = Expanded(none, none, none[..., 0], none[..., 0], linear[..., 1:], linear[..., 0])
+        of_unit = torch.ones(1 + count, OUTPUTS, 1, dtype=torch.float64)
+        weights = Weights(
+            exponents=none,
+            product_weights=none[..., 0],
+            summation=linear[..., 1:].unsqueeze(2),
+            summation_bias=torch.zeros_like(of_unit),
+            summation_weights=of_unit,
+            bias=linear[..., 0],
+        )
         simulator = MotionNetwork(
             self._data.inputs,
             network,
-            network.pack(expanded),
+            network.join(weights),
             self._data.input_scale,
             torch.ones(OUTPUTS),
             "residual-twist",
