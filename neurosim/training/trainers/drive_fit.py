@@ -82,7 +82,7 @@ _HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
 FREEDOM, _HUBER = 2.0, 1.345
-_REGRESSIONS = 8
+REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
 _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
 _AT_ONCE[_TOTAL], _AT_ONCE[_RATE] = _LOWEST[_TOTAL], _HIGHEST[_RATE]
@@ -654,7 +654,7 @@ def _regression(
     # By a product alone a target would be of the size that it has, or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)
     usual = _PRODUCTS * target.square().mean().sqrt().clamp(min=1e-9) / power
-    for step in range(_REGRESSIONS):
+    for step in range(REGRESSIONS):
         weighed = features * shares.unsqueeze(1)
         square = weighed @ features.mT
         diagonal = square.diagonal(dim1=1, dim2=2)
@@ -663,7 +663,7 @@ def _regression(
         error = (weights.unsqueeze(1) @ features).squeeze(1) - target
         # The median of the magnitude is 0.67 standard deviations of a normal distribution.
         size = (1.4826 * error.abs().median(1, keepdim=True).values).clamp(min=1e-9)
-        if step == _REGRESSIONS - 1:
+        if step == REGRESSIONS - 1:
             break
         shares = weight * (_HUBER * size / error.abs().clamp(min=1e-12)).clamp(max=1.0)
         pull = product * (size / usual).square()

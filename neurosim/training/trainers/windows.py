@@ -21,7 +21,14 @@ from neurosim.simulators.motion.drive import Underway, features_of
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import FREEDOM, Actuators, Errors, Fit, outside
+from neurosim.training.trainers.drive_fit import (
+    FREEDOM,
+    REGRESSIONS,
+    Actuators,
+    Errors,
+    Fit,
+    outside,
+)
 
 #: How long windows last, s, and how many begin within the length of one.
 LENGTHS, OVERLAP = (0.25, 0.5, 1.0, 2.0), 4
@@ -390,31 +397,27 @@ def _regression(
         linear: how many of F are linear.
     """
     width = linear + linear * (linear + 1) // 2
-    product = (torch.arange(features.shape[1]) % width >= linear).to(target)
-    kinds = [
-        torch.nonzero(windows.kind == k).squeeze(1) for k in range(int(windows.kind.max()) + 1)
-    ]
-    kinds = [kind for kind in kinds if len(kind)]
+    features = features.T.contiguous()  # what stands beside each other is summed fastest
+    product = (torch.arange(len(features)) % width >= linear).to(target)
+    kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
     size = torch.ones_like(target)
     for kind in kinds:
         size[kind] = target[kind].square().mean().sqrt().clamp(min=1e-9)
-    whole = size.clone()
-    shares, weights = torch.ones_like(target), torch.zeros_like(features[0])
-    power = (features / whole[:, None]).square().mean(0).sqrt().clamp(min=1e-12)
+    power = (features / size).square().mean(1).sqrt().clamp(min=1e-12)
     usual = product * (power / _PRODUCTS).square()
-    pull = torch.zeros_like(usual)
-    for _ in range(8):
-        counts = windows.weight * shares / size.square()
-        weighed = features * counts[:, None]
-        square = weighed.T @ features
-        least = 1e-9 * square.diagonal().mean().clamp(min=1e-12)
-        square.diagonal().add_(pull + least)
-        weights = torch.linalg.solve(square, weighed.T @ target)
-        error = (features @ weights - target).abs()
+    shares, pull = torch.ones_like(target), torch.zeros_like(usual)
+    for step in range(REGRESSIONS):
+        weighed = features * (windows.weight * shares / size.square())
+        square = weighed @ features.T
+        square.diagonal().add_(pull + 1e-9 * square.diagonal().mean().clamp(min=1e-12))
+        weights = torch.linalg.solve(square, weighed @ target)
+        error = weights @ features - target
+        magnitude = error.abs()
         for kind in kinds:
-            size[kind] = (1.4826 * error[kind].median()).clamp(min=1e-9)
+            size[kind] = (1.4826 * magnitude[kind].median()).clamp(min=1e-9)
+        if step == REGRESSIONS - 1:
+            break
         shares = (FREEDOM + 1.0) / (FREEDOM + (error / size).square())
         pull = usual  # not before the size of errors is known
-    error = features @ weights - target
     left = [Errors(error[kind], size[kind[:1]], windows.weight[kind]) for kind in kinds]
     return weights, left
