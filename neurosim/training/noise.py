@@ -12,7 +12,6 @@ from numpy.polynomial.hermite_e import hermegauss
 from torch import Tensor
 
 from neurosim.base.threads import one_thread
-from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.noise import (
     SCALE_FEATURES,
     TAIL_FEATURES,
@@ -33,9 +32,6 @@ PULL = 1.0
 #: Residuals are not told apart below this, m and rad.
 FINEST = 1e-6
 
-#: The most that members may explain of a row, in mean squares.
-MOST = 4.0
-
 #: Sources where the search begins, as shares of the residuals' root mean squares: one of turn and
 #: one forward, of a turn and a way ahead alike, and one of a curve to the side.
 BEGIN = (
@@ -52,59 +48,28 @@ SLIGHT = -0.7
 
 
 def fit_noise(
-    simulator: MotionNetwork,
-    x: Tensor,
-    y: Tensor,
-    outputs: Tensor,
-    weight: Tensor | None = None,
-    besides_members: bool = True,
-) -> NoiseModel:
-    """Learn the noise of an ensemble's displacements.
-
-    Args:
-        simulator: the ensemble.
-        x: scaled inputs of rows, [N, I].
-        y: displacements that followed, [N, 3].
-        outputs: what networks that had not seen a row said of it, [N, O], averaged.
-        weight: how much each row counts, [N]; alike if not given.
-        besides_members: whether what the members say is left out of the noise, in which it would
-            count twice.
-    """
-    mean = simulator.from_outputs(outputs, x)
-    weight = torch.ones_like(mean[:, 0]) if weight is None else weight
-    spread = _spread(simulator, x, mean) if besides_members else torch.zeros_like(mean)
-    return _most_likely(simulator.columns, x, mean, y, spread, weight)
-
-
-def _spread(simulator: MotionNetwork, x: Tensor, mean: Tensor) -> Tensor:
-    """Return the variance [N, 3] of what the members say of rows.
-
-    What the rows strayed by holds it already: left in the noise, it would count twice.
-    """
-    if simulator.members == 1:
-        return torch.zeros_like(mean)
-    own = simulator.displacement_of(x)
-    strays = [residual(own, simulator.displacement_of(x, m)) for m in range(simulator.members)]
-    return torch.stack(strays).square().sum(0) / (simulator.members - 1)
-
-
-def _most_likely(
     columns: CommandFeatures,
     inputs: Tensor,
     mean: Tensor,
     actual: Tensor,
-    said: Tensor,
-    weight: Tensor,
+    weight: Tensor | None = None,
 ) -> NoiseModel:
-    """Fit the noise, beside what the members say [N, 3]."""
+    """Learn the noise that made displacements of those that were predicted.
+
+    Args:
+        columns: of the inputs.
+        inputs: scaled inputs of rows, [N, I].
+        mean: displacements that were predicted by what had not seen a row, [N, 3].
+        actual: displacements that followed, [N, 3].
+        weight: how much each row counts, [N]; alike if not given.
+    """
+    weight = torch.ones_like(mean[:, 0]) if weight is None else weight
     unit = root_mean_square(components(mean))
     scale, tail = features(unit, columns, inputs, mean)
     error = residual(mean, actual)
     size = error.square().mean(0).sqrt().clamp(min=FINEST)
     error = error / size
     rows = weight.sum()
-    # A member may be wild on some row; the row itself says how far that can be believed.
-    besides = torch.diag_embed((said / size.square()).clamp(max=MOST))
     w = torch.zeros(3, len(SCALE_FEATURES), dtype=torch.float64, requires_grad=True)
     h = torch.zeros(len(TAIL_FEATURES), dtype=torch.float64)
     h[0] = SLIGHT
@@ -117,8 +82,8 @@ def _most_likely(
         width = heaviness(tail, h).unsqueeze(1) * _PLACES  # [N, places]
         log_s = (w @ scale.T).unsqueeze(2) + width  # [3, N, places]
         moving = in_motion(unit, u * size.unsqueeze(-1), mean)
-        rest = moving / torch.outer(size, size) + besides
-        lower = cholesky(rest.unsqueeze(1), (2.0 * log_s).exp().unbind(0))
+        moving = (moving / torch.outer(size, size)).unsqueeze(1)
+        lower = cholesky(moving, (2.0 * log_s).exp().unbind(0))
         z: list[Tensor] = []
         power, log_size = torch.zeros(()), torch.zeros(())
         for k, row in enumerate(lower):

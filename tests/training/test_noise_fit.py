@@ -4,8 +4,6 @@ import pytest
 import torch
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.networks import ProductSummationNetwork
-from neurosim.simulators import MotionNetwork
 from neurosim.simulators.motion.noise import (
     SCALE_FEATURES,
     CommandFeatures,
@@ -15,7 +13,6 @@ from neurosim.simulators.motion.noise import (
     heaviness,
     in_motion,
 )
-from neurosim.training.base import TrainingData
 from neurosim.training.noise import fit_noise
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -31,7 +28,7 @@ def typical_size(noise, columns, inputs, mean):
 
 
 def recorded(rows, seed=0, **planted):
-    """Return a simulator, rows that strayed from what it says by planted noise, and that noise."""
+    """Return inputs, displacements, the mean that they strayed from, and the planted noise."""
     generator = torch.Generator().manual_seed(seed)
     command = torch.rand(rows, 3, generator=generator, dtype=torch.float64) * 2.0 - 1.0
     command[:, 2] = 0.6 + 0.4 * command[:, 2]
@@ -47,11 +44,7 @@ def recorded(rows, seed=0, **planted):
     noise = NoiseModel(**numbers | planted)
     z = noise.draw(1, rows, generator)[0]
     y = disturb(noise, CommandFeatures.of(NAMES), x, mean, z)
-    entries = [{"name": name, "unit": ""} for name in NAMES]
-    network = ProductSummationNetwork(inputs=5, products=1, summations=1)
-    genes = torch.zeros(3, network.genes)
-    simulator = MotionNetwork(entries, network, genes, torch.ones(5), torch.ones(3))
-    return simulator, TrainingData(entries, x, y), mean, noise
+    return x, y, mean, noise
 
 
 @pytest.mark.slow
@@ -62,10 +55,10 @@ def test_the_size_is_found_again_in_all_its_parts():
         travel = torch.tensor([side * 1.0 * 0.13 / 2.0, 0.1, 0.0])
         sources[wheel] = 0.02 * torch.outer(torch.tensor([side / 0.13, 0.5, 0.0]), travel)
     sources[2, 2, 0] = 0.001
-    simulator, data, mean, noise = recorded(6000, sources=sources)
-    found = fit_noise(simulator, data.x, data.y, mean)
+    x, y, mean, noise = recorded(6000, sources=sources)
     columns = CommandFeatures.of(NAMES)
-    sizes = [typical_size(model, columns, data.x, mean) for model in (noise, found)]
+    found = fit_noise(columns, x, mean, y)
+    sizes = [typical_size(model, columns, x, mean) for model in (noise, found)]
     ratio = (sizes[1] / sizes[0]).log()
     assert ratio.square().mean(0).sqrt().max() < 0.15
     # Straight ahead, where noise that was added to the chord would be too small.
@@ -79,28 +72,11 @@ def test_what_starts_from_rest_strays_more_where_it_does():
     log_scale = torch.zeros(NoiseModel.SHAPES["log_scale"])
     log_scale[:, 0] = torch.tensor([0.02, 0.001, 0.0005]).log()
     log_scale[:, SCALE_FEATURES.index("before")] = -0.4
-    simulator, data, mean, noise = recorded(3000, log_scale=log_scale)
-    found, columns = fit_noise(simulator, data.x, data.y, mean), CommandFeatures.of(NAMES)
-    sizes = [typical_size(model, columns, data.x, mean) for model in (noise, found)]
-    rest = (data.x[:, :2] == 0.0).all(1)
+    x, y, mean, noise = recorded(3000, log_scale=log_scale)
+    columns = CommandFeatures.of(NAMES)
+    found = fit_noise(columns, x, mean, y)
+    sizes = [typical_size(model, columns, x, mean) for model in (noise, found)]
+    rest = (x[:, :2] == 0.0).all(1)
     wider = [(size[rest].log().mean(0) - size[~rest].log().mean(0)).exp() for size in sizes]
     assert wider[0].min() > 2.5
     assert wider[1].tolist() == pytest.approx(wider[0].tolist(), rel=0.1)
-
-
-@pytest.mark.slow
-def test_what_members_say_is_not_said_twice():
-    simulator, data, mean, noise = recorded(3000)
-    alone = fit_noise(simulator, data.x, data.y, mean)
-    network = simulator.network
-    genes = torch.zeros(5, 3, network.genes)
-    # Members that differ by a turn of 0.015 rad, beside noise of 0.02.
-    genes[1:, 2, -1] = 0.015 * torch.tensor([-1.0, 1.0, -1.0, 1.0]) * 0.75**0.5
-    entries = simulator.inputs
-    several = MotionNetwork(entries, network, genes, torch.ones(5), torch.ones(3), central=True)
-    found = fit_noise(several, data.x, data.y, mean)
-    columns = CommandFeatures.of(NAMES)
-    turn = [typical_size(n, columns, data.x, mean)[:, 0].median().item() for n in (alone, found)]
-    assert turn[0] == pytest.approx(0.02, rel=0.1)
-    assert turn[1] == pytest.approx((0.02**2 - 0.015**2) ** 0.5, rel=0.15)
-    assert noise.unit[0] == 1.0

@@ -439,14 +439,9 @@ class CombinedTrainer:
             weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)
             # What halves of the rows leave open stays in it: members are alike in their mistakes.
             some = slice(None, None, -(-len(weight) // settings.noise_rows))
-            simulator.noise = fit_noise(
-                simulator,
-                rows.x[some],
-                rows.y[some],
-                unseen[some],
-                weight[some],
-                besides_members=False,
-            )
+            mean = simulator.from_outputs(unseen[some], rows.x[some])
+            parts = rows.x[some], mean, rows.y[some], weight[some]
+            simulator.noise = fit_noise(simulator.columns, *parts)
         self._simulator = simulator
         return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
 
