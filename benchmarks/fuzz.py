@@ -79,10 +79,10 @@ TARGETS = (
     Target("evolve tables --task obstacle-avoidance -o out --generations 1 --population 4 "
            "--steps 6 --starts 2", ("tables",), weight=2),
     Target("evolve tables --task obstacle-avoidance -o out --generations 1 --population 4 "
-           "--steps 6 --starts 2 --arena arena.json", ("arena.json",), ("tables",)),
+           "--steps 6 --starts 2 --place arena.json", ("arena.json",), ("tables",)),
     Target("evolve tables --task obstacle-avoidance -o begun --resume", ("begun.checkpoint",),
            ("tables",)),
-    Target("build-tables wall.sample cylinder.sample -o out --arena arena.json",
+    Target("build-tables wall.sample cylinder.sample -o out --place arena.json",
            ("wall.sample", "cylinder.sample", "arena.json")),
     Target("view tables --controller net -o out.svg --seconds 1", ("tables", "net")),
     Target("view simulator --controller plan -o out.svg", ("simulator", "plan")),
@@ -101,7 +101,7 @@ TARGETS = (
     Target("evaluate sensing felt", ("sensing", "felt"), lab=True),
     Target("evolve sensing --task follow-line -o out --generations 1 --population 4 --seconds 1",
            ("sensing",), lab=True),
-    Target("record out --line line.json --commands 1 --durations 0.5..0.6 --camera none",
+    Target("record out --place line.json --commands 1 --durations 0.5..0.6 --camera none",
            ("line.json",), lab=True, weight=0.5),
     Target("calibrate photographs --square 40 --points photographs/points.csv -o out.json "
            "--pattern 9x6", ("photographs",), lab=True, weight=0.3),
@@ -407,7 +407,7 @@ def make(folder: Path, lab: bool = True) -> None:
        "--camera-size 640x480 --fps 15")  # fmt: skip
     do("track recording")
     do("record sensed --commands 50 --durations 0.5..1 --readings --guard-by position "
-       "--line rectangle --calibration calibration.json --camera-size 640x480")  # fmt: skip
+       "--place rectangle --calibration calibration.json --camera-size 640x480")  # fmt: skip
     do("dataset sensed -o felt")
     do("train felt -o sensing --members 2")
     do("record driven --camera none --commands 1 --durations 0.5..0.6")
@@ -443,7 +443,7 @@ def _write_inputs(folder: Path) -> None:
 
     from neurosim.base import se2
     from neurosim.base.files import write_csv, write_json
-    from neurosim.simulators.tables.arena import Arena
+    from neurosim.base.place import Line, Place
     from neurosim.simulators.tables.samples import Samples
 
     rng = np.random.default_rng(0)
@@ -473,16 +473,13 @@ def _write_inputs(folder: Path) -> None:
     for name, bright in (("wall", 0.8), ("cylinder", 0.4)):
         fades = np.exp(-np.arange(4) / 2)[:, None, None]
         Samples((bright * fades * looks).round(3), 0.005, 0.01).write(folder / f"{name}.sample")
-    Arena.rectangle(0.5, 0.4, [(0, 0, 0.0275)]).write(folder / "arena.json")
+    Place.rectangle(0.5, 0.4, [(0, 0, 0.0275)]).write(folder / "arena.json")
     write_json(
         folder / "task.json", "neurosim-task", 1,
         {"name": "nine-rectangles", "settings": {"longest_arc": 1.5}},
     )  # fmt: skip
-    write_json(
-        folder / "line.json", "neurosim-task", 1,
-        {"name": "follow-line", "settings": {"shape": "points", "points": [
-            [-0.7, -0.4], [0.7, -0.4], [0.5, 0.4], [-0.5, 0.3]]}},
-    )  # fmt: skip
+    corners = ((-0.7, -0.4), (0.7, -0.4), (0.5, 0.4), (-0.5, 0.3))
+    Place(lines=(Line(corners),)).write(folder / "line.json")
     from neurosim.controllers.gait import Gait
     from tracking.datasets.recordings import DEFAULT_MARKERS, write_markers
 

@@ -27,7 +27,6 @@ import numpy as np
 import neurosim as ns
 from neurosim.base.trajectory import Episode
 from neurosim.controllers.network import braitenberg
-from neurosim.lab import LabArena
 from neurosim.lab.khepera.physics import penetration
 from neurosim.loop.evaluate import rollouts_of
 from neurosim.simulators.tables.kernels import SLACK
@@ -95,7 +94,7 @@ def in_tables(
     rng, episode = np.random.default_rng(seed), Episode(0.1, round(10 * SECONDS), readings=True)
     touched, fitness = [], []
     for arena in arenas:
-        simulator = tables.changed(arena=arena)
+        simulator = tables.changed(place=arena)
         rollouts = rollouts_of(simulator, network, episode)
         draws = rollouts.draw(simulator.free_poses(drives, rng), rng)
         driven = rollouts.run(genes[None], draws)
@@ -112,8 +111,8 @@ def in_the_lab(
     rng = np.random.default_rng(seed)
     touched, fitness = np.zeros((len(arenas), drives), bool), np.zeros((len(arenas), drives))
     for a, arena in enumerate(arenas):
-        simulator, place = tables.changed(arena=arena), LabArena.of(arena)
-        around = partial(penetration, walls=place.wall_rows, cylinders=place.cylinder_rows)
+        simulator = tables.changed(place=arena)
+        around = partial(penetration, walls=arena.surfaces, cylinders=arena.cylinders)
         task = ObstacleAvoidance()
         with virtual_khepera(network, task, simulator, seed=seed + a) as trials:
             for d, start in enumerate(simulator.free_poses(drives, rng)):

@@ -28,7 +28,7 @@ import neurosim as ns
 from neurosim.base.errors import UserError
 from neurosim.base.trajectory import Trajectory
 from neurosim.controllers import SavedController
-from neurosim.lab import PrintedLine, VirtualRig
+from neurosim.lab import VirtualRig
 from neurosim.loop.evaluate import Evaluator
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Rig, record
@@ -50,10 +50,10 @@ def main() -> None:
     parser.add_argument("--commands", type=int, default=1000)
     parser.add_argument("--generations", type=int, default=15)
     parser.add_argument("--drives", type=int, default=6, help="of each robot")
-    parser.add_argument("--shape", default="rectangle", choices=["rectangle", "ellipse"])
+    parser.add_argument("--place", default="rectangle", choices=["rectangle", "ellipse"])
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    task = ns.make_task("follow-line", shape=options.shape)
+    task = ns.make_task("follow-line", place=options.place)
     rows = []
     for seed in options.robots:
         began = time.perf_counter()
@@ -81,8 +81,7 @@ def main() -> None:
 
 def one(seed: int, folder: Path, task: FollowLine, options: argparse.Namespace) -> dict[str, Any]:
     """Return what came of a robot."""
-    line = PrintedLine(task.line)
-    with VirtualRig(seed, noise_seed=seed, camera_size=SIZE, line=line) as rig:
+    with VirtualRig(seed, noise_seed=seed, camera_size=SIZE, around=task.place) as rig:
         optics = rig.camera.optics
         model = CameraModel(
             SIZE, optics.matrix, optics.distortion, optics.rotation, optics.translation
@@ -126,8 +125,9 @@ def drive(
     source = Driver(best, task.episode, {})
     how = RecordSettings(source.steps, Guard("ignore"))
     at = tuple(map(float, start))
-    line = PrintedLine(task.line)
-    with VirtualRig(seed, noise_seed=1000 + number, start=at, camera=False, line=line) as rig:
+    with VirtualRig(
+        seed, noise_seed=1000 + number, start=at, camera=False, around=task.place
+    ) as rig:
         try:
             record(folder / f"drive-{number}", Rig(rig.robot), source, how)
         except UserError as error:

@@ -21,10 +21,11 @@ from typing import Any
 import numpy as np
 import torch
 
-from neurosim.lab import KheperaParams, LabArena, sampling_places
+from neurosim.base.place import Place, paper_arena
+from neurosim.lab import KheperaParams, sampling_places
 from neurosim.lab.khepera import physics
+from neurosim.lab.khepera.params import WHITE
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.places import random_arena
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
@@ -64,7 +65,7 @@ def main() -> None:
         )
 
 
-def compare(place: str, arenas: list[Arena], options: argparse.Namespace) -> list[dict[str, Any]]:
+def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> list[dict[str, Any]]:
     """Return how far each way is off at random poses in arenas; in drawn ones, near boards."""
     off, two = [], []
     for robot in options.robots:
@@ -75,7 +76,7 @@ def compare(place: str, arenas: list[Arena], options: argparse.Namespace) -> lis
             poses = arena.free_poses(options.poses // len(arenas), RADIUS + FIRST, rng)
             if arena.inner:
                 poses = poses[to_walls(arena, poses)[len(arena.outline) :].min(axis=0) < NEAR]
-            truth = readings(params, LabArena.of(arena), poses)
+            truth = readings(params, arena, poses)
             ways, near = combined(sensors, arena, poses)
             off.append({name: found - truth for name, found in ways.items()})
             two.append(near)
@@ -89,15 +90,13 @@ def compare(place: str, arenas: list[Arena], options: argparse.Namespace) -> lis
     return rows
 
 
-def readings(params: KheperaParams, arena: LabArena, poses: np.ndarray) -> np.ndarray:
+def readings(params: KheperaParams, arena: Place, poses: np.ndarray) -> np.ndarray:
     """Return what a robot without noise reads at poses [N, 3], [N, 8] of 0..1."""
     rng = np.random.default_rng(0)
-    walls, cylinders = arena.wall_rows, arena.cylinder_rows
+    walls, cylinders = arena.surfaces, arena.cylinders
     circuit = params.angle, params.reach, params.threshold, params.offset
     found = [
-        physics.proximity(
-            np.array(pose), *circuit, (0.0, 0.0), 0.0, walls, cylinders, arena.albedo, rng
-        )
+        physics.proximity(np.array(pose), *circuit, (0.0, 0.0), 0.0, walls, cylinders, WHITE, rng)
         for pose in poses
     ]
     return np.array(found) / 1023
@@ -120,16 +119,16 @@ def tables(params: KheperaParams) -> SensorTable:
 
 
 def combined(
-    sensors: SensorTable, arena: Arena, poses: np.ndarray
+    sensors: SensorTable, arena: Place, poses: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return readings [N, 8] at poses by each way, and where two objects are near [N]."""
-    state, whole = torch.from_numpy(poses), TableSimulator(sensors, arena=arena)
+    state, whole = torch.from_numpy(poses), TableSimulator(sensors, place=arena)
     walls, obstacles = whole.arrays.walls, whole.arrays.obstacles
     things = [(walls[w : w + 1], obstacles[:0]) for w in range(len(walls))]
     things += [(walls[:1] + FAR, obstacles[o : o + 1]) for o in range(len(obstacles))]
     alone = []
     for wall, obstacle in things:
-        only = TableSimulator(sensors, arena=arena)
+        only = TableSimulator(sensors, place=arena)
         # Of all that stands there this alone is seen, and nothing stands before it.
         vars(only)["arrays"] = whole.arrays._replace(
             walls=wall, obstacles=obstacle, screens=walls[:0]
@@ -149,7 +148,7 @@ def combined(
     return ways, (objects < NEAR).sum(axis=0) >= 2
 
 
-def to_walls(arena: Arena, poses: np.ndarray) -> np.ndarray:
+def to_walls(arena: Place, poses: np.ndarray) -> np.ndarray:
     """Return the distance (m) from the rim to every wall, [W, N]."""
     ends = arena.walls[:, None]
     along = ends[..., 2:] - ends[..., :2]
@@ -158,7 +157,7 @@ def to_walls(arena: Arena, poses: np.ndarray) -> np.ndarray:
     return np.linalg.norm(poses[:, :2] - point, axis=-1) - RADIUS
 
 
-def to_obstacles(arena: Arena, poses: np.ndarray) -> np.ndarray:
+def to_obstacles(arena: Place, poses: np.ndarray) -> np.ndarray:
     """Return the distance (m) from the rim to every obstacle, [K, N]."""
     centre = arena.cylinders[:, None]
     return np.linalg.norm(poses[:, :2] - centre[..., :2], axis=-1) - RADIUS - centre[..., 2]

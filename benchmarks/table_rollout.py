@@ -111,7 +111,7 @@ def pytorch(simulator: TableSimulator, batch: int, steps: int) -> float:
     task, rng = ObstacleAvoidance(steps=STEPS), np.random.default_rng(0)
     robots = batch * task.starts
     weights = torch.from_numpy(networks(batch)).repeat_interleave(task.starts, 0).view(robots, 2, 9)
-    poses = simulator.arena.free_poses(robots, simulator.radius, rng)
+    poses = simulator.place.free_poses(robots, simulator.radius, rng)
 
     def drive() -> None:
         state = simulator.start(torch.from_numpy(poses))

@@ -41,9 +41,10 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.place import paper_arena
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
-from neurosim.lab import LabArena, VirtualKheperaRig, sampling_places
+from neurosim.lab import VirtualKheperaRig, sampling_places
 from neurosim.lab.cable import SerialCable
 from neurosim.lab.khepera.rig import BITS
 from neurosim.loop.evaluate import Evaluator, rollouts_of
@@ -54,7 +55,6 @@ from neurosim.loop.transfer import Transfer
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.sampling import SampleSettings, sample, sampled_reaction
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.samples import Samples
 from neurosim.simulators.tables.sensor_table import SensorTable
@@ -161,7 +161,7 @@ def sample_robot(folder: Path, robot: int, options: argparse.Namespace) -> Path:
     """Have a robot sample itself and return the folder."""
     out = folder / str(robot)
     arena, poses = sampling_places()
-    rig = in_the_lab(robot, options, noise_seed=100 + robot, arena=arena, start=poses["open"])
+    rig = in_the_lab(robot, options, noise_seed=100 + robot, place=arena, start=poses["open"])
     with rig, rig.robot as driver:
 
         def place(where: str) -> None:
@@ -215,8 +215,7 @@ def transfer(kind: str, robot: int, folder: Path, options: Any) -> dict[str, flo
         "simulated": per_trial(noisy),
         "simulated_without_noise": per_trial(drives.run(genes[None], Draws(starts))),
     }
-    lab_arena = LabArena.of(arena)
-    rig = in_the_lab(robot, options, noise_seed=robot, arena=lab_arena, start=starts[0])
+    rig = in_the_lab(robot, options, noise_seed=robot, place=arena, start=starts[0])
     with rig, rig.robot as driver:
         real = OnFloor(
             driver,

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import Any, Literal
 
 import numpy as np
 from numba import njit
@@ -14,8 +12,7 @@ from neurosim.base import se2
 from neurosim.base.errors import UserError
 from neurosim.base.threads import WORTH_SHARING, on_cores
 
-Shape = Literal["rectangle", "ellipse", "points"]
-SHAPES: tuple[Shape, ...] = ("rectangle", "ellipse", "points")
+SHAPES = ("rectangle", "ellipse")
 
 #: Arcs are made of pieces of at most so much, m: on a radius of 0.2 m 0.25 mm off at most.
 _PIECE = 0.02
@@ -52,30 +49,20 @@ class ClosedLine:
         self.length = float(self._until[-1])
 
     @classmethod
-    def of(
-        cls,
-        shape: str,
-        length: float,
-        width: float,
-        corner: float = 0.0,
-        points: Sequence[Sequence[float]] = (),
-    ) -> ClosedLine:
-        """Make one around the board's middle, counter-clockwise; or of points, in their order.
+    def of(cls, shape: str, length: float, width: float, corner: float = 0.0) -> ClosedLine:
+        """Make one around the board's middle, counter-clockwise.
 
         Args:
             shape: one of :data:`SHAPES`.
             length: along x, m.
             width: along y, m.
             corner: radius of a rectangle's corners, m.
-            points: of the shape ``points``, m.
 
         Raises:
             UserError: if there is no such line.
         """
         if shape not in SHAPES:
             raise UserError(f"a closed line is one of {', '.join(SHAPES)}, not {shape!r}")
-        if shape == "points":
-            return cls(points)
         if not (0 < length < 1e3 and 0 < width < 1e3):
             raise UserError(
                 f"a closed line needs a length and a width above 0 m, not {length:g} m by "
@@ -126,10 +113,6 @@ class ClosedLine:
         place = self.points[side] + share[..., None] * (ends[side] - self.points[side])
         heading = self._headings[side] + np.where(backwards, np.pi, 0.0)
         return np.concatenate([place, se2.wrapped(heading)[..., None]], axis=-1)
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same line again, ready for JSON."""
-        return {"points": np.round(self.points, 6).tolist()}
 
 
 @njit(cache=True, error_model="numpy")

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
-from neurosim.base.declared import Coordinate, Fraction, MetresOrNone, TagId
+from neurosim.base.declared import Coordinate, Fraction, Metres, MetresOrNone, Pose, TagId
 
 #: Poses of results are no farther away, m, and turn no more, rad: pictures of them are drawn.
 FARTHEST = 1e5
@@ -29,8 +29,9 @@ class Format(Struct):
     """Base of all."""
 
 
-#: Walls of arenas, m, and how many at most; obstacles, too.
+#: Walls and corners of places, m, and how many at most; obstacles, too.
 MOST_SHAPES = 1000
+Corners = Annotated[list[tuple[Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)]
 Walls = Annotated[
     list[tuple[Coordinate, Coordinate, Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)
 ]
@@ -121,6 +122,44 @@ class Board(Format):
     line_width: MetresOrNone | None = None
 
 
+class Line(Format):
+    """A line that is printed on the floor.
+
+    Attributes:
+        points: points of its middle, m.
+        width: width of the line, m.
+        closed: whether the last point is joined to the first.
+    """
+
+    points: Annotated[list[tuple[Coordinate, Coordinate]], Meta(max_length=100_000)]
+    width: Metres | None = None
+    closed: bool | None = None
+
+
+class Place(Format):
+    """What a place looks like; lengths in m.
+
+    Attributes:
+        outline: corners of the walls around it.
+        walls: walls that stand inside: x1, y1, x2, y2 of their middles.
+        obstacles: round obstacles: x, y, radius.
+        lines: lines on the floor.
+        lights: lights: x, y.
+        board: the board on the floor.
+        start: pose at which robots start.
+    """
+
+    outline: Corners | None = None
+    walls: Walls | None = None
+    obstacles: (
+        Annotated[list[tuple[Coordinate, Coordinate, Metres]], Meta(max_length=MOST_SHAPES)] | None
+    ) = None
+    lines: Annotated[list[Line], Meta(max_length=100)] | None = None
+    lights: Corners | None = None
+    board: Board | None = None
+    start: Pose | None = None
+
+
 class Perimeter(Format):
     """The limits at which a guard ends drives.
 
@@ -201,6 +240,7 @@ class Recording(Format):
         videos: file of each session; null without a camera.
         markers: markers on the robot.
         board: board under the robot.
+        place: what stands and lies around the robot.
         camera: the camera.
         settings: settings of the recording.
         commands: names, units and limits of a command's numbers.
@@ -213,6 +253,7 @@ class Recording(Format):
     videos: list[str | None]
     markers: Markers
     board: Board
+    place: Place | None = None
     camera: dict[str, Any] | None = None
     settings: RecordedWith | None = None
     commands: dict[str, Any] | None = None
@@ -302,7 +343,7 @@ class Tracking(Format):
     sessions: list[TrackedSession]
 
 
-class Place(Format):
+class Spot(Format):
     """A place on the robot, m: x ahead, y to the left of the middle of the axle.
 
     Attributes:
@@ -314,7 +355,7 @@ class Place(Format):
     y: Coordinate
 
 
-class Marker(Place):
+class Marker(Spot):
     """A marker on the robot; of a tag, the middle of its upper or of its lower edge.
 
     Attributes:
@@ -351,7 +392,7 @@ class Markers(Format):
     front: Marker
     rear: Marker
     tag: TagName | None = None
-    lamp: Place | None = None
+    lamp: Spot | None = None
     height: Coordinate | None = None
     diameter: Annotated[float, Meta(gt=0, le=1000)] | None = None
 
@@ -832,24 +873,6 @@ class Reaction(Format):
     lag: tuple[Delay, Delay]
 
 
-class Arena(Format):
-    """Walls (x1, y1, x2, y2) and obstacles (x, y, radius), m.
-
-    Attributes:
-        outline: outer walls.
-        obstacles: round obstacles.
-        inner: inner walls.
-        start: pose of the robot.
-    """
-
-    outline: Walls
-    obstacles: Annotated[
-        list[tuple[Coordinate, Coordinate, Coordinate]], Meta(max_length=MOST_SHAPES)
-    ]
-    inner: Walls | None = None
-    start: tuple[Coordinate, Coordinate, Coordinate] | None = None
-
-
 class Tables(Simulator, kw_only=True):
     """A simulator of look-up tables.
 
@@ -859,7 +882,7 @@ class Tables(Simulator, kw_only=True):
         motors: tables of motion.
         radius: radius of the robot, m.
         noise: noise of sensors and motors.
-        arena: arena around the robot.
+        place: the place around the robot.
         reaction: delays of the robot.
     """
 
@@ -868,7 +891,7 @@ class Tables(Simulator, kw_only=True):
     motors: MotorTables
     radius: Annotated[float, Meta(ge=0.001, le=10)]
     noise: TableNoise
-    arena: Arena
+    place: Place
     reaction: Reaction | None = None
 
 
@@ -1049,7 +1072,7 @@ class Evolution(Format):
         robot_fitness: fitness of the controller on the robot.
         trajectories: paths of the controller.
         robot: robot of the trials.
-        arena: arena around the robot.
+        place: the place around the robot.
     """
 
     settings: dict[str, Any] | None = None
@@ -1058,7 +1081,7 @@ class Evolution(Format):
     robot_fitness: RobotFitness | None = None
     trajectories: list[Pair] | None = None
     robot: Robot | None = None
-    arena: Arena | None = None
+    place: Place | None = None
 
 
 class Controller(Format):

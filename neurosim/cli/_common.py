@@ -54,6 +54,12 @@ def calibration_option(
     return click.option("--calibration", type=PATH, help=help, **others)
 
 
+place_option = click.option(
+    "--place",
+    type=PATH,
+    help="The place, a JSON file or a name: arena, board, rectangle or ellipse. The guard goes by "
+    "its board; a virtual robot drives in it.",
+)
 placing_option = click.option(
     "--placing",
     cls=Option,

@@ -21,6 +21,7 @@ from click.core import ParameterSource
 
 from neurosim.base.declared import bounded, hints_of
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.cli._types import (
     PATH,
     Json,
@@ -129,7 +130,7 @@ def _kind(annotation: Any, default: Any) -> click.ParamType | None:
         return click.Tuple(kinds) if origin is tuple and ... not in parts else Listed(kinds[0])
     if bounded(annotation)[0] in (int, float):
         return ranged(annotation)
-    return {bool: click.BOOL, str: click.STRING, Path: PATH}.get(annotation)
+    return {bool: click.BOOL, str: click.STRING, Path: PATH, Place: PATH}.get(annotation)
 
 
 _NUMBERS = (Whole, Real)

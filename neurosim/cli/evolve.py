@@ -95,26 +95,22 @@ def _not_settings(chosen: Chosen) -> Sequence[str]:
 def changed(
     simulator: Any,
     *,
-    arena: Path | None = None,
     noise: Literal["none", "uniform", "samples"] | None = None,
 ) -> Any:
-    """Return a simulator with another arena or noise.
+    """Return a simulator with other noise.
 
     Args:
-        simulator: one that has them.
-        arena: JSON file of an arena in place of the simulator's own.
+        simulator: one that has noise of several kinds.
         noise: Noise in place of the simulator's own: none; uniform, 5 % of the range; or as wide as
             the samples' own.
     """
-    from neurosim.simulators.base import InArena
-    from neurosim.simulators.tables.arena import Arena
+    from neurosim.simulators.base import InPlace
 
-    changes: dict[str, Any] = {} if arena is None else {"arena": Arena.read(arena)}
-    if noise is not None:
-        changes["noise"] = noise
-    if changes and not isinstance(simulator, InArena):
-        raise UserError(f"a simulator of the kind {simulator.kind} has neither --arena nor --noise")
-    return simulator.changed(**changes) if changes else simulator
+    if noise is None:
+        return simulator
+    if not isinstance(simulator, InPlace):
+        raise UserError(f"a simulator of the kind {simulator.kind} has no --noise")
+    return simulator.changed(noise=noise)
 
 
 @click.command(

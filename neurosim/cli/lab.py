@@ -60,14 +60,18 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 
 @lab.command()
 @click.option(
-    "--arena", "arena_path", type=PATH, help="JSON of the arena.  [60 x 35 cm, three obstacles]"
+    "--place",
+    type=PATH,
+    default="arena",
+    show_default=True,
+    help="The place, a JSON file or a name; arena: 60 x 35 cm with three obstacles.",
 )
 @click.option(
     "--start",
     cls=Option,
     type=POSE,
     help="Where the robot stands at first: x and y in cm, heading in degrees.  "
-    "[the arena's own; in the default arena -22 0 0]",
+    "[the place's own; in the default arena -22 0 0]",
 )
 @_socket_option
 @_port_option
@@ -82,7 +86,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
 @seed_option
 @json_option
 def khepera(
-    arena_path: Path | None,
+    place: Path,
     start: tuple[float, float, float] | None,
     by_socket: bool,
     port: int,
@@ -93,22 +97,19 @@ def khepera(
 ) -> None:
     """Keep a virtual Khepera running in real time, for any program that speaks its protocol."""
 
-    from neurosim.lab import LabArena, VirtualKheperaRig
+    from neurosim.base.place import Place, paper_arena
+    from neurosim.lab import VirtualKheperaRig
     from neurosim.lab.khepera.params import RADIUS
     from neurosim.lab.khepera.rig import START
     from neurosim.lab.nxt.world import Pacer
-    from neurosim.simulators.tables.arena import Arena, paper_arena
 
     _check_port(by_socket)
-    arena = paper_arena() if arena_path is None else Arena.read(arena_path)
-    if start is not None:
-        pose = start
-    else:
-        pose = arena.start or (START if arena_path is None else (0.0, 0.0, 0.0))
-    arena.check_start(pose, RADIUS)
+    around = Place.of(place)
+    pose = start or around.start or (START if around == paper_arena() else (0.0, 0.0, 0.0))
+    around.check_start(pose, RADIUS)
     with VirtualKheperaRig(
         seed,
-        arena=LabArena.of(arena),
+        place=around,
         start=pose,
         device="socket" if by_socket else None,
         port=port,

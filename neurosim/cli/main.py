@@ -36,6 +36,7 @@ from neurosim.cli.export import export
 from neurosim.cli.lab import lab
 from neurosim.cli.new import new
 from neurosim.cli.pipeline import pipeline
+from neurosim.cli.place import place
 from neurosim.cli.plan_check import plan_check
 from neurosim.cli.print_page import print_page
 from neurosim.cli.record import record
@@ -114,6 +115,7 @@ def _line_of(error: Exception, path: Path) -> int | None:
 
 for verb in (
     print_page,
+    place,
     watch,
     check_robot,
     record,

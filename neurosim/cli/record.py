@@ -16,6 +16,7 @@ from neurosim.cli._common import (
     json_option,
     markers_option,
     next_step,
+    place_option,
     resume_option,
     seed_option,
     tag_option,
@@ -64,6 +65,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
     "The camera's calibration.json. It is kept with the recording, and the robot is tracked "
     "while it is recorded."
 )
+@place_option
 @markers_option
 @tag_option
 @click.option(
@@ -107,6 +109,7 @@ def record(
     robot_options: dict[str, Any],
     camera: dict[str, Any],
     calibration: Path | None,
+    place: Path | None,
     markers: str | None,
     tag: int | None,
     live: bool,
@@ -133,6 +136,7 @@ def record(
     hidden, and at the board's edge.
     """
     from neurosim.base.errors import UserError
+    from neurosim.base.place import Place
     from neurosim.controllers import read_controller
     from neurosim.recording.by_hand import Hand
     from neurosim.recording.commands import RandomCommands
@@ -145,12 +149,13 @@ def record(
     _check_who_drives(guided=guided, by_hand=by_hand, by_network=controller is not None)
     commands = RandomCommands(**source, seed=seed)
     hand = Hand(commands.max_speed) if by_hand else None
-    how = RecordSettings(
-        **settings, guard=Guard(**guard), markers=marker_settings(markers, robot, tag)
-    )
+    around = None if place is None else Place.of(place)
+    marked = marker_settings(markers, robot, tag)
+    how = RecordSettings(**settings, guard=Guard(**guard), markers=marked, place=around)
 
     def given(seed: int, start: tuple[float, float, float] | None) -> Setup:
-        return Setup(**camera, seed=seed, start=start, markers=how.markers, real_time=by_hand)
+        set_up = {**camera, "place": around, "markers": marked, "real_time": by_hand}
+        return Setup(**set_up, seed=seed, start=start)
 
     @contextmanager
     def opened(seed: int, start: tuple[float, float, float] | None) -> Iterator[Any]:

@@ -112,7 +112,8 @@ def run(
         by, known = guard.get("by", "both"), again[0].perimeter
         again[0].perimeter = None if at_line == "ignore" else known.guarded(by)
     marked = marker_settings(markers, robot, tag)
-    setup = Setup(**camera, seed=seed, start=saved.start, arena=_arena(saved), markers=marked)
+    around = _place(saved, robot)
+    setup = Setup(**camera, seed=seed, start=saved.start, place=around, markers=marked)
     with open_rig(robot, robot_options, setup) as rig:
         report = run_trial(
             controller,
@@ -178,15 +179,15 @@ def _simulator(saved: Any) -> Path | None:
     return file.parent
 
 
-def _arena(saved: Any) -> Any:
-    """Return the arena in which a controller was evolved, for a virtual robot; None: unknown."""
-    from neurosim.lab import LabArena
+def _place(saved: Any, robot: str) -> Any:
+    """Return the place for which a controller was evolved, for a virtual robot; None: unknown."""
     from neurosim.simulators import read_simulator
-    from neurosim.simulators.base import InArena
+    from neurosim.tasks.registry import make_task
+    from neurosim.trials.rig import place_of
 
     folder = _simulator(saved)
     found = None if folder is None else read_simulator(folder)
-    return LabArena.of(found.arena) if isinstance(found, InArena) else None
+    return place_of(robot, make_task(saved.task), found)
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:

@@ -113,13 +113,13 @@ def sample(
     else:
         model = CameraModel.read(calibration)
     carried = marker_settings(markers, robot, tag)
-    arena, poses = sampling_places()
+    place, poses = sampling_places()
     setup = Setup(
         camera=camera or "none",
         size=None if model is None else tuple(model.image_size),
         seed=seed,
         start=poses["open"],
-        arena=arena,
+        place=place,
         markers=carried,
     )
     with open_rig(robot, robot_options, setup) as rig, rig.robot as driver:

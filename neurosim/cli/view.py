@@ -20,7 +20,7 @@ from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
 @click.option(
     "--simulator",
     type=PATH,
-    help="Simulator to drive in, if PLACE is only an arena; of a trial, the one that samples it.",
+    help="Simulator to drive in, if PLACE is a place; of a trial, the one that samples it.",
 )
 @click.option("--controller", type=PATH, help="Controller of any kind; its path is drawn.")
 @click.option(
@@ -29,7 +29,7 @@ from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
     type=POSE,
     help=(
         "Where the robot starts: x and y in cm, heading in degrees.  [the start of its task or "
-        "of the arena, or random]"
+        "of the place, or random]"
     ),
 )
 @click.option(
@@ -54,7 +54,7 @@ def view(
     seed: int,
     as_json: bool,
 ) -> None:
-    """Draw PLACE: the folder of a simulator of any kind, or the JSON file of an arena.
+    """Draw PLACE: the folder of a simulator of any kind, or the JSON file or name of a place.
 
     With a controller, the robot drives its task in the simulator. It is drawn at the end of its
     path, with its sensors' readings.

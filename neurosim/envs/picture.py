@@ -110,7 +110,8 @@ class Picture:
                 corners = self._at(np.array(shape["polygon"], float))
                 if colour and len(corners) > 2:
                     cv2.fillPoly(image, [corners], colour)
-                cv2.polylines(image, [corners], True, _INK, 1, cv2.LINE_AA)
+                thick = max(round(shape.get("width", 0.0) * self._scale), 1)
+                cv2.polylines(image, [corners], True, _INK, thick, cv2.LINE_AA)
             if "circle" in shape:
                 x, y, radius = shape["circle"]
                 at = tuple(map(int, self._at(np.array([x, y], float))))

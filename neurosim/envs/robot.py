@@ -16,16 +16,15 @@ from neurosim.base.errors import UserError
 from neurosim.envs.face import Face, rate
 from neurosim.envs.picture import Picture, check_mode
 from neurosim.envs.single import CLOSED, made
-from neurosim.lab import LabArena
 from neurosim.recording.closed_loop import Deadlines
 from neurosim.recording.markers import marker_settings
 from neurosim.recording.spotter import Spotter
 from neurosim.robots.base import Counters, Sensors, drive_for
 from neurosim.robots.odometry import Odometry
-from neurosim.simulators.base import InArena, Simulator
+from neurosim.simulators.base import Simulator
 from neurosim.simulators.sampling import PLACING, placed
 from neurosim.tasks.base import Interval, Task
-from neurosim.trials.rig import RIGS, Setup, open_rig
+from neurosim.trials.rig import RIGS, Setup, open_rig, place_of
 from tracking.camera.camera_model import CameraModel
 
 #: The robot stands still for so long before a trial, s.
@@ -92,7 +91,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
         with ExitStack() as opening:
             setup = Setup(
                 camera=camera or (None if calibration is not None else "none"),
-                arena=_arena(simulator) if robot == "virtual-khepera" else None,
+                place=place_of(robot, goal, simulator),
             )
             rig = opening.enter_context(open_rig(robot, options, setup))
             self.robot = opening.enter_context(rig.robot)
@@ -287,8 +286,3 @@ def _ask(pose: Sequence[float]) -> None:
     """Ask a person to put the robot at a pose (m, m, rad)."""
     x, y, heading = 100 * pose[0], 100 * pose[1], np.degrees(pose[2])
     input(f"Put the robot at x {x:.1f} cm, y {y:.1f} cm, heading {heading:.0f} degrees; Enter: ")
-
-
-def _arena(simulator: Simulator) -> LabArena | None:
-    """Return the simulator's arena for the virtual lab, if it has one."""
-    return LabArena.of(simulator.arena) if isinstance(simulator, InArena) else None

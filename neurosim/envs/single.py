@@ -140,7 +140,7 @@ def made(
     task: str | Mapping[str, Any] | Task,
     settings: Mapping[str, Any],
 ) -> tuple[Simulator, Task]:
-    """Return simulator and task of what environments are made of.
+    """Return simulator, in the task's place, and task of what environments are made of.
 
     Raises:
         UserError: if one of them is not what it should be.
@@ -152,4 +152,5 @@ def made(
         )
     if not isinstance(simulator, Simulator):
         simulator = read_simulator(simulator)
-    return simulator, make_task(task, **settings)
+    goal = make_task(task, **settings)
+    return goal.placed(simulator), goal

@@ -3,10 +3,10 @@
 They are reached as real ones are: by a serial line, and by the frames of a camera.
 """
 
-from neurosim.lab.khepera.params import KheperaParams, LabArena
+from neurosim.lab.khepera.params import KheperaParams
 from neurosim.lab.khepera.rig import VirtualKheperaRig, sampling_places
 from neurosim.lab.lines.rig import VirtualLinesRig
-from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
+from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.rig import VirtualRig
 from neurosim.lab.nxt.world import Lab, Pacer, Push, Truth, read_truth
 from neurosim.lab.ros.rig import VirtualRosRig
@@ -16,10 +16,8 @@ __all__ = [
     "CameraParams",
     "KheperaParams",
     "Lab",
-    "LabArena",
     "LabParams",
     "Pacer",
-    "PrintedLine",
     "Push",
     "Truth",
     "VirtualKheperaRig",

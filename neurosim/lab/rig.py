@@ -9,6 +9,7 @@ from typing import Any, TypedDict, Unpack
 
 import numpy as np
 
+from neurosim.base.place import Place
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.world import Lab
@@ -27,6 +28,7 @@ class OnBoard(TypedDict, total=False):
         camera: whether there is a camera (True).
         camera_size: its frames, (width, height) in pixels (640, 480).
         fps: frames per second (30).
+        around: the place: what lies and stands on the floor (only the board).
     """
 
     noise_seed: int
@@ -34,6 +36,7 @@ class OnBoard(TypedDict, total=False):
     camera: bool
     camera_size: tuple[int, int]
     fps: float
+    around: Place
 
 
 def put_down(
@@ -87,8 +90,12 @@ class BoardRig(Served):
         if board.get("camera", True):
             size, fps = board.get("camera_size", (640, 480)), board.get("fps", 30.0)
             camera = CameraParams(size=size, fps=fps)
-        params = LabParams.drawn(robot_seed)
-        self.lab = Lab(seed, body=body, params=params, camera=camera, start=place)
+        params, around = LabParams.drawn(robot_seed), board.get("around", Place())
+        if around != Place():
+            self._about["place"] = around.to_json()
+        if hasattr(body, "around"):
+            body.around = around
+        self.lab = Lab(seed, body=body, params=params, camera=camera, start=place, around=around)
         self.camera = self.lab.camera
         return body, seed
 

@@ -75,6 +75,7 @@ class Evaluator:
             UserError: if one needs what another does not offer: commands, sensors, goals; or
                 there are no such workers.
         """
+        simulator = task.placed(simulator)
         task = task.within_perimeter(simulator.perimeter)
         self.simulator, self.task, self.controller = simulator, task, controller
         self.placing, self.episode = placing, task.episode

@@ -429,14 +429,15 @@ def evolve(
     if isinstance(simulator, str | Path):
         source = simulator
     simulator, task, controller = joined(simulator, task, controller)
-    perimeter = None if simulator.perimeter is None else simulator.perimeter.describe()
-    made_in = {} if source is None else named(source)
-    if perimeter is not None:
-        made_in["perimeter"] = perimeter
     if settings is None:
         settings = default_settings(controller, task)
     settings = replace(settings, **changes)
     evaluator = Evaluator(simulator, task, controller, placing=settings.placing, workers=workers)
+    simulator, ends = evaluator.simulator, evaluator.task.perimeter
+    perimeter = None if ends is None else ends.describe()
+    made_in = {} if source is None else named(source)
+    if perimeter is not None:
+        made_in["perimeter"] = perimeter
     real_generations = 0 if reality is None else real_generations
     with uninterrupted():
         evolution = Evolution(evaluator, settings, seed, real_generations)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from neurosim.controllers.base import WHEELS, Controller
 from neurosim.controllers.network import braitenberg
 from neurosim.loop.evaluate import Evaluator, with_contacts
-from neurosim.simulators.base import InArena
+from neurosim.simulators.base import InPlace
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance, avoidance
 
 #: Arenas that nobody was evolved in, and drives in them.
@@ -65,7 +65,7 @@ def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unm
     task, own = evaluator.task, evaluator.simulator
     if not isinstance(task, ObstacleAvoidance) or task.fitness != "avoidance":
         return None
-    if not isinstance(own, InArena):
+    if not isinstance(own, InPlace):
         return None
     elsewhere = own.elsewhere(ARENAS, seed + 0x0BE7)
 

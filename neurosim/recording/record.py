@@ -277,6 +277,7 @@ def _wanted(
         ).describe(),
         "markers": settings.markers,
         "board": settings.board,
+        **({} if settings.place is None else {"place": settings.place.to_json()}),
     }
     return json.loads(json.dumps(wanted))  # tuples as lists, as they will be read back
 
@@ -289,7 +290,7 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
     if recording.meta["complete"] and not unseen:
         raise UserError(f"{out} is complete; there is nothing to resume")
     for part, keys in _SAME.items():
-        was, now = recording.meta.get(part) or {}, wanted[part] or {}
+        was, now = recording.meta.get(part) or {}, wanted.get(part) or {}
         if not isinstance(was, dict):
             raise FileError(out / "recording.json", "expected an object", field=part)
         if part == "robot":
@@ -311,9 +312,10 @@ _SAME: dict[str, tuple[str, ...] | None] = {
     "commands": ("numbers",),
     "markers": None,
     "board": None,
+    "place": None,
     "robot": ("kind", "ports", "invert", "regulation", "dialect", "baud", "full_speed"),
     "camera": ("kind", "source", "size", "fps"),
-    "virtual_lab": ("robot_seed", "line"),
+    "virtual_lab": ("robot_seed", "place"),
 }
 
 

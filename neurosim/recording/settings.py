@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -19,6 +19,7 @@ from neurosim.base.declared import (
     Seconds,
     SecondsOrNone,
 )
+from neurosim.base.place import Place
 from neurosim.robots.base import Robot
 from tracking.camera.cameras import Camera
 from tracking.datasets.recordings import DEFAULT_BOARD, DEFAULT_MARKERS
@@ -94,6 +95,7 @@ class RecordSettings(Checked):
         full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
+        place: What stands and lies around the robot, or None; its board is then the ``board``.
         readings: Read the sensors all the time and keep the readings, so that a simulator can learn
             them.
     """
@@ -105,4 +107,10 @@ class RecordSettings(Checked):
     track: Annotated[float, Meta(ge=0.005, le=5)] = 0.13
     markers: dict[str, Any] = field(default_factory=lambda: DEFAULT_MARKERS)
     board: dict[str, float] = field(default_factory=lambda: DEFAULT_BOARD)
+    place: Place | None = None
     readings: bool = False
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.place is not None and self.place.board is not None:
+            object.__setattr__(self, "board", asdict(self.place.board))

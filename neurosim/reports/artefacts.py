@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from neurosim.base import formats
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import made, read_json, sha256
+from neurosim.base.place import Place
 from neurosim.base.provenance import is_virtual
 from neurosim.controllers import read_controller
 from neurosim.simulators import read_simulator
 from neurosim.simulators.base import VERSION as SIMULATOR
-from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import OUTPUTS, Dataset
@@ -166,9 +166,9 @@ class Artefacts:
             digest = artefact.meta["controller"].get("sha256")
             own = [one for one in self.controllers if sha256(one.json) == digest]
             return self.place_of(own[0]) if own else []
-        arena = artefact.meta["evolution"].get("arena")
-        if arena is not None:
-            return Arena.from_json(artefact.json, arena).shapes()
+        place = artefact.meta["evolution"].get("place")
+        if place is not None:
+            return Place.from_json(artefact.json, place).shapes()
         digest = artefact.meta["simulator"].get("sha256")
         for simulator in self.simulators:
             if sha256(simulator.json) == digest:

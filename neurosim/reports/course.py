@@ -43,10 +43,16 @@ class Scene:
     def of(
         cls, task: Any, place: Sequence[Shape] = (), board: Mapping[str, float] | None = None
     ) -> Scene:
-        """Return the scene of a task, or of none that is known here (None)."""
+        """Return the scene of a task, or of none that is known here (None).
+
+        A place that is not given is the task's.
+        """
         if task is None:
             return cls((), place, board)
-        return cls(task.outline(), place, board, task.longest_arc)
+        if not place and task.place is not None:
+            place = task.place.shapes()
+        own = [shape for shape in task.outline() if shape not in place]
+        return cls(own, place, board, task.longest_arc)
 
     def corners(self) -> NDArray[np.float64]:
         """Return points [N, 2] between which all of it lies."""
@@ -220,6 +226,8 @@ def _draw(axes: Axes, shape: Shape, scale: float, edge: Mapping[str, Any]) -> No
         patch = Circle(points.mean(axis=0), radius, zorder=0.5, **(style if forbidden else free))
         axes.add_patch(patch)
         axes.update_datalim(points)
+    elif len(points) == 2 and "width" in shape:
+        _stroke(axes, points, scale * float(shape["width"]) / 2)
     elif len(points) == 2:
         ink, width = (INK["ink"], 2.2) if forbidden else (INK["muted"], 0.8)
         axes.plot(*points.T, color=ink, lw=width, zorder=0.6)
@@ -229,6 +237,16 @@ def _draw(axes: Axes, shape: Shape, scale: float, edge: Mapping[str, Any]) -> No
     else:
         _polygon(axes, points, **{"fc": INK["board"], **edge})
     axes.autoscale_view()
+
+
+def _stroke(axes: Axes, ends: NDArray, half: float) -> None:
+    """Draw a piece of a printed line, as wide as it is, its ends round."""
+    along = ends[1] - ends[0]
+    aside = half * np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-12)
+    style = {"fc": INK["muted"], "ec": "none", "lw": 0.0}
+    _polygon(axes, np.array([*(ends + aside), *(ends - aside)[::-1]]), **style)
+    for end in ends:
+        axes.add_patch(Circle(end, half, zorder=0.5, **style))
 
 
 def _text(axes: Axes, at: NDArray, text: str, forbidden: bool) -> None:

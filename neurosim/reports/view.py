@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.files import atomic_path
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.loop.evaluate import Evaluator, with_contacts
@@ -27,8 +28,7 @@ from neurosim.reports.artefacts import task_of
 from neurosim.reports.course import Scene, bounds, draw_scene, planned_path, unit_of
 from neurosim.reports.svg import INK
 from neurosim.simulators import Simulator, read_simulator
-from neurosim.simulators.base import InArena
-from neurosim.simulators.tables.arena import Arena
+from neurosim.simulators.base import InPlace
 from neurosim.simulators.tables.simulator import RADIUS
 from neurosim.tasks.base import Task
 
@@ -54,12 +54,12 @@ def draw_view(
     seed: int = 0,
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Draw a simulator of any kind, or an arena, and what a controller does there, into a file.
+    """Draw a simulator of any kind, or a place, and what a controller does there, into a file.
 
     Args:
-        place: the folder of a simulator, or the JSON file of an arena.
+        place: the folder of a simulator, or the JSON file or name of a place.
         out: the picture, .png, .svg or .pdf.
-        simulator: folder of another simulator to drive in, in the arena that ``place`` has.
+        simulator: folder of another simulator to drive in, in the place that ``place`` has.
         controller: folder of what drives, of any kind.
         pose: x, y (m) and heading (rad) where it starts; by default where its task starts.
         seconds: how long a controller that sees drives; by default as long as its task's trial.
@@ -83,7 +83,7 @@ def draw_view(
         raise UserError(f"{out}: a picture ends in {', '.join(SUFFIXES)}")
     if out.exists() and not overwrite:
         raise UserError(f"{out} exists; name another picture, or add --overwrite to replace it")
-    found, arena = _place(place, simulator)
+    found, around = _place(place, simulator)
     rng = np.random.default_rng(seed)
     saved = task = note = None
     if controller is not None:
@@ -91,7 +91,11 @@ def draw_view(
             raise UserError("a path needs a simulator to drive in: give --simulator")
         saved = read_controller(controller)
         task, note = _task(saved, Path(controller) / "controller.json", found)
-    start = _start(found, arena, task, pose, rng)
+        if around is not None and not Path(place).is_dir():
+            task = task.in_place(around)
+        elif task.place is not None:
+            found, around = task.placed(found), task.place
+    start = _start(found, around, task, pose, rng)
     path, stops, result, touching = start[None], None, {}, None
     if saved is not None and task is not None and found is not None:
         evaluator, episode = Evaluator(found, task, saved.controller), task.episode
@@ -114,7 +118,7 @@ def draw_view(
         if touching is not None:
             result["contacts"] = int((touching & ~np.roll(touching, 1))[1:].sum())
     result["pose"], result["note"] = path[-1], note
-    place_shapes = [] if arena is None else arena.shapes()
+    place_shapes = [] if around is None else around.shapes()
     if found is not None:
         place_shapes = found.outline()
         if found.reading_names:
@@ -146,7 +150,7 @@ def picture(
         scene: place and outline of the task.
         path: where the robot was.
         stops: [K, 3] where commands of a plan ended, or None.
-        simulator: knows the robot's size and where its sensors look; None: an arena alone.
+        simulator: knows the robot's size and where its sensors look; None: a place alone.
         readings: [S] of the sensors at the end, or None.
         title: stands above.
         touching: [N] where on its path the robot touches something, or None.
@@ -209,24 +213,22 @@ def contacts_in_words(count: int) -> str:
 
 def _place(
     place: str | Path, simulator: str | Path | None
-) -> tuple[Simulator | None, Arena | None]:
-    """Return the simulator to drive in, if any, and the arena, if there is one."""
+) -> tuple[Simulator | None, Place | None]:
+    """Return the simulator to drive in, if any, and the place, if one is known."""
     if not Path(place).is_dir():
-        arena = Arena.read(place)
+        around = Place.of(place)
     elif simulator is None:
         found = read_simulator(place)
-        return found, found.arena if isinstance(found, InArena) else None
+        return found, found.place if isinstance(found, InPlace) else None
     else:
         other = read_simulator(place)
-        if not isinstance(other, InArena):
-            raise UserError(f"{place} has no arena to drive in; name that of --simulator alone")
-        arena = other.arena
+        if not isinstance(other, InPlace):
+            raise UserError(f"{place} has no place to drive in; name that of --simulator alone")
+        around = other.place
     if simulator is None:
-        return None, arena
+        return None, around
     found = read_simulator(simulator)
-    if not isinstance(found, InArena):
-        raise UserError(f"{simulator}: a simulator of the kind {found.kind} has no arena")
-    return found.changed(arena=arena), arena
+    return (found.changed(place=around) if isinstance(found, InPlace) else found), around
 
 
 class _Unknown(Task):
@@ -258,28 +260,29 @@ def _task(saved: SavedController, json: Path, simulator: Simulator) -> tuple[Tas
 
 def _start(
     simulator: Simulator | None,
-    arena: Arena | None,
+    around: Place | None,
     task: Task | None,
     pose: tuple[float, float, float] | None,
     rng: np.random.Generator,
 ) -> NDArray[np.float64]:
     """Return where the robot starts: as given, where its task says, or at a free place."""
     radius = RADIUS if simulator is None or simulator.radius is None else simulator.radius
+    own = None if around is None else around.start
     if task is not None and simulator is not None:
         drawn = task.draw_starts(simulator, 1, rng)
-    elif arena is not None:
-        drawn = arena.free_poses(1, radius, rng)
+    elif around is not None:
+        drawn = around.free_poses(1, radius, rng) if around.outline and own is None else None
     else:
         drawn = None if simulator is None else simulator.free_poses(1, rng)
     if pose is not None:
         start = np.array(pose)
     elif drawn is None:
-        start = np.asarray((0.0, 0.0, 0.0) if task is None else task.start, np.float64)
+        usual = (own or (0.0, 0.0, 0.0)) if task is None else task.start
+        start = np.asarray(usual, np.float64)
     else:
-        own = None if arena is None else arena.start
         start = drawn[0] if own is None else np.array(own)
-    if arena is not None:
-        arena.check_start(start, radius)
+    if around is not None:
+        around.check_start(start, radius)
     return start
 
 

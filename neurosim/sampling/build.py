@@ -11,10 +11,10 @@ from msgspec import Meta
 from neurosim.base import files, formats
 from neurosim.base.declared import Count, FullSpeed, Metres, checks
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place, paper_arena
 from neurosim.robots.khepera.dialects import DIALECTS
 from neurosim.sampling.sampler import FORMAT, VERSION
 from neurosim.simulators.sources import sources
-from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import SensorTable
@@ -40,7 +40,7 @@ def build_tables(
     full_speed: FullSpeed | None = None,
     units: Count | None = None,
     radius: Radius | None = None,
-    arena: Arena | str | Path | None = None,
+    place: Place | str | Path | None = None,
     noise: Literal["none", "uniform", "samples"] = "uniform",
     convention: Literal["neurosim", "evorobotpy2"] = "neurosim",
 ) -> TableSimulator:
@@ -61,8 +61,8 @@ def build_tables(
         units: Number of whole speeds of the robot, up to full speed; by default as sampled, or 10.
         radius: Radius of the circle around the robot's body, m; by default that of the robot that
             sampled itself, or of a Khepera, 27.5 mm, where there are as many sensors as it has.
-        arena: JSON file of the arena (from Python also an arena); by default that of the paper, 60
-            x 35 cm with three obstacles.
+        place: Place of the robot, a JSON file or a name (from Python also a place); by default the
+            arena of the paper, 60 x 35 cm with three obstacles.
         noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
             as the samples' own.
         convention: How the samples are read: neurosim, where the object moves to the robot's
@@ -105,8 +105,6 @@ def build_tables(
     else:
         table = MotorTable.read_csv(motors, resolution=100.0 / units)
         used = [*used, Path(motors)]
-    if not isinstance(arena, Arena):
-        arena = paper_arena() if arena is None else Arena.read(arena)
     sensors = SensorTable.from_files([Path(path) for path in samples], convention)
     count = sensors.mean.shape[-1]
     if radius is None and count != KHEPERA_SENSORS:
@@ -117,7 +115,7 @@ def build_tables(
     simulator = TableSimulator(
         sensors,
         table,
-        arena,
+        paper_arena() if place is None else Place.of(place),
         noise=noise,
         radius=RADIUS if radius is None else radius,
         reaction=sampled_reaction(sampling),

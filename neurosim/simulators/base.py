@@ -14,14 +14,16 @@ from torch import Tensor
 
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import Perimeter
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.engine import CompiledRollouts, CompiledStepper
 from neurosim.simulators.numbers import NORMAL, UNIFORM
 from neurosim.simulators.numbers import numbers as random_numbers
 from neurosim.simulators.sampling import Stepper
 
-#: Version 2 has the members of an ensemble, 3 may have sensors in a motion network.
-FORMAT, VERSION = "neurosim-simulator", 7
+#: Version 2 has the members of an ensemble, 3 may have sensors in a motion network,
+#: 8 has the place of tables.
+FORMAT, VERSION = "neurosim-simulator", 8
 
 #: Values of :attr:`Simulator.noise_kind`.
 NOISE_KINDS = {"uniform": UNIFORM, "normal": NORMAL}
@@ -38,21 +40,21 @@ _OF_ROWS = {
 
 
 @runtime_checkable
-class InArena(Protocol):
-    """A simulator of a robot in an arena that can be exchanged.
+class InPlace(Protocol):
+    """A simulator of a robot in a place that can be exchanged.
 
     Attributes:
-        arena: :class:`neurosim.simulators.tables.arena.Arena`.
+        place: walls and obstacles around the robot.
         bearings: where each sensor looks, [S] rad to the left; NaN where it sees nothing.
     """
 
-    arena: Any
+    place: Place
 
     @property
     def bearings(self) -> NDArray[np.float64]: ...
 
-    def changed(self, *, arena: Any = ..., noise: Any = ...) -> Simulator:
-        """Return the simulator with another arena or noise."""
+    def changed(self, *, place: Place = ..., noise: Any = ...) -> Simulator:
+        """Return the simulator in another place, or with other noise."""
         ...
 
 

@@ -13,20 +13,18 @@ import math
 from collections.abc import Callable, Iterator
 from copy import copy
 from dataclasses import asdict, dataclass, field, is_dataclass, replace
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.base.declared import Checked
+from neurosim.base.declared import Checked, SettingError
 from neurosim.base.errors import UserError
 from neurosim.base.perimeter import ENDS, LONGEST_ARC, Perimeter
+from neurosim.base.place import Place
 from neurosim.base.threads import WORTH_SHARING, one_core
 from neurosim.base.trajectory import Episode, Trajectory
-
-if TYPE_CHECKING:
-    from neurosim.simulators.base import Simulator
-
+from neurosim.simulators.base import InPlace, Simulator
 
 #: Columns of a record that the guard adds; see :meth:`Task.new_record`.
 _GUARD = 4
@@ -128,6 +126,9 @@ class Task(Checked):
         highest_fitness: no trial is worth more; None: nothing is known of that.
         stop_penalty: taken off the fitness of a trial that the guard ends.
         perimeter: where the guard ends trials; None: nowhere. See :meth:`within_perimeter`.
+        place: what the place of the trials looks like; None: as the simulator has it. A task that
+            has it as a field takes a :class:`neurosim.base.place.Place`, and anything that
+            :meth:`neurosim.base.place.Place.of` takes.
         longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
@@ -156,9 +157,19 @@ class Task(Checked):
     highest_fitness: float | None = None
     stop_penalty: float = 0.0
     perimeter: Perimeter | None = None
+    place: Place | None = None
     longest_arc: float = LONGEST_ARC
     fitness_unit: ClassVar[str] = ""
     replanned: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        place = getattr(self, "place", None)
+        if place is not None:
+            try:
+                object.__setattr__(self, "place", Place.of(place))
+            except SettingError as error:
+                raise SettingError(f"place.{error.field}", error.what) from None
+        super().__post_init__()
 
     @property
     def episode(self) -> Episode:
@@ -193,8 +204,25 @@ class Task(Checked):
         """
         raise NotImplementedError
 
+    def placed(self, simulator: Simulator) -> Simulator:
+        """Return a simulator in the task's place, where there is one and the simulator takes it."""
+        if self.place is None or not isinstance(simulator, InPlace):
+            return simulator
+        return simulator.changed(place=self.place)
+
+    def in_place(self, place: Place) -> Self:
+        """Return the task in a place; itself, if it takes none."""
+        if not is_dataclass(self) or "place" not in self.__dataclass_fields__:
+            return self
+        return replace(self, place=place)
+
     def within_perimeter(self, perimeter: Perimeter | None) -> Self:
-        """Return the task where a guard ends drives at a perimeter, or where none does."""
+        """Return the task where a guard ends drives at a perimeter, or where none does.
+
+        The board is that of the task's place, where that has one.
+        """
+        if perimeter is not None and self.place is not None and self.place.board is not None:
+            perimeter = replace(perimeter, board=self.place.board)
         task = copy(self)
         object.__setattr__(task, "perimeter", perimeter)  # tasks are frozen dataclasses
         return task
@@ -347,15 +375,17 @@ class Task(Checked):
     def outline(self) -> list[dict[str, Any]]:
         """Return what a picture of the task shows, in m: a list of shapes.
 
-        Each is ``{"polygon": [[x, y], ...]}`` (of two points, a line), ``{"circle": [x, y,
-        radius]}`` or ``{"text": str, "at": [x, y]}``; what the robot must not touch or enter has
-        ``"forbidden": True``.
+        Each is ``{"polygon": [[x, y], ...]}`` (of two points, a line; with a ``width``, a printed
+        one), ``{"circle": [x, y, radius]}`` or ``{"text": str, "at": [x, y]}``; what the robot must
+        not touch or enter has ``"forbidden": True``.
         """
         return []
 
     def describe(self) -> dict[str, Any]:
         """Return name and settings, enough to make the same task again."""
         settings: dict[str, Any] = asdict(self) if is_dataclass(self) else {}
+        if settings.get("place") is not None:
+            settings["place"] = self.place.to_json()  # type: ignore[union-attr]
         return {"name": self.name, "settings": settings}
 
 

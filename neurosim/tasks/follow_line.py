@@ -11,8 +11,9 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from neurosim.base.closed_line import ClosedLine
-from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Pose, Seconds, Step
+from neurosim.base.declared import Metres, Pose, Seconds, Step
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Episode
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
@@ -26,12 +27,8 @@ class FollowLine(Task):
     down, until it loses the line or the time is up. The way back counts against it.
 
     Attributes:
-        shape: The line: a rectangle with round corners or an ellipse around the board's middle, or
-            points.
-        length: Of a rectangle or ellipse, along the board's x, m.
-        width: Of a rectangle or ellipse, along the board's y, m.
-        corner: Radius of a rectangle's corners, m.
-        points: List of points of a line: x (m), y (m) of each; the last is joined to the first.
+        place: Place with the line, a JSON file or a name: rectangle or ellipse, of 1.4 x 0.8 m
+            around the board's middle; by default the rectangle. Its first closed line counts.
         laps: Laps without losing the line that count as success.
         within: The line is lost where the middle of the axle is further from it, m.
         direction: Which way trials go round: along the line (counter-clockwise, or in the points'
@@ -43,11 +40,7 @@ class FollowLine(Task):
     name: ClassVar[str] = "follow-line"
     reasons: ClassVar[tuple[str, ...]] = ("lost the line", "did not make all laps in its time")
 
-    shape: Literal["rectangle", "ellipse", "points"] = "rectangle"
-    length: Metres = 1.4
-    width: Metres = 0.8
-    corner: MetresOrNone = 0.3
-    points: tuple[tuple[Coordinate, Coordinate], ...] = ()
+    place: Place | None = None
     laps: Annotated[float, Meta(ge=0.001, le=1000000)] = 10.0
     within: Metres = 0.08
     direction: Literal["both", "along", "against"] = "both"
@@ -55,15 +48,20 @@ class FollowLine(Task):
     seconds: Seconds = 400.0
 
     def __post_init__(self) -> None:
+        if self.place is None:
+            object.__setattr__(self, "place", Place.with_line("rectangle"))
         super().__post_init__()
-        object.__setattr__(self, "points", tuple(tuple(map(float, row)) for row in self.points))
         if not self.within < self.line.length / 4:
             raise UserError(f"a line of {self.line.length:g} m is too short to be lost")
 
     @cached_property
     def line(self) -> ClosedLine:
         """The line, in the order in which it is gone along."""
-        return ClosedLine.of(self.shape, self.length, self.width, self.corner, self.points)
+        assert self.place is not None
+        for line in self.place.lines:
+            if line.closed:
+                return line.loop
+        raise UserError("this place has no closed line to follow: add one to its lines")
 
     @property
     def start(self) -> Pose:  # type: ignore[override]
@@ -121,9 +119,8 @@ class FollowLine(Task):
         return Judgement.of(laps, most >= self.laps, why, laps=laps, distance=mean)
 
     def outline(self) -> list[dict[str, Any]]:
-        points = np.concatenate([self.line.points, self.line.points[:1]])
-        pieces = zip(points[:-1].tolist(), points[1:].tolist(), strict=True)
-        return [{"polygon": [list(a), list(b)]} for a, b in pieces]
+        assert self.place is not None
+        return self.place.shapes()
 
     def _seen(self, poses: NDArray[np.float64]) -> tuple[NDArray, NDArray, NDArray]:
         """Return of poses [..., 3] the distance from the line, the way along it, and the sense.

@@ -1,4 +1,4 @@
-"""Go to a pose, or to several in turn, without touching a wall."""
+"""Go to a pose, or to several in turn, without touching a wall or an obstacle."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
-from neurosim.base.declared import Coordinate, Metres, MetresOrNone, Pose, Seconds, Step, Turn
+from neurosim.base.declared import Metres, MetresOrNone, Pose, Seconds, Step, Turn
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import RUN_DOWN, Episode
 from neurosim.tasks.base import Interval, Judgement, Task
 
@@ -28,15 +29,15 @@ class GoTo(Task):
     """Drive to poses in turn and stop at the last.
 
     Fitness is the number of goals that were passed, and how much of the way to the next one was
-    made; at the last goal also how well it was hit. A robot that touches a wall gets nothing for
+    made; at the last goal also how well it was hit. A robot that touches something gets nothing for
     what it does afterwards.
 
     Attributes:
         goals: List of poses to pass: x (m), y (m), heading (rad) of each; the heading counts at the
             last one only.
-        begin: Start pose: x (m), y (m), heading (rad).
-        walls: List of walls: [x1, y1, x2, y2] of each, m.
-        radius: Radius of the robot, m: its centre keeps so far away from walls.
+        begin: Start pose: x (m), y (m), heading (rad); by default that of the place, or the origin.
+        place: Place of the trials, a JSON file or a name; by default nothing can be touched.
+        radius: Radius of the robot, m: its centre keeps so far away from walls and obstacles.
         within: Distance within which a goal is passed, m.
         tolerance: Distance from the last goal within which the robot must stop, m.
         heading_tolerance: Difference from the last goal's heading within which the robot must stop,
@@ -52,15 +53,15 @@ class GoTo(Task):
     name: ClassVar[str] = "go-to"
     replanned: ClassVar[bool] = True
     reasons: ClassVar[tuple[str, ...]] = (
-        "touched a wall",
+        "touched a wall or an obstacle",
         "did not pass all goals",
         "did not stop at the last goal",
         "stopped at the last goal, turned wrongly",
     )
 
     goals: tuple[Pose, ...] = ((0.6, 0.3, 0.0),)
-    begin: Pose = (0.0, 0.0, 0.0)
-    walls: tuple[tuple[Coordinate, Coordinate, Coordinate, Coordinate], ...] = ()
+    begin: Pose | None = None
+    place: Place | None = None
     radius: MetresOrNone = 0.09
     within: Metres = 0.08
     tolerance: Metres = 0.05
@@ -71,20 +72,31 @@ class GoTo(Task):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in ("goals", "walls"):
-            object.__setattr__(self, name, tuple(tuple(map(float, v)) for v in getattr(self, name)))
-        object.__setattr__(self, "begin", tuple(map(float, self.begin)))
+        object.__setattr__(self, "goals", tuple(tuple(map(float, goal)) for goal in self.goals))
+        if self.begin is not None:
+            object.__setattr__(self, "begin", tuple(map(float, self.begin)))
         if not self.goals:
             raise UserError("go-to needs at least one goal: x (m), y (m), heading (rad)")
         if self.area is not None:
             object.__setattr__(self, "area", tuple(map(float, self.area)))
-            if len(self.goals) > 1 or self.walls:
+            if len(self.goals) > 1 or self._solids is not None:
                 raise UserError("random starts need a single goal, without walls: leave out area")
+        if self._solids is not None:
+            self._solids.check_start(self.start, self.radius)
+            for goal in self.goals:
+                if self._solids.clearance(goal[:2]) < self.radius - self.within:
+                    raise UserError(
+                        f"the robot cannot reach the goal at x {100 * goal[0]:.1f} cm, y "
+                        f"{100 * goal[1]:.1f} cm: a wall or an obstacle is there"
+                    )
 
     @property
     def start(self) -> Pose:  # type: ignore[override]
         """Where a trial starts."""
-        return self.begin
+        if self.begin is not None:
+            return self.begin
+        own = None if self.place is None else self.place.start
+        return (0.0, 0.0, 0.0) if own is None else own
 
     @property
     def highest_fitness(self) -> float:  # type: ignore[override]
@@ -130,7 +142,7 @@ class GoTo(Task):
         touched, end = record[:, 0] > 0, record[:, 1:4]
         away = np.linalg.norm(end[:, :2] - goals[last, :2], axis=-1)
         turned = np.abs(se2.wrapped(end[:, 2] - goals[last, 2]))
-        legs = np.linalg.norm(np.diff([self.begin[:2], *goals[:, :2]], axis=0), axis=1)
+        legs = np.linalg.norm(np.diff([self.start[:2], *goals[:, :2]], axis=0), axis=1)
         if self.area is not None:
             legs[0] = math.hypot(*self.area)
         rows, goal = np.arange(len(end)), np.minimum(passed, last)
@@ -150,10 +162,8 @@ class GoTo(Task):
         return Judgement.of(fitness, success, reason, passed=passed, distance=away, turn=turned)
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return walls, and goals as circles."""
-        shapes: list[dict[str, Any]] = [
-            {"polygon": [list(w[:2]), list(w[2:])], "forbidden": True} for w in self.walls
-        ]
+        """Return the place, and goals as circles."""
+        shapes = [] if self.place is None else self.place.shapes()
         for number, (x, y, _) in enumerate(self.goals, start=1):
             shapes.append({"circle": [x, y, self.within]})
             shapes.append({"text": str(number), "at": [x, y]})
@@ -164,12 +174,21 @@ class GoTo(Task):
         """The poses [N, 3] to pass."""
         return np.array(self.goals)
 
+    @property
+    def _solids(self) -> Place | None:
+        """The place, if there is anything to touch in it."""
+        return self.place if self.place is not None and self.place.solid else None
+
     def _touches(self, before: NDArray, after: NDArray) -> NDArray[np.bool_]:
-        """Return who touches a wall [...] between places [..., 2]."""
+        """Return who touches a wall or an obstacle [...] between places [..., 2]."""
         near = np.zeros(before.shape[:-1], np.bool_)
-        for wall in self.walls:
-            a, b = np.array(wall[:2]), np.array(wall[2:])
-            near |= _between_segments(before, after, a, b) < self.radius
+        if self._solids is None:
+            return near
+        for x1, y1, x2, y2 in self._solids.surfaces:
+            ends = np.array([x1, y1]), np.array([x2, y2])
+            near |= _between_segments(before, after, *ends) < self.radius
+        for x, y, radius in self._solids.cylinders:
+            near |= _to_segment(np.array([x, y]), before, after) < radius + self.radius
         return near
 
     def _add(self, record: NDArray[np.float64], poses: NDArray[np.float64]) -> None:

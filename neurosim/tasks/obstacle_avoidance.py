@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Count, Number, Step
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Episode, Trajectory
 from neurosim.simulators.base import Simulator
 from neurosim.tasks.base import Interval, Judgement, Task
@@ -37,6 +38,7 @@ class ObstacleAvoidance(Task):
             after the first contact counts nothing. On a robot nobody knows of contacts.
         enough: Fitness from one start that counts as success; by default, for avoidance, half of
             its steps, and 0 for other fitness.
+        place: Place of the trials, a JSON file or a name; by default that of the simulator.
     """
 
     name: ClassVar[str] = "obstacle-avoidance"
@@ -48,6 +50,7 @@ class ObstacleAvoidance(Task):
     duration: Step = 0.1
     contacts: Literal["free", "end"] = "free"
     enough: Number | None = None
+    place: Place | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -15,14 +15,14 @@ from neurosim.base.errors import LinkLost, UserError
 from neurosim.base.interrupts import not_suspended
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import SavedController
-from neurosim.lab import LabArena, VirtualKheperaRig
+from neurosim.lab import VirtualKheperaRig
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.objectives import mean_fitness
 from neurosim.recording.commands import Command, Observation
 from neurosim.robots.base import Counters, Proximity, Robot, drive_for
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.odometry import Odometry
-from neurosim.simulators.base import InArena
+from neurosim.simulators.base import InPlace
 from neurosim.trials.by_hand import answer_to
 from neurosim.trials.driver import Driver, missing
 
@@ -250,7 +250,7 @@ def virtual_khepera(
     baud: Baud | None = None,
     seed: Seed = 0,
 ) -> Iterator[OnFloor]:
-    """Give the trials on a Khepera of the virtual lab, in the simulator's arena.
+    """Give the trials on a Khepera of the virtual lab, in the simulator's place.
 
     Args:
         controller, task, simulator: as of :func:`on_floor`.
@@ -263,16 +263,16 @@ def virtual_khepera(
     """
     evaluator, baud = Evaluator(simulator, task, controller), baud or dialect_named("khepera").baud
     _check_line(simulator, baud)
-    if not isinstance(simulator, InArena):
+    simulator = evaluator.simulator
+    if not isinstance(simulator, InPlace):
         raise UserError(
-            f"the virtual Khepera drives in the simulator's arena, and a simulator of the kind "
+            f"the virtual Khepera drives in the simulator's place, and a simulator of the kind "
             f"{simulator.kind} has none: name another reality (--reality)"
         )
-    arena = simulator.arena
-    start = tuple(arena.free_poses(1, 0.03, np.random.default_rng(seed))[0])
+    start = tuple(simulator.place.free_poses(1, 0.03, np.random.default_rng(seed))[0])
     with (
         VirtualKheperaRig(
-            lab_seed, noise_seed=seed, arena=LabArena.of(arena), start=start, baud=baud
+            lab_seed, noise_seed=seed, place=simulator.place, start=start, baud=baud
         ) as rig,
         rig.robot as robot,
     ):

@@ -11,15 +11,13 @@ from typing import Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from neurosim.base.closed_line import SHAPES
 from neurosim.base.declared import Baud, Checked, Fps, Pose, SecondsOrNone, Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended, stopped_at_end
+from neurosim.base.place import Place
 from neurosim.lab import (
     CameraParams,
-    LabArena,
     Pacer,
-    PrintedLine,
     Push,
     VirtualKheperaRig,
     VirtualLinesRig,
@@ -31,9 +29,8 @@ from neurosim.lab.khepera.rig import START
 from neurosim.recording.settings import Rig
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.registry import ROBOTS
-from neurosim.tasks.files import read_task
-from neurosim.tasks.follow_line import FollowLine
-from neurosim.tasks.registry import make_task
+from neurosim.simulators.base import InPlace, Simulator
+from neurosim.tasks.base import Task
 from tracking.camera.cameras import open_camera
 
 #: Width or height of a frame, pixels.
@@ -52,7 +49,8 @@ class Setup(Checked):
         seed: Random seed of the virtual lab's noise in this session.
         start: Pose at which a person puts the robot; in the virtual lab, where it is put (m, m,
             rad); None: where that lab puts it.
-        arena: What stands in the virtual Khepera's lab; by default the arena of its paper.
+        place: The place that a virtual robot drives in; by default that of its lab: a board, or the
+            arena of the Khepera's paper.
         markers: What a virtual robot carries, as recording.json has it; by default its two colours.
         real_time: The virtual lab's time is the wall clock's, as where a person drives.
     """
@@ -62,9 +60,16 @@ class Setup(Checked):
     fps: Fps | None = None
     seed: Seed = 0
     start: Pose | None = None
-    arena: LabArena | None = None
+    place: Place | None = None
     markers: dict[str, Any] | None = None
     real_time: bool = False
+
+
+def place_of(robot: str, task: Task, simulator: Simulator | None) -> Place | None:
+    """Return the place for a virtual robot: its task's, or, for the Khepera, its simulator's."""
+    if task.place is None and robot == "virtual-khepera" and isinstance(simulator, InPlace):
+        return simulator.place
+    return task.place
 
 
 @contextmanager
@@ -116,7 +121,6 @@ def virtual(
     *,
     lab_seed: Seed = 0,
     lamp: str | None = "A",
-    line: str | None = None,
     push: Annotated[float, Meta(ge=0, le=1)] = 0.0,
     push_after: SecondsOrNone = 5.0,
     real_time: bool = False,
@@ -127,15 +131,13 @@ def virtual(
         setup: the rest.
         lab_seed: Which of the virtual lab's robots and boards.
         lamp: The lamp: A (on motor port A), color:3 (of the colour sensor on port 3), or none.
-        line: A closed line printed on the board, and light sensors in front to follow it:
-            rectangle, ellipse, or a JSON file of the task follow-line.
         push: A hand pushes the robot aside by this distance while it drives, m; the random seed
             chooses the direction.
         push_after: Time of the push after the start of the drive, s.
         real_time: The lab's time is the wall clock's.
 
     Raises:
-        UserError: if it cannot be pushed so, or there is no such line.
+        UserError: if it cannot be pushed so.
     """
     hand = None
     if push:
@@ -146,34 +148,12 @@ def virtual(
         VirtualRig(
             lab_seed,
             lamp=None if lamp == "none" else lamp,
-            line=None if line is None or line == "none" else printed_line(line),
             push=hand,
             **common,
         ) as rig,
         _paced(rig.lab, common["real_time"]),
     ):
         yield Rig.of_lab(rig)
-
-
-def printed_line(text: str) -> PrintedLine:
-    """Return the line of the task follow-line: of a shape's name, or of a file of the task.
-
-    Raises:
-        UserError: if it is neither.
-    """
-    if not text.endswith(".json"):
-        shapes = [name for name in SHAPES if name != "points"]
-        if text not in shapes:
-            raise UserError(
-                f"line: there is no shape {text!r}; there are {', '.join(shapes)}, or the JSON "
-                f"file of a task {FollowLine.name}"
-            )
-        return PrintedLine(make_task(FollowLine.name, shape=text).line)
-    name, settings = read_task(text)
-    task = make_task(name, **settings)
-    if not isinstance(task, FollowLine):
-        raise UserError(f"{text} is a file of the task {name}, which has no line")
-    return PrintedLine(task.line)
 
 
 @contextmanager
@@ -193,8 +173,8 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
         VirtualKheperaRig(
             lab_seed,
             noise_seed=setup.seed,
-            arena=setup.arena,
-            start=setup.start or START,
+            place=setup.place,
+            start=_start(setup, START),
             baud=baud or dialect_named("khepera").baud,
             camera=camera,
             real_time=setup.real_time,
@@ -272,12 +252,19 @@ def _common(setup: Setup) -> dict[str, Any]:
     """Return what rigs on the board have in common."""
     return {
         "noise_seed": setup.seed,
-        "start": setup.start or (0.0, 0.0, 0.0),
+        "start": _start(setup, (0.0, 0.0, 0.0)),
         "camera": _has_camera(setup),
         "camera_size": setup.size or (640, 480),
         "fps": setup.fps or 30.0,
         "real_time": setup.real_time,
+        "around": setup.place or Place(),
     }
+
+
+def _start(setup: Setup, usual: Pose) -> Pose:
+    """Return where a virtual robot is put: as given, as its place says, or as usual."""
+    own = None if setup.place is None else setup.place.start
+    return setup.start or own or usual
 
 
 def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:

@@ -109,12 +109,14 @@ def run_trial(
         source = Driver(saved, task.episode, source_of(Path(controller)), robot.commands)
         count = source.steps
     known = _perimeter_of(saved)
-    board = {} if known is None else {"board": asdict(known.board)}
+    around: dict[str, Any] = {} if known is None else {"board": asdict(known.board)}
+    if task.place is not None:
+        around["place"] = task.place
     record(
         out,
         rig,
         source,
-        RecordSettings(count, guard, **{**_size_of(robot), **board, **(settings or {})}),
+        RecordSettings(count, guard, **{**_size_of(robot), **around, **(settings or {})}),
         calibration=calibration,
     )
     if isinstance(source, Replanned):

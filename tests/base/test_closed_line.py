@@ -57,7 +57,7 @@ def test_poses_face_along_the_line_or_against_it():
         (lambda: ClosedLine([(0, 0), (1, 0)]), "at least three points"),
         (lambda: ClosedLine([(0, 0), (1, 0), (np.nan, 1)]), "finite"),
         (lambda: ClosedLine([(0, 0), (0, 0), (1, 1)]), "different"),
-        (lambda: ClosedLine.of("circle", 1, 1), "rectangle, ellipse, points"),
+        (lambda: ClosedLine.of("circle", 1, 1), "rectangle, ellipse"),
         (lambda: ClosedLine.of("ellipse", 0, 1), "0 m by 1 m"),
         (lambda: ClosedLine.of("rectangle", 1, 0.5, 0.3), "corners of 0.3 m"),
     ],

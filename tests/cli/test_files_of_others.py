@@ -313,9 +313,9 @@ def test_a_link_that_leads_to_itself(refused, tmp_path, words):
 
 
 def test_an_arena_of_too_many_obstacles(refused, tmp_path):
-    square = [[-9, -9, 9, -9], [9, -9, 9, 9], [9, 9, -9, 9], [-9, 9, -9, -9]]
+    square = [[-9, -9], [9, -9], [9, 9], [-9, 9]]
     obstacles = [[0.0, 0.0, 0.001]] * 20_000
     content = {"outline": square, "obstacles": obstacles}
-    write_json(tmp_path / "arena.json", "neurosim-arena", 1, content)
-    said = refused("lab", "khepera", "--arena", "arena.json", "--seconds", "1")
+    write_json(tmp_path / "arena.json", "neurosim-place", 1, content)
+    said = refused("lab", "khepera", "--place", "arena.json", "--seconds", "1")
     assert "field 'obstacles': expected a list of at most 1,000, found" in said

@@ -13,13 +13,13 @@ from matplotlib.image import imread
 
 from neurosim.base.errors import FileError, LinkLost, UserError
 from neurosim.base.files import write_json
+from neurosim.base.place import Place
 from neurosim.cli.main import cli
 from neurosim.controllers import FixedPlan, SavedController, read_controller
 from neurosim.loop.unmet import Unmet
 from neurosim.sampling import FORMAT, VERSION
 from neurosim.simulators import read_simulator
 from neurosim.simulators.motion.files import read_motion
-from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.samples import Samples
 from neurosim.trials.floor import OnFloor
 
@@ -37,11 +37,11 @@ def folder(tmp_path_factory):
     table = made_up()
     for index, name in enumerate(("wall", "cylinder")):
         Samples(np.clip(table.mean[index], 0, 1), 0.005, 0.005).write(folder / f"{name}.sample")
-    Arena.rectangle(0.5, 0.4, [(0, 0, 0.0275)]).write(folder / "arena.json")
+    Place.rectangle(0.5, 0.4, [(0, 0, 0.0275)]).write(folder / "arena.json")
     call("build-tables", folder / "wall.sample", folder / "cylinder.sample", "-o", folder / "sim")
     call(
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "net",
-        "--generations", 15, "--arena", folder / "arena.json", "--steps", 250, "--noise", "none",
+        "--generations", 15, "--place", folder / "arena.json", "--steps", 250, "--noise", "none",
     )  # fmt: skip
     return folder
 
@@ -54,7 +54,7 @@ def test_simulator_and_network(folder):
     assert network.genes.shape == (18,)
     assert network.task["settings"]["steps"] == 250
     assert network.evolution["noise"]["kind"] == "none"
-    assert network.evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+    assert network.evolution["place"]["obstacles"] == [[0, 0, 0.0275]]
 
 
 def test_a_network_that_touches_more_than_a_vehicle_comes_with_a_warning(folder):
@@ -72,7 +72,7 @@ def test_a_network_that_touches_more_than_a_vehicle_comes_with_a_warning(folder)
 def test_generations_on_a_robot(folder):
     done = call(
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "driven",
-        "--generations", 3, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
+        "--generations", 3, "--population", 20, "--place", folder / "arena.json", "--steps", 20,
         "--starts", 2, "--robot-generations", 2, "--lab-seed", 1, "--json",
     )  # fmt: skip
     result = json.loads(done.stdout)
@@ -144,7 +144,7 @@ def test_options_of_another_task_are_refused(folder, task, words, message):
 def test_resume_takes_the_options_it_was_begun_with(folder):
     begun = [
         "evolve", folder / "sim", "--task", "obstacle-avoidance", "-o", folder / "resumed",
-        "--generations", 2, "--population", 20, "--arena", folder / "arena.json", "--steps", 20,
+        "--generations", 2, "--population", 20, "--place", folder / "arena.json", "--steps", 20,
         "--starts", 2, "--robot-generations", 1, "--noise", "none", "--seed", 3,
     ]  # fmt: skip
     with pytest.MonkeyPatch.context() as patch:
@@ -162,7 +162,7 @@ def test_resume_takes_the_options_it_was_begun_with(folder):
     done = call("evolve", folder / "sim", "-o", folder / "resumed", "--resume", "--json")
     assert json.loads(done.stdout)["transfer"] == 2
     evolution = read_controller(folder / "resumed").evolution
-    assert evolution["arena"]["obstacles"] == [[0, 0, 0.0275]]
+    assert evolution["place"]["obstacles"] == [[0, 0, 0.0275]]
     assert evolution["robot"]["virtual_lab"]["robot_seed"] == 0
 
 

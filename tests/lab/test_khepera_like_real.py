@@ -5,14 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from neurosim.lab import KheperaParams, LabArena
+from neurosim.base.place import THICKNESS, Place
+from neurosim.lab import KheperaParams
 from neurosim.lab.khepera import physics
-from neurosim.lab.khepera.params import RADIUS
+from neurosim.lab.khepera.params import RADIUS, WHITE
 from neurosim.simulators.tables.samples import Samples
 
 OBJECTS = {
-    "wall": LabArena(((0.0, -1.0, 0.0, 1.0),)),
-    "cylinder": LabArena((), ((0.0275, 0.0, 0.0275),)),
+    "wall": Place(walls=((THICKNESS / 2, -1.0, THICKNESS / 2, 1.0),)),
+    "cylinder": Place(obstacles=((0.0275, 0.0, 0.0275),)),
 }
 
 
@@ -32,9 +33,9 @@ def sampled(seed, arena, samples):
                 params.offset,
                 (params.noise, params.light_noise),
                 0.0,
-                arena.wall_rows,
-                arena.cylinder_rows,
-                arena.albedo,
+                arena.surfaces,
+                arena.cylinders,
+                WHITE,
                 rng,
             )
     return found / 1023

@@ -9,24 +9,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from neurosim.base.errors import UserError
-from neurosim.lab import KheperaParams, LabArena
+from neurosim.base.place import THICKNESS, Place, paper_arena
+from neurosim.lab import KheperaParams
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.body import KheperaBody, KheperaLab
-from neurosim.lab.khepera.params import RADIUS, WHEEL_BASE
-from neurosim.simulators.tables.arena import Arena
+from neurosim.lab.khepera.params import RADIUS, WHEEL_BASE, WHITE
 
-EMPTY = LabArena()
+EMPTY = Place()
 IDEAL = KheperaParams.ideal()
 LAG = 0.04
-FAR_WALL = ((0.0, -1.0, 0.0, 1.0),)
+#: Its surface is at x = 0.
+FAR_WALL = ((THICKNESS / 2, -1.0, THICKNESS / 2, 1.0),)
 
 
-def body(params=IDEAL, arena=EMPTY, pose=(0.0, 0.0, 0.0), seed=0):
-    return KheperaBody(params, arena, seed, pose)
+def body(params=IDEAL, place=EMPTY, pose=(0.0, 0.0, 0.0), seed=0):
+    return KheperaBody(params, place, seed, pose)
 
 
 def light(arena, pose, angle=0.0):
-    return physics.reflected(np.array(pose, float), angle, arena.wall_rows, arena.cylinder_rows)
+    return physics.reflected(np.array(pose, float), angle, arena.surfaces, arena.cylinders)
 
 
 def read(params, arena, pose, drift=0.0):
@@ -38,9 +39,9 @@ def read(params, arena, pose, drift=0.0):
         params.offset,
         (0.0, 0.0),
         drift,
-        arena.wall_rows,
-        arena.cylinder_rows,
-        arena.albedo,
+        arena.surfaces,
+        arena.cylinders,
+        WHITE,
         np.random.default_rng(0),
     )
 
@@ -128,8 +129,8 @@ def test_slip_has_its_spread():
 
 
 def test_against_a_wall_the_encoders_count_on():
-    arena = LabArena(((0.1, -1.0, 0.1, 1.0),))
-    robot = body(arena=arena)
+    arena = Place(walls=((0.105, -1.0, 0.105, 1.0),))
+    robot = body(place=arena)
     robot.set_speeds(10, 10)
     robot.advance(5.0)
     np.testing.assert_allclose(robot.pose, [0.1 - RADIUS, 0.0, 0.0], atol=1e-6)
@@ -140,7 +141,7 @@ def test_against_a_wall_the_encoders_count_on():
 def test_along_a_wall_it_slides_and_friction_holds_it_back():
     ways = {}
     for friction in (0.0, 0.3):
-        arena = LabArena(((-5.0, 0.05, 5.0, 0.05),))
+        arena = Place(walls=((-5.0, 0.055, 5.0, 0.055),))
         robot = body(KheperaParams.ideal(friction=friction), arena, (0.0, 0.0, math.pi / 4))
         robot.set_speeds(10, 10)
         robot.advance(3.0)
@@ -158,7 +159,7 @@ def test_along_a_wall_it_slides_and_friction_holds_it_back():
     st.lists(st.tuples(st.integers(-127, 127), st.integers(-127, 127)), min_size=1, max_size=8),
 )
 def test_it_never_stands_in_anything(seed, commands):
-    arena = LabArena.paper()
+    arena = paper_arena()
     robot = body(KheperaParams.drawn(seed), arena, (-0.22, 0.0, 0.3), seed)
     for index, (left, right) in enumerate(commands):
         robot.set_speeds(left, right)
@@ -170,7 +171,7 @@ def test_it_never_stands_in_anything(seed, commands):
 
 
 def test_light_falls_with_the_square_of_the_way():
-    wall = LabArena(FAR_WALL)
+    wall = Place(walls=FAR_WALL)
     near = light(wall, (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
     far = light(wall, (-0.10 - RADIUS + physics.DEPTH, 0.0, 0.0))
     assert near / far == pytest.approx(4.0, rel=1e-6)
@@ -181,22 +182,22 @@ def test_light_of_a_wall_by_a_fine_sum():
     a = np.linspace(-physics.HALF_CONE, physics.HALF_CONE, 20001)
     weight = np.cos(a) ** 4
     expected = (weight * np.cos(a) * np.cos(a) ** 2 / 0.05**2).sum() / weight.sum()
-    found = light(LabArena(FAR_WALL), (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
+    found = light(Place(walls=FAR_WALL), (-0.05 - RADIUS + physics.DEPTH, 0.0, 0.0))
     assert found == pytest.approx(expected, rel=0.01)
 
 
 def test_a_round_obstacle_gives_less_than_a_wall_and_what_is_behind_does_not_count():
     pose = (-0.02 - RADIUS, 0.0, 0.0)
-    wall = LabArena(FAR_WALL)
-    round_one = LabArena((), ((0.0275, 0.0, 0.0275),))
+    wall = Place(walls=FAR_WALL)
+    round_one = Place(obstacles=((0.0275, 0.0, 0.0275),))
     assert 0.3 < light(round_one, pose) / light(wall, pose) < 0.95
-    both = LabArena(((0.01, -1.0, 0.01, 1.0), (0.03, -1.0, 0.03, 1.0)))
-    assert light(both, pose) == light(LabArena(both.walls[:1]), pose)
+    both = Place(walls=((0.01, -1.0, 0.01, 1.0), (0.03, -1.0, 0.03, 1.0)))
+    assert light(both, pose) == light(Place(walls=both.walls[:1]), pose)
     assert light(wall, pose, math.pi) == 0.0
 
 
 def test_before_their_gains_left_and_right_sensors_are_alike():
-    arena = LabArena(FAR_WALL, ((-0.03, 0.06, 0.02), (-0.03, -0.06, 0.02)))
+    arena = Place((), FAR_WALL, ((-0.03, 0.06, 0.02), (-0.03, -0.06, 0.02)))
     values = read(IDEAL, arena, (-0.05, 0.0, 0.0))
     np.testing.assert_array_equal(values[:6], values[:6][::-1])
     assert values[6] == values[7]
@@ -204,7 +205,7 @@ def test_before_their_gains_left_and_right_sensors_are_alike():
 
 
 def test_readings_have_the_range_and_reach_of_a_khepera():
-    wall = LabArena(FAR_WALL)
+    wall = Place(walls=FAR_WALL)
     front = [read(IDEAL, wall, (-RADIUS - d / 1000, 0.0, 0.0))[2] for d in (5, 15, 20, 30, 45)]
     assert front[0] >= 1020
     assert front[1] > 950
@@ -216,20 +217,20 @@ def test_readings_have_the_range_and_reach_of_a_khepera():
 def test_a_lab_in_the_light_reads_less():
     pose = (-RADIUS - 0.022, 0.0, 0.0)
     assert (
-        read(IDEAL, LabArena(FAR_WALL), pose, drift=20.0)[2]
-        < read(IDEAL, LabArena(FAR_WALL), pose)[2]
+        read(IDEAL, Place(walls=FAR_WALL), pose, drift=20.0)[2]
+        < read(IDEAL, Place(walls=FAR_WALL), pose)[2]
     )
 
 
 def test_robots_differ_and_the_same_number_is_the_same_robot():
-    pose, arena = (-0.05, 0.0, 0.0), LabArena(FAR_WALL)
+    pose, arena = (-0.05, 0.0, 0.0), Place(walls=FAR_WALL)
     one, again, other = (read(KheperaParams.drawn(seed), arena, pose) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert (one != other).any()
 
 
 def test_noise_is_within_ten_bits_and_centred():
-    robot = body(KheperaParams.drawn(1), LabArena(FAR_WALL), (-RADIUS - 0.022, 0.0, 0.0))
+    robot = body(KheperaParams.drawn(1), Place(walls=FAR_WALL), (-RADIUS - 0.022, 0.0, 0.0))
     values = np.array([robot.proximity() for _ in range(2000)])
     assert values.min() >= 0
     assert values.max() <= 1023
@@ -238,13 +239,13 @@ def test_noise_is_within_ten_bits_and_centred():
 
 
 def test_sensors_show_where_the_robot_was_at_the_last_scan():
-    robot = body(arena=LabArena(FAR_WALL), pose=(-0.2, 0.0, 0.0))
+    robot = body(place=Place(walls=FAR_WALL), pose=(-0.2, 0.0, 0.0))
     robot.set_speeds(100, 100)
     robot.advance(0.159)
     # The scan before was at 0.140 s.
     expected = -0.2 + 1.0 * (0.140 - LAG * (1 - math.exp(-0.140 / LAG)))
     np.testing.assert_array_equal(
-        robot.proximity(), read(IDEAL, LabArena(FAR_WALL), (expected, 0.0, 0.0))
+        robot.proximity(), read(IDEAL, Place(walls=FAR_WALL), (expected, 0.0, 0.0))
     )
 
 
@@ -259,7 +260,7 @@ def test_ambient_light_drifts_within_its_spread():
 
 
 def test_a_robot_is_put_down_only_where_there_is_room():
-    lab = KheperaLab(IDEAL, LabArena.paper(), start=(-0.22, 0.0, 0.0))
+    lab = KheperaLab(IDEAL, paper_arena(), start=(-0.22, 0.0, 0.0))
     with pytest.raises(UserError, match=r"x 0.0 cm, y 0.0 cm.*obstacle"):
         lab.place(0.0, 0.0, 0.0)
     lab.place(-0.271, 0.0, 1.0, placing=(0.01, 0.1))
@@ -267,29 +268,16 @@ def test_a_robot_is_put_down_only_where_there_is_room():
     assert abs(lab.pose[2] - 1.0) > 1e-6
 
 
-@pytest.mark.parametrize(
-    ("arena", "why"),
-    [
-        ({"walls": ((1.0, 1.0, 1.0, 1.0),)}, "wall 0 has no length"),
-        ({"cylinders": ((0.0, 0.0, 0.0),)}, "obstacle 0 has a radius of 0 m"),
-    ],
-)
-def test_arenas_that_cannot_be(arena, why):
-    with pytest.raises(UserError, match=why):
-        LabArena(**arena)
-
-
 def test_a_wall_inside_an_arena_is_a_board():
-    room = Arena.rectangle(1.0, 1.0)
-    outline = tuple(tuple(map(float, wall)) for wall in room.outline)
-    assert LabArena.of(room).walls == outline
-    with_board = LabArena.of(replace(room, inner=((0.0, -0.2, 0.0, 0.2),)))
-    assert with_board.walls[:4] == outline
-    corners = with_board.wall_rows[4:, :2]
+    room = Place.rectangle(1.0, 1.0)
+    with_board = replace(room, walls=((0.0, -0.2, 0.0, 0.2),))
+    assert (with_board.surfaces[:4] == room.surfaces).all()
+    corners = with_board.surfaces[4:, :2]
     assert sorted(map(tuple, corners.round(9))) == [
         (-0.005, -0.2), (-0.005, 0.2), (0.005, -0.2), (0.005, 0.2),
     ]  # fmt: skip
     # Its end is seen by who looks at it; of a wall without thickness nothing is.
     before_its_end = (0.0001, 0.25, -math.pi / 2)
-    assert light(LabArena(((0.0, -0.2, 0.0, 0.2),)), before_its_end) < 0.001
+    thin, nothing = np.array([[0.0, -0.2, 0.0, 0.2]]), np.empty((0, 3))
+    assert physics.reflected(np.array(before_its_end), 0.0, thin, nothing) < 0.001
     assert light(with_board, before_its_end) > 0.01

@@ -12,10 +12,10 @@ import serial
 from patience import PATIENCE, wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
-from neurosim.lab import KheperaParams, LabArena, Pacer, VirtualKheperaRig
+from neurosim.base.place import Place
+from neurosim.lab import KheperaParams, Pacer, VirtualKheperaRig
 from neurosim.lab.khepera.params import RADIUS
 from neurosim.robots.khepera.driver import Khepera
-from neurosim.simulators.tables.arena import Arena, paper_arena
 
 DEVICES = ["socket", *(["pty"] if os.name == "posix" else [])]
 
@@ -50,10 +50,10 @@ def test_the_same_numbers_give_the_same_drive_over_any_line():
 
 @pytest.mark.parametrize("device", DEVICES)
 def test_the_driver_drives_and_reads_it(device):
-    arena = LabArena(((0.1, -1.0, 0.1, 1.0),))
+    arena = Place(walls=((0.105, -1.0, 0.105, 1.0),))
     with (
         VirtualKheperaRig(
-            0, arena=arena, start=(0.0, 0.0, 0.0), device=device, params=KheperaParams.ideal()
+            0, place=arena, start=(0.0, 0.0, 0.0), device=device, params=KheperaParams.ideal()
         ) as rig,
         rig.robot as robot,
     ):
@@ -166,12 +166,6 @@ def test_no_room_at_the_start():
         VirtualKheperaRig(0, start=(0.0, 0.0, 0.0))
 
 
-def test_a_simulators_arena_in_the_lab():
-    arena = LabArena.of(paper_arena())
-    assert (len(arena.walls), len(arena.cylinders)) == (4, 3)
-    assert arena == LabArena.paper()
-
-
 def run(*arguments, **options):
     command = [sys.executable, "-m", "neurosim", *map(str, arguments)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
@@ -180,9 +174,9 @@ def run(*arguments, **options):
 @pytest.mark.slow
 def test_from_the_command_line(tmp_path):
     arena = tmp_path / "arena.json"
-    Arena.rectangle(1.0, 1.0).write(arena)
+    Place.rectangle(1.0, 1.0).write(arena)
     process = run(
-        "lab", "khepera", "--arena", arena, "--socket", "--seconds", PATIENCE, "--start", 10, 0, 90,
+        "lab", "khepera", "--place", arena, "--socket", "--seconds", PATIENCE, "--start", 10, 0, 90,
         "--json",
     )  # fmt: skip
     try:
@@ -204,5 +198,5 @@ def test_a_start_outside_the_arena():
     process = run("lab", "khepera", "--start", 50, 0, 0, "--seconds", 1)
     _, error = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1
-    assert b"outside the arena" in error
+    assert b"outside the outline" in error
     assert b"Traceback" not in error

@@ -6,18 +6,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from neurosim.base.closed_line import ClosedLine
-from neurosim.lab import CameraParams, LabParams, PrintedLine, VirtualRig
+from neurosim.base.place import Place
+from neurosim.lab import CameraParams, LabParams, VirtualRig
 from neurosim.lab.nxt.body import NxtBody
 from neurosim.lab.nxt.world import Lab
 
-LINE = PrintedLine(ClosedLine.of("rectangle", 1.4, 0.8, 0.3))
+PLACE = Place.with_line("rectangle", 1.4, 0.8, 0.3)
+LINE = PLACE.lines[0].loop
 #: The left sensor is above the middle of the axle.
 UNDER = replace(LabParams.ideal(), light_ahead=0.0, light_aside=0.0)
 
 
 def light(x, y, params=UNDER, theta=0.0, side=0):
-    return NxtBody(params, 0, (x, y, theta), line=LINE).reflected_light(side)
+    return NxtBody(params, 0, (x, y, theta), around=PLACE).reflected_light(side)
 
 
 def test_light_by_hand():
@@ -40,9 +41,9 @@ def test_sensors_are_where_they_are_mounted():
 
 
 def test_the_camera_sees_it():
-    lab = Lab(0, camera=CameraParams(size=(320, 240)), line=LINE)
+    lab = Lab(0, camera=CameraParams(size=(320, 240)), around=PLACE)
     picture = lab.camera.render(None, noise=False).mean(axis=2)
-    poses = LINE.line.poses(np.linspace(0, LINE.line.length, 60))
+    poses = LINE.poses(np.linspace(0, LINE.length, 60))
 
     def grey(aside):
         places = poses[:, :2] + aside * np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])], 1)
@@ -53,9 +54,9 @@ def test_the_camera_sees_it():
 
 
 def test_a_robot_that_steers_towards_the_dark_goes_round():
-    start = tuple(LINE.line.poses(0.0).tolist())
-    with VirtualRig(3, start=start, camera=False, line=LINE) as rig, rig.robot as robot:
-        assert rig.describe()["line"]["width"] == 0.04
+    start = tuple(LINE.poses(0.0).tolist())
+    with VirtualRig(3, start=start, camera=False, around=PLACE) as rig, rig.robot as robot:
+        assert rig.describe()["place"]["lines"][0]["width"] == 0.04
         assert rig.lab.params.light_aside == pytest.approx(0.025, abs=0.01)
         due = robot.clock.now()
         for _ in range(130):
@@ -65,8 +66,8 @@ def test_a_robot_that_steers_towards_the_dark_goes_round():
             due += 0.2
             robot.clock.sleep_until(due)
         poses = rig.lab.truth.poses
-    away, along = LINE.line.nearest(poses[:, :2])
+    away, along = LINE.nearest(poses[:, :2])
     assert away.max() < 0.04
     gone = np.diff(along)
-    length = LINE.line.length
+    length = LINE.length
     assert np.sum((gone + length / 2) % length - length / 2) > 0.8 * length

@@ -9,6 +9,7 @@ from khepera_data import made_up
 from motion_networks import random_motion_network
 
 from neurosim.base.errors import LinkLost, UserError
+from neurosim.base.place import Place
 from neurosim.controllers import Network, Plan, read_controller
 from neurosim.evolution.genetic import GeneticSettings
 from neurosim.evolution.optimisers import OPTIMISERS
@@ -19,7 +20,6 @@ from neurosim.loop.journal import read_trials
 from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings
 from neurosim.loop.transfer import AGAIN, TRIALS_AGAIN
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.nine_rectangles import NineRectangles
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
@@ -148,7 +148,7 @@ def test_a_robot_goes_on_with_one_run_that_is_not_robust(tmp_path):
 
 
 def test_nothing_is_left_where_nothing_came_of_it(tmp_path):
-    sim = TableSimulator(made_up()).changed(arena=Arena.rectangle(0.05, 0.05))
+    sim = TableSimulator(made_up()).changed(place=Place.rectangle(0.05, 0.05))
     with pytest.raises(UserError, match="no room for the robot"):
         evolve(sim, TASK, FAMILY, out=tmp_path / "net", settings=SETTINGS, progress=False)
     assert list(tmp_path.iterdir()) == []

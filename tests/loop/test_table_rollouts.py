@@ -5,10 +5,10 @@ import pytest
 from given_plans import EPISODE, GivenPlans, by_protocol, drawn, expected
 from khepera_data import made_up
 
+from neurosim.base.place import Place
 from neurosim.loop.stepped import SteppedRollouts
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.engine import CompiledRollouts
-from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 
@@ -21,8 +21,8 @@ def simulator(noise="none", reaction=Reaction()):  # noqa: B008 - frozen
     left, right = np.meshgrid(levels / 1000, levels / 1000, indexing="ij")
     twist = np.stack([0.48 * (left + right), 0.03 * (right - left), (right - left) / 0.05], -1)
     motors = MotorTable(levels, twist, 0.002 + 0.02 * np.abs(twist), 10.0)
-    arena = Arena.rectangle(0.6, 0.35)
-    return TableSimulator(made_up(2, 0.01), motors, arena=arena, noise=noise, reaction=reaction)
+    arena = Place.rectangle(0.6, 0.35)
+    return TableSimulator(made_up(2, 0.01), motors, place=arena, noise=noise, reaction=reaction)
 
 
 def plans():

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from khepera_data import made_up
 
+from neurosim.base.place import paper_arena
 from neurosim.controllers import make_controller
 from neurosim.controllers.network import braitenberg
 from neurosim.loop.evaluate import Evaluator
 from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.settings import EvolveSettings
 from neurosim.loop.unmet import Unmet, in_unmet_arenas
-from neurosim.simulators.tables.arena import paper_arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.simulator import TableSimulator
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance

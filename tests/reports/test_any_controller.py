@@ -19,6 +19,7 @@ from report_page import Page
 
 from neurosim.base import files
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.place import Place
 from neurosim.cli.main import cli
 from neurosim.controllers import CONTROLLERS, FixedPlan, Function, Network, SavedController
 from neurosim.reports import write_report
@@ -26,7 +27,6 @@ from neurosim.reports.course import Paths, Scene, course, draw_course, draw_scen
 from neurosim.reports.view import draw_view, picture
 from neurosim.simulators import TableSimulator
 from neurosim.simulators.registry import SIMULATORS
-from neurosim.simulators.tables.arena import Arena
 from neurosim.tasks.base import Judgement, Task
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.nine_rectangles import NineRectangles
@@ -258,9 +258,9 @@ def test_a_damaged_field_of_a_trial_is_named(tmp_path, field, value, message):
         (("evolution", "history"), {"best": [1.0, "x"]}, r"'evolution\.history\.best\[1\]'"),
         (("evolution", "history"), {"best": [1.0], "transfer": 2}, r"'evolution\.history'"),
         (
-            ("evolution", "arena"),
-            {"outline": [[0, 0]]},
-            r"'evolution\.arena\.outline\[0\]'",
+            ("evolution", "place"),
+            {"outline": [[0]]},
+            r"'evolution\.place\.outline\[0\]'",
         ),
         (("task", "settings"), {"metres": 1}, r"'task\.settings'.*metres"),
     ],
@@ -336,8 +336,8 @@ def test_a_view_of_any_simulator_with_any_controller(registered, tmp_path):
 def test_a_view_of_a_plan_keeps_to_what_the_simulator_says(tmp_path):
     """Within a command the robot slides along the wall; no arc leads through it."""
     (tmp_path / "sim").mkdir()
-    arena = Arena.rectangle(0.4, 0.4)
-    TableSimulator(made_up(), arena=arena, noise="none").write(tmp_path / "sim")
+    arena = Place.rectangle(0.4, 0.4)
+    TableSimulator(made_up(), place=arena, noise="none").write(tmp_path / "sim")
     plan = FixedPlan(((100.0, 100.0, 3.0), (-60.0, -20.0, 1.0)))
     task = {"name": "go-to", "settings": {}}
     made = controller(tmp_path / "c", plan, (), task, poses=along(3))

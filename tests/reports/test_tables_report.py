@@ -6,11 +6,11 @@ from khepera_data import made_up
 from report_page import Page
 
 from neurosim.base.errors import FileError
+from neurosim.base.place import paper_arena
 from neurosim.controllers import Network, SavedController
 from neurosim.loop.unmet import Unmet
 from neurosim.reports import controllers, write_report
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import paper_arena
 
 
 def simulator(folder):
@@ -28,7 +28,7 @@ def network(folder, best, mean, fitness="avoidance", unmet=None, **evolution):
         np.zeros(18),
         {"name": "obstacle-avoidance", "settings": {"steps": 500, "fitness": fitness}},
         predicted={"fitness": best[-1], "spread": 4.0, **({"unmet": unmet} if unmet else {})},
-        evolution={"arena": paper_arena().to_json(), "history": history, **evolution},
+        evolution={"place": paper_arena().to_json(), "history": history, **evolution},
     ).write(folder)
     return folder
 

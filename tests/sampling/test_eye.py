@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.cli.main import cli
-from neurosim.lab import CameraParams, KheperaParams, LabArena, VirtualKheperaRig
+from neurosim.lab import CameraParams, KheperaParams, VirtualKheperaRig
 from neurosim.lab.camera.optics import Optics
 from neurosim.lab.camera.photographs import render_photographs
 from neurosim.lab.khepera.camera import SCALE
@@ -54,11 +55,11 @@ def test_a_steady_twist_is_found_from_its_poses(twist, start, dropped):
 
 
 def rig(params, start=(0.0, 0.0, 0.0)):
-    return VirtualKheperaRig(1, params=params, start=start, arena=ARENA, camera=CAMERA, baud=38400)
+    return VirtualKheperaRig(1, params=params, start=start, place=ARENA, camera=CAMERA, baud=38400)
 
 
 #: A wall far away.
-ARENA = LabArena(((3.0, -1.0, 3.0, 1.0),))
+ARENA = Place(walls=((3.0, -1.0, 3.0, 1.0),))
 
 
 @pytest.mark.slow

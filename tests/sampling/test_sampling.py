@@ -15,7 +15,7 @@ from neurosim.base.errors import FileError, RobotError, UserError
 from neurosim.cli.main import cli
 from neurosim.lab import KheperaParams, VirtualKheperaRig, sampling_places
 from neurosim.lab.khepera import physics
-from neurosim.lab.khepera.params import WHEEL_BASE
+from neurosim.lab.khepera.params import WHEEL_BASE, WHITE
 from neurosim.robots.khepera.dialects import DIALECTS, dialect_named
 from neurosim.robots.khepera.driver import Khepera
 from neurosim.sampling import FORMAT, VERSION, SampleSettings, full_turn, read_turns, sample
@@ -45,7 +45,7 @@ def sampled(
         VirtualKheperaRig(
             which,
             noise_seed=noise_seed,
-            arena=arena,
+            place=arena,
             start=poses["open"],
             baud=baud,
             params=params,
@@ -70,7 +70,7 @@ def test_counters_of_another_number_of_pulses_are_refused(tmp_path, nominal):
     """The robot's are 10,000 a metre; it is taken for one of fewer, 12 or 12.5 to their 10."""
     arena, poses = sampling_places()
     placed = []
-    with VirtualKheperaRig(1, arena=arena, start=poses["open"], baud=BAUD) as rig:
+    with VirtualKheperaRig(1, place=arena, start=poses["open"], baud=BAUD) as rig:
         clock, timeout = rig.lab.clock, PATIENCE
         robot = Khepera(rig.address, pulses_per_metre=nominal, clock=clock, timeout=timeout)
 
@@ -103,7 +103,7 @@ def test_samples_are_what_the_sensors_see_there(whole):
                 pose = np.array([-0.0275 - away, y, math.radians(10 * angle)])
                 truth[distance, angle] = physics.proximity(
                     pose, params.angle, params.reach, params.threshold, params.offset,
-                    (0.0, 0.0), 0.0, arena.wall_rows, arena.cylinder_rows, arena.albedo, rng,
+                    (0.0, 0.0), 0.0, arena.surfaces, arena.cylinders, WHITE, rng,
                 ) / 1023  # fmt: skip
         off = np.abs(found.activations - truth)
         assert np.median(off) < 0.01
@@ -162,7 +162,7 @@ def test_distances_hold_though_wheels_are_unequal(tmp_path):
         pose = np.array([-0.0275 - 0.005 - 0.008 * distance, 0.0, 0.0])
         truth = physics.proximity(
             pose, uneven.angle, uneven.reach, uneven.threshold, uneven.offset, (0.0, 0.0), 0.0,
-            arena.wall_rows, arena.cylinder_rows, arena.albedo, rng,
+            arena.surfaces, arena.cylinders, WHITE, rng,
         ) / 1023  # fmt: skip
         assert samples.activations[distance, 0] == pytest.approx(truth, abs=0.08)
 

@@ -6,12 +6,12 @@ import torch
 from khepera_data import made_up
 
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.loop.evaluate import Evaluator, rollouts_of
 from neurosim.loop.evolve import evolve
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.places import PITCH, random_arena
 from neurosim.tasks.obstacle_avoidance import ObstacleAvoidance
 
@@ -35,13 +35,13 @@ def test_arenas_are_drawn_with_room_for_the_robot():
     shapes = {len(arena.outline) for arena in arenas}
     assert shapes == {4, 6}
     assert {len(arena.obstacles) for arena in arenas} >= {0, 1, 2, 3}
-    assert {len(arena.inner) for arena in arenas} == {0, 1, 2}
+    assert {len(arena.walls) for arena in arenas} == {0, 1, 2}
     for arena in arenas:
         assert len(arena.free_poses(5, 0.0275, rng)) == 5
         # Whatever stands inside can be passed on both sides.
         for x, y, radius in arena.obstacles:
-            others = Arena(
-                arena.outline, tuple(o for o in arena.obstacles if o[:2] != (x, y)), arena.inner
+            others = Place(
+                arena.outline, arena.walls, tuple(o for o in arena.obstacles if o[:2] != (x, y))
             )
             assert others.clearance(np.array([x, y])) > radius + 2 * 0.0275
     again = np.random.default_rng(0)
@@ -84,7 +84,7 @@ def test_compiled_rollouts_are_those_of_the_steps(many):
 
 
 def test_a_contact_is_where_the_robot_was_held_up(tables):
-    simulator = tables.changed(arena=Arena.rectangle(0.5, 0.4), noise="none")
+    simulator = tables.changed(place=Place.rectangle(0.5, 0.4), noise="none")
     evaluator = Evaluator(simulator, ObstacleAvoidance(steps=60, starts=1, contacts="end"), FAMILY)
     genes = np.zeros(FAMILY.genes)
     genes[[8, 17]] = 1.0  # straight ahead, blind: 7.6 cm/s
@@ -103,7 +103,7 @@ def test_networks_evolve_in_many_arenas(tables, tmp_path):
     again = evolve(tables, task, FAMILY, seed=5, **how)[0]
     assert (again.genes == first.genes).all()
     # The path that is expected is one in the simulator's own arena.
-    assert tables.arena.inside(np.array(first.predicted["poses"])[:, :2]).all()
+    assert tables.place.inside(np.array(first.predicted["poses"])[:, :2]).all()
 
 
 def test_a_simulator_without_arenas_says_so():

@@ -11,10 +11,10 @@ from khepera_data import BEARINGS, made_up
 
 from neurosim.base import files, se2
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode
 from neurosim.controllers import Network
 from neurosim.simulators import Simulator, TableSimulator, read_simulator
-from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.motor_table import MotorTable
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.simulator import RADIUS
@@ -34,11 +34,10 @@ def simulator():
     return TableSimulator(made_up(3, 0.01), noise="none")
 
 
-def bay() -> Arena:
+def bay() -> Place:
     """A room with a slanted wall, a corner that points inwards, a thin wall and obstacles."""
     corners = [(0, 0), (0.6, 0), (0.7, 0.4), (0.35, 0.25), (0, 0.4)]
-    walls = tuple((*a, *b) for a, b in zip(corners, corners[1:] + corners[:1], strict=True))
-    return Arena(walls, ((0.15, 0.12, 0.0275), (0.45, 0.1, 0.02)), ((0.3, 0.05, 0.3, 0.2),))
+    return Place(corners, ((0.3, 0.05, 0.3, 0.2),), ((0.15, 0.12, 0.0275), (0.45, 0.1, 0.02)))
 
 
 def test_protocol(simulator):
@@ -48,7 +47,7 @@ def test_protocol(simulator):
 
 def test_readings_at_samples_and_between_them(simulator):
     # The robot 20 mm from the right wall of a wide arena, turned left by 30 degrees of it.
-    sim, table = simulator.changed(arena=Arena.rectangle(2, 2)), simulator.sensors
+    sim, table = simulator.changed(place=Place.rectangle(2, 2)), simulator.sensors
     at = 1 - 0.0275 - 0.020
     found = sim.sense(tensor([at, 0, 0], [at, 0, math.radians(30)], [at, 0, 2 * math.pi]))
     assert found[0].numpy() == pytest.approx(table.mean[0, 3, 0], abs=1e-6)
@@ -64,7 +63,7 @@ def test_readings_at_samples_and_between_them(simulator):
 
 
 def test_near_far_and_beyond(simulator):
-    sim, table = simulator.changed(arena=Arena.rectangle(2, 2)), simulator.sensors
+    sim, table = simulator.changed(place=Place.rectangle(2, 2)), simulator.sensors
     touching, last, half, gone = (
         sim.sense(tensor([1 - 0.0275 - d, 0, 0]))[0].numpy() for d in (0.0, 0.05, 0.0625, 0.08)
     )
@@ -75,10 +74,10 @@ def test_near_far_and_beyond(simulator):
 
 
 def test_several_objects_add_up_and_saturate(simulator):
-    arena = Arena.rectangle(2, 2, [(0.9, 0.0, 0.0275)])
-    sim, ambient = simulator.changed(arena=arena), simulator.sensors.ambient
+    arena = Place.rectangle(2, 2, [(0.9, 0.0, 0.0275)])
+    sim, ambient = simulator.changed(place=arena), simulator.sensors.ambient
     pose = tensor([0.96, 0, 0])  # the wall 12.5 mm ahead, the obstacle 5 mm behind
-    wall = simulator.changed(arena=Arena.rectangle(2, 2)).sense(pose)
+    wall = simulator.changed(place=Place.rectangle(2, 2)).sense(pose)
     mean = simulator.sensors.mean
     expected = wall[0].numpy() + mean[1, 0, 18] - ambient
     assert sim.sense(pose)[0].numpy() == pytest.approx(np.clip(expected, 0, 1), abs=1e-6)
@@ -90,15 +89,15 @@ def test_several_objects_add_up_and_saturate(simulator):
 
 
 def test_of_a_wall_that_ends_less_is_seen(simulator):
-    room = Arena.rectangle(2, 2)
-    board = simulator.changed(arena=replace(room, inner=((0.0, -0.2, 0.0, 0.2),)))
+    room = Place.rectangle(2, 2)
+    board = simulator.changed(place=replace(room, walls=((0.0, -0.2, 0.0, 0.2),)))
     ambient, gap = simulator.sensors.ambient, 0.0275 + 0.01
 
     def light(*pose):
         return board.sense(tensor(pose))[0].numpy() - ambient
 
     side, end = light(-0.005 - gap, 0, 0), light(0, 0.2 + gap, -math.pi / 2)
-    wall = simulator.changed(arena=room).sense(tensor([1 - gap, 0, 0]))[0].numpy() - ambient
+    wall = simulator.changed(place=room).sense(tensor([1 - gap, 0, 0]))[0].numpy() - ambient
     assert side == pytest.approx(wall, abs=1e-4)
     near_end = light(-0.005 - gap, 0.2, 0)
     assert 0.05 < near_end.sum() < 0.7 * wall.sum()
@@ -112,7 +111,7 @@ def test_of_a_wall_that_ends_less_is_seen(simulator):
 def test_a_sensor_that_sees_nothing_reads_what_it_does_anywhere():
     table = made_up(3, 0.01)
     dead = replace(table, mean=np.where(np.arange(8) == 2, 0.1, table.mean))
-    sim = TableSimulator(dead, noise="none", arena=Arena.rectangle(0.1, 0.1))
+    sim = TableSimulator(dead, noise="none", place=Place.rectangle(0.1, 0.1))
     readings = sim.sense(tensor([0.01, 0.01, 0.2]))[0]
     assert readings[2] == pytest.approx(0.1)
     assert (readings > 0.1).sum() >= 3
@@ -147,21 +146,21 @@ def test_how_far_walls_seem_to_be(simulator, seed):
     """As far as one endless wall would throw back the light of all small pieces of the walls."""
     rng = np.random.default_rng(seed)
     walls = np.array([(-0.06, -0.07), (0.2, -0.05), (0.25, 0.09), (-0.05, 0.2)])
-    outline = tuple((*a, *b) for a, b in zip(walls, np.roll(walls, -1, 0), strict=True))
+    outline = tuple(map(tuple, walls))
     board = (0.0, 0.0, 0.1, 0.0)
-    while Arena(outline, (), (board,)).clearance([0, 0]) < 0.029:
+    while Place(outline, (board,)).clearance([0, 0]) < 0.029:
         board = tuple(rng.uniform(-0.05, 0.1, 4).tolist())
-    arena = Arena(outline, (), (board,))
-    sim = simulator.changed(arena=arena)
+    arena = Place(outline, (board,))
+    sim = simulator.changed(place=arena)
     state = tensor([0, 0, rng.uniform(-3, 3)])
     to, _, _ = sim._objects(state)
     reach = 0.0825 + 0.0275  # beyond it no light counts
     seen = (~sim._hidden(state, to))[0].numpy() & (to[0].norm(dim=-1).numpy() < reach)
     angles = sim.bearings + state[0, 2].item()
     looks = np.stack([np.cos(angles), np.sin(angles)], 1)
-    light = np.zeros((len(arena.walls), len(looks)))
+    light = np.zeros((len(arena.surfaces), len(looks)))
     for w in np.flatnonzero(seen):
-        start, end = arena.walls[w].reshape(2, 2)
+        start, end = arena.surfaces[w].reshape(2, 2)
         if start @ [end[1] - start[1], start[0] - end[0]] > 0:  # else it is its back
             light[w] = lit(looks, start, end)
     distance, bearing, kind = (each.numpy() for each in sim._seen(state))
@@ -181,17 +180,17 @@ def test_how_far_walls_seem_to_be(simulator, seed):
 
 def test_a_wall_hides_what_is_behind_it(simulator):
     # A thin wall ahead, the obstacle right behind it: nothing of the obstacle is seen.
-    thin = Arena(Arena.rectangle(2, 2).outline, (), ((0.02, -0.5, 0.02, 0.5),))
-    with_obstacle = Arena(thin.outline, ((0.04, 0.0, 0.01),), thin.inner)
+    thin = Place(Place.rectangle(2, 2).outline, ((0.02, -0.5, 0.02, 0.5),))
+    with_obstacle = Place(thin.outline, thin.walls, ((0.04, 0.0, 0.01),))
     pose = tensor([-0.02, 0, 0], [-0.02, 0.01, 0.3])
-    without, behind = (simulator.changed(arena=a).sense(pose) for a in (thin, with_obstacle))
+    without, behind = (simulator.changed(place=a).sense(pose) for a in (thin, with_obstacle))
     assert torch.equal(without, behind)
-    beside = simulator.changed(arena=with_obstacle).sense(tensor([0.09, 0, math.pi]))
+    beside = simulator.changed(place=with_obstacle).sense(tensor([0.09, 0, math.pi]))
     assert beside[0, 2] > 0.05
 
 
 def test_motion(simulator):
-    sim = simulator.changed(arena=Arena.rectangle(4, 4))
+    sim = simulator.changed(place=Place.rectangle(4, 4))
     found = sim.step(
         standing([0, 0, 0], [0, 0, math.pi / 2], [0, 0, 0], [0, 0, 0]),
         tensor([100, 100, 1], [50, 50, 2], [-30, 30, 0.5], [44, 44, 1]),
@@ -203,7 +202,7 @@ def test_motion(simulator):
 
 
 def test_collisions(simulator):
-    sim = simulator.changed(arena=Arena.rectangle(1, 1, [(0, 0, 0.05)]))
+    sim = simulator.changed(place=Place.rectangle(1, 1, [(0, 0, 0.05)]))
     found = sim.step(
         standing([0.4, 0.2, 0], [0.4, 0.2, math.pi / 4], [-0.1, 0, 0], [0.4, 0.2, 0]),
         tensor([100, 100, 3], [100, 100, 2], [100, 100, 1], [100, -100, 1]),
@@ -215,18 +214,18 @@ def test_collisions(simulator):
 
 
 def test_a_gap_that_is_too_narrow_holds_the_robot(simulator):
-    gap = Arena(Arena.rectangle(1, 1).outline, (), ((0, 0.027, 0, 0.5), (0, -0.5, 0, -0.027)))
-    found = simulator.changed(arena=gap).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
+    gap = Place(Place.rectangle(1, 1).outline, ((0, 0.027, 0, 0.5), (0, -0.5, 0, -0.027)))
+    found = simulator.changed(place=gap).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
     assert -0.03 < found[0, 0] < 0
-    wider = Arena(gap.outline, (), ((0, 0.028, 0, 0.5), (0, -0.5, 0, -0.028)))
-    found = simulator.changed(arena=wider).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
+    wider = Place(gap.outline, ((0, 0.028, 0, 0.5), (0, -0.5, 0, -0.028)))
+    found = simulator.changed(place=wider).step(standing([-0.1, 0, 0]), tensor([100, 100, 3]))
     assert found[0, 0] == pytest.approx(0.2)
 
 
 def test_a_late_robot(simulator):
     """Hand-worked: nothing for 60 ms, then wheels that approach 100 mm/s with lags of 50 ms."""
     reaction = Reaction(0.04, 0.02, (0.05, 0.05))
-    sim = simulator.changed(arena=Arena.rectangle(4, 4), reaction=reaction)
+    sim = simulator.changed(place=Place.rectangle(4, 4), reaction=reaction)
     state, command = standing([0, 0, 0]), tensor([100, 100, 0.1])
     state = sim.step(state, command)
     gone = 0.1 * (0.04 - 0.05 * (1 - math.exp(-0.8)))
@@ -264,11 +263,11 @@ def driven(sim, genes, starts, seeds, steps, duration):
 
 
 @pytest.mark.parametrize("reaction", [Reaction(), Reaction(0.03, 0.04, (0.03, 0.06))])
-@pytest.mark.parametrize("arena", [Arena.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
+@pytest.mark.parametrize("arena", [Place.rectangle(0.6, 0.35, [(0.1, 0, 0.0275)]), bay()])
 @pytest.mark.slow
 def test_kernel_is_the_tensors(simulator, arena, reaction):
     rng = np.random.default_rng(3)
-    sim = simulator.changed(arena=arena, reaction=reaction)
+    sim = simulator.changed(place=arena, reaction=reaction)
     genes = rng.normal(0, 1.5, (12, 18)) + np.tile([0] * 8 + [1], 2)
     starts = arena.free_poses(4, sim.radius, rng)
     poses, readings, commands = driven(sim, genes, starts, None, 60, 0.35)
@@ -291,7 +290,7 @@ def test_noise_is_as_wide_as_it_says(simulator, noise):
     motors = MotorTable.ideal()
     spread = np.full_like(motors.twist, 0.002)
     motors = MotorTable(motors.levels, motors.twist, spread, motors.resolution)
-    sim = simulator.changed(noise=noise, motors=motors, arena=Arena.rectangle(2, 2))
+    sim = simulator.changed(noise=noise, motors=motors, place=Place.rectangle(2, 2))
     pose = tensor([0.955, 0.1, 0.2]).expand(20_000, 3)
     generator = torch.Generator().manual_seed(0)
     mean, drawn = sim.sense(pose), sim.sense(pose, generator)
@@ -335,18 +334,18 @@ def test_noise_of_samples_needs_repeats():
 
 def test_folder(simulator, tmp_path):
     late = Reaction(0.03, 0.01, (0.05, 0.04))
-    simulator.changed(arena=bay(), noise="samples", reaction=late).write(tmp_path)
+    simulator.changed(place=bay(), noise="samples", reaction=late).write(tmp_path)
     read = read_simulator(tmp_path)
     assert read.reaction == late
     pose = torch.from_numpy(bay().free_poses(20, 0.0275, np.random.default_rng(0)))
-    assert torch.equal(read.sense(pose), simulator.changed(arena=bay()).sense(pose))
-    assert (read.arena, read.noise, read.motors.resolution) == (bay(), "samples", 10.0)
+    assert torch.equal(read.sense(pose), simulator.changed(place=bay()).sense(pose))
+    assert (read.place, read.noise, read.motors.resolution) == (bay(), "samples", 10.0)
     document = json.loads((tmp_path / "simulator.json").read_text())
     for change, message in (
         ({"radius": -1}, "field 'radius'"),
         ({"radius": 1e-300}, "field 'radius'"),
         ({"noise": {"kind": "loud", "level": 0.05}}, "noise.kind.*one of .none"),
-        ({"arena": {"outline": [], "obstacles": []}}, "do not close"),
+        ({"place": {"outline": [[0, 0], [1, 1]]}}, "at least 3 corners"),
         ({"sensors": {}}, "sensors.objects"),
     ):
         (tmp_path / "simulator.json").write_text(json.dumps(document | change))
@@ -391,9 +390,9 @@ def test_motor_table_of_samples(tmp_path):
 
 
 def test_a_start_in_something_solid_is_no_start(simulator):
-    arena = replace(simulator.arena, start=(0.0, 0.0, 0.0), obstacles=((0.0, 0.0, 0.02),))
+    arena = replace(simulator.place, start=(0.03, 0.0, 0.0), obstacles=((0.0, 0.0, 0.02),))
     with pytest.raises(UserError, match="would stand in a wall or an obstacle"):
-        simulator.changed(arena=arena)
+        simulator.changed(place=arena)
 
 
 def test_where_its_sensors_look_is_in_its_tables():
@@ -407,8 +406,8 @@ def test_where_its_sensors_look_is_in_its_tables():
 
 
 def test_a_picture_shows_walls_and_obstacles():
-    arena = Arena(Arena.rectangle(2, 2).outline, ((0.4, 0.0, 0.1),), ((0.0, -0.5, 0.0, 0.5),))
-    assert TableSimulator(made_up(), arena=arena).outline() == [
+    arena = Place(Place.rectangle(2, 2).outline, ((0.0, -0.5, 0.0, 0.5),), ((0.4, 0.0, 0.1),))
+    assert TableSimulator(made_up(), place=arena).outline() == [
         {"polygon": [[-1, -1], [1, -1], [1, 1], [-1, 1]]},
         {
             "polygon": [[-0.005, -0.5], [-0.005, 0.5], [0.005, 0.5], [0.005, -0.5]],

@@ -7,10 +7,11 @@ import pytest
 
 import neurosim as ns
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Trajectory
 from neurosim.tasks.follow_line import FollowLine
 
-CIRCLE = {"shape": "ellipse", "length": 1.0, "width": 1.0}
+CIRCLE = {"place": Place.with_line("ellipse", 1.0, 1.0)}
 
 
 def around(laps, radius=0.5, steps=200):
@@ -67,11 +68,16 @@ def test_starts_are_on_the_line_and_face_both_ways():
 
 
 def test_points_make_a_line_and_the_task_says_so():
-    task = ns.make_task("follow-line", shape="points", points=[[0, 0], [1, 0], [0, 1]], step=0.1)
+    place = {"lines": [{"points": [[0, 0], [1, 0], [0, 1]]}]}
+    task = ns.make_task("follow-line", place=place, step=0.1)
     again = ns.make_task(task.describe())
     assert again == task
     assert task.line.length == pytest.approx(2 + math.sqrt(2))
-    assert len(task.outline()) == 3
+    assert [shape["polygon"] for shape in task.outline()] == [
+        [[0, 0], [1, 0]],
+        [[1, 0], [0, 1]],
+        [[0, 1], [0, 0]],
+    ]
     assert task.episode.steps == 4000
 
 
@@ -81,11 +87,15 @@ def test_points_make_a_line_and_the_task_says_so():
         ({"direction": "left"}, "direction: expected one of 'both'"),
         ({"laps": 0}, "laps: expected a number from 0.001"),
         ({"seconds": math.inf}, "seconds: .* found inf"),
-        ({"shape": "points"}, "at least three"),
-        ({"shape": "points", "points": [[0, 0, 0]] * 3}, r"points\[0\]: expected a list of 2"),
-        ({"shape": "points", "points": [1, 2, 3]}, r"points\[0\]: expected a list of 2"),
+        (
+            {"place": "moon"},
+            "moon: no such file .* of this name; there are arena, board, rectangle, ell",
+        ),
+        ({"place": "arena"}, "no closed line"),
+        ({"place": {"lines": [{"points": [[0, 0]]}]}}, "at least 3 points, found 1"),
+        ({"place": {"lines": [{"points": [[0, 0, 0]] * 3}]}}, r"place.lines\[0\].points\[0\]: "),
+        ({"place": {"lines": [{"points": [1, 2, 3]}]}}, r"points\[0\]: expected a list of 2"),
         ({"within": 2.0}, "too short to be lost"),
-        ({"corner": 0.5}, "corners of 0.5 m"),
     ],
 )
 def test_what_is_no_task_is_refused(settings, words):

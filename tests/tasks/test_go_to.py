@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Trajectory
 from neurosim.tasks.go_to import GoTo
 from neurosim.tasks.registry import make_task
 
 TASK = GoTo(goals=((0.5, 0.0, 0.0), (0.5, 0.5, math.pi / 2)), within=0.08, tolerance=0.05)
-WALLED = GoTo(goals=((0.5, 0.0, 0.0),), walls=((0.3, -0.2, 0.3, 0.2),), radius=0.1)
+WALLED = GoTo(goals=((0.5, 0.0, 0.0),), place=Place(walls=((0.305, -0.2, 0.305, 0.2),)), radius=0.1)
 
 
 def drive(*points, task=TASK, heading=0.0):
@@ -72,7 +73,10 @@ def test_the_heading_counts_where_it_is_asked_for():
 def test_a_robot_that_touches_a_wall_gets_nothing_for_what_follows(points, segment):
     judged = drive(*points, task=WALLED)
     assert not judged.success
-    assert (reason(judged, WALLED), int(judged.segment)) == ("touched a wall", segment)
+    assert (reason(judged, WALLED), int(judged.segment)) == (
+        "touched a wall or an obstacle",
+        segment,
+    )
     assert judged.fitness <= 1.0
 
 
@@ -81,7 +85,7 @@ def test_a_robot_that_keeps_off_the_wall_gets_there():
     assert judged.success
     # Whoever touches it after having passed the goal is not paid for having hit it.
     later = drive((0, 0), (0.1, 0.35), (0.5, 0.35), (0.5, 0.0), (0.2, 0.0), task=WALLED)
-    assert (reason(later, WALLED), float(later.fitness)) == ("touched a wall", 1.0)
+    assert (reason(later, WALLED), float(later.fitness)) == ("touched a wall or an obstacle", 1.0)
 
 
 def test_leading_axes_and_poses_that_are_no_numbers():
@@ -127,14 +131,16 @@ def test_starts_anywhere_on_a_board_are_seen_from_a_goal_anywhere_on_it():
         ({"goals": ()}, "at least one goal"),
         ({"goals": ((0.0, 1.0),)}, r"goals\[0\]: expected a list of 3"),
         ({"goals": ((0.0, 1.0, math.nan),)}, r"goals\[0\]\[2\]: .* found nan"),
-        ({"walls": ((0.0, 1.0, 2.0),)}, r"walls\[0\]: expected a list of 4"),
+        ({"place": {"walls": ((0.0, 1.0, 2.0),)}}, r"place.walls\[0\]: expected a list of 4"),
+        ({"place": Place.rectangle(1.0, 1.0), "begin": (0.45, 0.0, 0.0)}, "cannot start at x 45.0"),
+        ({"place": Place.rectangle(1.0, 1.0)}, "cannot reach the goal at x 60.0 cm, y 30.0 cm"),
         ({"begin": (0.0, 1.0)}, "begin: expected a list of 3"),
         ({"tolerance": 0.0}, "tolerance: expected a number from 0.0001"),
         ({"radius": -1.0}, "radius: expected a number from 0"),
         ({"area": (1.0, 0.0)}, r"area\[1\]: .* found 0"),
         ({"area": (1.0, math.inf)}, r"area\[1\]: .* found inf"),
         ({"area": (1.0, 1.0), "goals": ((0.0, 1.0, 0.0),) * 2}, "need a single goal"),
-        ({"area": (1.0, 1.0), "walls": ((0.0, 1.0, 2.0, 3.0),)}, "need a single goal"),
+        ({"area": (1.0, 1.0), "place": "arena"}, "need a single goal"),
     ],
 )
 def test_settings_that_cannot_be_are_named(settings, message):

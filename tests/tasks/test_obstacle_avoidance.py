@@ -9,6 +9,7 @@ from given_plans import EPISODE, GivenPlans, expected
 from khepera_data import made_up
 
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.controllers import Network, read_controller
 from neurosim.evolution.optimisers import OPTIMISERS
@@ -17,7 +18,6 @@ from neurosim.loop.evolve import Evolution, evolve
 from neurosim.loop.search import new_optimiser
 from neurosim.loop.settings import NETWORK_GENETIC, EvolveSettings, default_settings
 from neurosim.simulators import TableSimulator
-from neurosim.simulators.tables.arena import Arena
 from neurosim.simulators.tables.sensor_table import SensorTable
 from neurosim.tasks.base import Judgement
 from neurosim.tasks.obstacle_avoidance import (
@@ -99,7 +99,7 @@ def test_task_settings():
 
 
 def test_a_network_that_only_drives_ahead_against_one_that_turns_away():
-    sim = TableSimulator(made_up(), noise="none", arena=Arena.rectangle(0.6, 0.35))
+    sim = TableSimulator(made_up(), noise="none", place=Place.rectangle(0.6, 0.35))
     ahead = np.array([[0] * 8 + [2.0], [0] * 8 + [2.0]])
     away = ahead.copy()
     away[1, :4], away[0, 2:6] = -6.0, -1.0  # sees something in front: turn to the right
@@ -227,7 +227,7 @@ def test_the_choice_is_not_the_lucky_one(monkeypatch):
 
 
 def test_a_plan_runs_in_tables_as_in_any_simulator():
-    sim = TableSimulator(made_up(), noise="none", arena=Arena.rectangle(2, 2))
+    sim = TableSimulator(made_up(), noise="none", place=Place.rectangle(2, 2))
     plans = GivenPlans(np.array([[[100.0, 100.0, 2.0], [50.0, -50.0, 0.5]]]), np.ones((1, 2), bool))
     path = expected(sim.rollouts(plans, EPISODE), plans, (0, 0, 0))
     assert path[0, 1] == pytest.approx([0.2, 0, 0])
@@ -243,8 +243,8 @@ def test_obstacle_avoidance_in_the_samples_of_a_real_robot(shared_data):
     assert found.predicted["fitness"] > 300
     # It keeps off: from most starts it never stands against anything for long.
     drives = rollouts_of(sim, FAMILY, Episode(0.1, 300, readings=True))
-    starts = sim.arena.free_poses(20, 0.0275, np.random.default_rng(5))
+    starts = sim.place.free_poses(20, 0.0275, np.random.default_rng(5))
     driven = drives.run(found.genes[None], drives.draw(starts, np.random.default_rng(6)))
-    touching = sim.arena.clearance(driven.poses[0, :, :, :2]) < 0.0275 + 1e-4
+    touching = sim.place.clearance(driven.poses[0, :, :, :2]) < 0.0275 + 1e-4
     assert np.median(touching.mean(axis=1)) < 0.05
     assert np.median(cells_visited(driven)[0]) > 15

@@ -18,7 +18,7 @@ TASKS = {
     "go-to, turned, between walls": lambda: ns.make_task(
         "go-to",
         goals=[[0.2, 0.05, 0.5]],
-        walls=[[0.5, -1.0, 0.5, 1.0], [-1.0, -0.4, 1.0, -0.4]],
+        place={"walls": [[0.5, -1.0, 0.5, 1.0], [-1.0, -0.4, 1.0, -0.4]]},
         heading_tolerance=1.0,
         seconds=4.0,
     ),

@@ -9,11 +9,10 @@ from click.testing import CliRunner
 import neurosim as ns
 from neurosim.base.errors import FileError, UserError
 from neurosim.cli.main import cli
-from neurosim.lab import PrintedLine, VirtualRig
+from neurosim.lab import VirtualRig
 from neurosim.recording.commands import RandomCommands
 from neurosim.recording.record import Rig, record
 from neurosim.recording.settings import Guard, RecordSettings
-from neurosim.trials.rig import Setup, open_rig, printed_line
 from neurosim.trials.trial import run_trial
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.dataset import Dataset, build
@@ -28,7 +27,7 @@ POSITION = Guard(by="position")
 def made(tmp_path_factory):
     """Forty commands are no data to learn a board from, but every stage has its turn."""
     folder = tmp_path_factory.mktemp("line")
-    with VirtualRig(2, noise_seed=3, camera_size=SIZE, line=PrintedLine(TASK.line)) as rig:
+    with VirtualRig(2, noise_seed=3, camera_size=SIZE, around=TASK.place) as rig:
         optics = rig.camera.optics
         lens = (optics.matrix, optics.distortion, optics.rotation, optics.translation)
         CameraModel(SIZE, *lens).write(folder / "calibration.json")
@@ -69,7 +68,7 @@ def test_a_dataset_says_where_readings_were_taken(made):
     table = dataset.readings
     assert dataset.split()[0].readings is table
     # By the lab's own board: where the left sensor truly looked when it was read.
-    with VirtualRig(2, noise_seed=3, camera=False, line=PrintedLine(TASK.line)) as rig:
+    with VirtualRig(2, noise_seed=3, camera=False, around=TASK.place) as rig:
         light = []
         for row in table.itertuples():
             rig.lab.place(row.x, row.y, row.theta)
@@ -107,9 +106,7 @@ def test_a_network_is_evolved_in_what_was_learned_and_drives_the_robot(made, tmp
         simulator, TASK, network, generations=2, seed=1, out=tmp_path / "c", progress=False
     )[0]
     assert best.controller.inputs == ("line_left", "line_right")
-    with VirtualRig(
-        2, noise_seed=9, start=TASK.start, camera_size=SIZE, line=PrintedLine(TASK.line)
-    ) as rig:
+    with VirtualRig(2, noise_seed=9, start=TASK.start, camera_size=SIZE, around=TASK.place) as rig:
         report = run_trial(
             tmp_path / "c",
             tmp_path / "t",
@@ -145,29 +142,13 @@ def test_what_cannot_guard_is_refused(tmp_path):
     assert not (tmp_path / "r").exists()
 
 
-def test_lines_by_name_and_by_file(tmp_path):
-    assert printed_line("ellipse").line.length < printed_line("rectangle").line.length
-    path = tmp_path / "line.json"
-    said = {"format": "neurosim-task", "version": 1, "name": "follow-line"}
-    path.write_text(json.dumps(said | {"settings": {"length": 1.0, "corner": 0.2}}))
-    assert printed_line(str(path)).line.length < 3.6
-    path.write_text(json.dumps(said | {"name": "go-to", "settings": {}}))
-    with pytest.raises(UserError, match="which has no line"):
-        printed_line(str(path))
-    with (
-        pytest.raises(UserError, match="there are rectangle, ellipse, or the JSON"),
-        open_rig("virtual", {"line": "circle"}, Setup()),
-    ):
-        pass
-
-
 def test_the_options_are_there():
     for verb, options in {
-        "record": ("--readings", "--guard-by", "--line "),
-        "run": ("--guard-by", "--line "),
+        "record": ("--readings", "--guard-by", "--place "),
+        "run": ("--guard-by",),
         "train": ("--sensors",),
     }.items():
         said = CliRunner().invoke(cli, [verb, "--help"]).output
         assert all(option in said for option in options), said
     said = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
-    assert all(option in said for option in ("--laps", "--within", "--direction", "--corner"))
+    assert all(option in said for option in ("--laps", "--within", "--direction", "--place"))

@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.perimeter import Board
+from neurosim.base.place import Place
 from neurosim.lab.camera import scene
 from neurosim.lab.camera.optics import Optics
-from neurosim.lab.nxt.params import CameraParams, PrintedLine
+from neurosim.lab.nxt.params import BOARD, CameraParams
 from tracking.camera.cameras import Camera, OnFrame
 
 #: An exposure is looked at at these shares of its duration; between them the robot moves evenly.
@@ -26,12 +28,12 @@ _BANK = 8
 
 
 @lru_cache(maxsize=2)
-def _seen_by(params: CameraParams) -> tuple[Optics, np.ndarray, np.ndarray]:
+def _seen_by(params: CameraParams, board: Board) -> tuple[Optics, np.ndarray, np.ndarray]:
     """Return the optics, and board coordinates of every pixel on the ground and at marker height.
 
     One lab after the other has the same camera.
     """
-    optics = Optics(params)
+    optics = Optics(params, board)
     return optics, optics.plane_map(0.0), optics.plane_map(scene.MARKER_HEIGHT)
 
 
@@ -46,7 +48,7 @@ class RoofCamera(Camera):
         params: optics, sensor and clock.
         seed: of the board's texture and all noise.
         now: returns the lab's time in seconds.
-        line: what is printed on the board, or None.
+        around: the place that it looks at.
     """
 
     #: The lab's time stands still while a frame is taken.
@@ -57,18 +59,18 @@ class RoofCamera(Camera):
         params: CameraParams,
         seed: int,
         now: Callable[[], float] = lambda: 0.0,
-        line: PrintedLine | None = None,
+        around: Place = Place(),  # noqa: B008 - frozen
     ) -> None:
         self.params = params
-        self.optics, ground_plane, self._plane = _seen_by(params)
+        board = around.board or BOARD
+        self.optics, ground_plane, self._plane = _seen_by(params, board)
         self._now = now
         self._rng = np.random.default_rng([seed, 0xCA3E])
         texture = scene.grain(self._rng, room=1.5)
         self._ground, self._light = scene.paint_ground(
-            ground_plane, texture, params.gradient, params.vignetting
+            ground_plane, texture, params.gradient, params.vignetting, board
         )
-        if line is not None:
-            scene.print_line(self._ground, self._light, ground_plane, line.line.points, line.width)
+        scene.paint_place(self._ground, self._light, ground_plane, around)
         shape = (_NOISE_TILE, _NOISE_TILE, 3)
         self._noise = params.noise * self._rng.standard_normal(shape, np.float32)
         self._bank = self._noisy_grounds()

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from neurosim.base.perimeter import Board
 from neurosim.lab.nxt.params import BOARD, CameraParams
 
 
@@ -34,10 +35,10 @@ class Optics:
         centre: the optical centre in the board frame, [3] (m).
     """
 
-    def __init__(self, params: CameraParams):
+    def __init__(self, params: CameraParams, board: Board = BOARD):
         width, height = self.size = params.size
         focal = params.height * min(
-            width / (BOARD.length + 2 * params.margin), height / (BOARD.width + 2 * params.margin)
+            width / (board.length + 2 * params.margin), height / (board.width + 2 * params.margin)
         )
         cx = (width - 1) / 2 + params.principal[0] * width
         cy = (height - 1) / 2 + params.principal[1] * height

@@ -19,6 +19,8 @@ from numba import njit
 
 from neurosim.base.closed_line import distance_to
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Board
+from neurosim.base.place import THICKNESS, Place
 from neurosim.lab.nxt.params import BOARD
 from tracking.markers.sought import sought
 from tracking.markers.tags import QUIET
@@ -31,15 +33,12 @@ MARKER_DIAMETER = 0.06
 MARKER_HEIGHT = 0.10
 LAMP_RADIUS = 0.010
 
-#: Reference marks on the board (m): crosses near its corners and the middles of its edges.
-MARKS = tuple(
-    (x, y) for y in (-0.87, 0.0, 0.87) for x in (-1.33, 0.0, 1.33) if (x, y) != (0.0, 0.0)
-)
-_MARK_ARM, _MARK_HALF_WIDTH = 0.03, 0.004
-_MARK_ARRAY = np.array(MARKS)
+#: Reference marks on the board: crosses so far inside its edges, m.
+_MARK_INSET, _MARK_ARM, _MARK_HALF_WIDTH = 0.05, 0.03, 0.004
 
 _BOARD_COLOUR = (208.0, 214.0, 212.0)
-_LINE_COLOUR = (52.0, 50.0, 48.0)
+LINE_COLOUR = (52.0, 50.0, 48.0)
+SOLID_COLOUR = (150.0, 156.0, 160.0)
 _FLOOR_COLOUR = (92.0, 100.0, 106.0)
 _PINK = (150.0, 60.0, 232.0)
 _BLUE = (205.0, 85.0, 25.0)
@@ -61,6 +60,16 @@ _BODY = (-0.128, 0.108, -0.052, 0.052)
 #: Nothing of the robot, nor of its lamp's glow, is further than this from its pose (m).
 REACH = 0.14
 _GRAIN = 0.02
+
+
+def marks_of(board: Board) -> np.ndarray:
+    """Return where the marks are, [8, 2] (m): near the board's corners and its edges' middles."""
+    x, y = board.length / 2 - _MARK_INSET, board.width / 2 - _MARK_INSET
+    return np.array([(a, b) for b in (-y, 0.0, y) for a in (-x, 0.0, x) if (a, b) != (0.0, 0.0)])
+
+
+#: Those of the usual board.
+MARKS = tuple(map(tuple, marks_of(BOARD).tolist()))
 
 
 def grain(rng: np.random.Generator, room: float) -> np.ndarray:
@@ -86,8 +95,7 @@ def _box(x, y, box, breadth):
     return along * _edge(min(y - box[2], box[3] - y), breadth) if along > 0.0 else 0.0
 
 
-@njit(cache=True)
-def paint_ground(plane, texture, gradient, vignetting):
+def paint_ground(plane, texture, gradient, vignetting, board=BOARD):
     """Paint the empty board and the floor around it.
 
     Args:
@@ -95,15 +103,23 @@ def paint_ground(plane, texture, gradient, vignetting):
         texture: relative brightness, as :func:`grain` returns it, its middle at the origin.
         gradient: light lost from the middle of the board to its end at -x, and won at +x.
         vignetting: light lost from the picture's middle to its corners.
+        board: the board.
 
     Returns:
         The picture, float32 [H, W, 3], and the light that it stands in, float32 [H, W].
     """
+    half = 0.5 * board.length, 0.5 * board.width
+    line = board.line_inset, board.line_width
+    return _paint_ground(plane, texture, gradient, vignetting, half, line, marks_of(board))
+
+
+@njit(cache=True)
+def _paint_ground(plane, texture, gradient, vignetting, half, perimeter, marks):
     height, width = plane.shape[:2]
     rows, columns = texture.shape
     picture = np.zeros((height, width, 3), np.float32)
     light = np.empty((height, width), np.float32)
-    half_x, half_y = 0.5 * BOARD.length, 0.5 * BOARD.width
+    half_x, half_y = half
     for v in range(height):
         for u in range(width):
             u0, v0 = min(max(u, 1), width - 2), min(max(v, 1), height - 2)
@@ -121,10 +137,12 @@ def paint_ground(plane, texture, gradient, vignetting):
                     y = plane[v, u, 1] + (a * uy + b * vy) / 3.0
                     depth = min(half_x - abs(x), half_y - abs(y))
                     board = _edge(depth, breadth)
-                    from_line = abs(depth - BOARD.line_inset)
-                    line = _edge(0.5 * BOARD.line_width - from_line, breadth)
-                    for i in range(_MARK_ARRAY.shape[0]):
-                        mx, my = abs(x - _MARK_ARRAY[i, 0]), abs(y - _MARK_ARRAY[i, 1])
+                    line = 0.0
+                    if perimeter[1] > 0.0:
+                        from_line = abs(depth - perimeter[0])
+                        line = _edge(0.5 * perimeter[1] - from_line, breadth)
+                    for i in range(marks.shape[0]):
+                        mx, my = abs(x - marks[i, 0]), abs(y - marks[i, 1])
                         if mx < 2.0 * _MARK_ARM and my < 2.0 * _MARK_ARM:
                             long, wide = max(mx, my), min(mx, my)
                             cross = _edge(_MARK_ARM - long, breadth)
@@ -141,13 +159,13 @@ def paint_ground(plane, texture, gradient, vignetting):
             light[v, u] = lit
             for c in range(3):
                 colour = _FLOOR_COLOUR[c] * (1.0 - inside) + _BOARD_COLOUR[c] * (inside - dark)
-                picture[v, u, c] = lit * (grey * colour + _LINE_COLOUR[c] * dark)
+                picture[v, u, c] = lit * (grey * colour + LINE_COLOUR[c] * dark)
     return picture, light
 
 
 @njit(cache=True)
-def print_line(picture, light, plane, points, line_width):
-    """Print a closed line on the board of :func:`paint_ground`, in place.
+def print_line(picture, light, plane, points, line_width, ink):
+    """Print a closed line on the ground of :func:`paint_ground`, in place.
 
     Args:
         picture: float32 [H, W, 3], changed.
@@ -155,6 +173,7 @@ def print_line(picture, light, plane, points, line_width):
         plane: board coordinates of every pixel's centre at height 0, [H, W, 2] (m).
         points: of the line, [N, 2] (m).
         line_width: m.
+        ink: its colour in full light.
     """
     height, width = plane.shape[:2]
     for v in range(height):
@@ -166,8 +185,26 @@ def print_line(picture, light, plane, points, line_width):
             away = distance_to(points, plane[v, u, 0], plane[v, u, 1])
             share = _edge(0.5 * line_width - away, breadth)
             for c in range(3):
-                ink = light[v, u] * _LINE_COLOUR[c]
-                picture[v, u, c] += share * (ink - picture[v, u, c])
+                picture[v, u, c] += share * (light[v, u] * ink[c] - picture[v, u, c])
+
+
+def paint_place(picture, light, plane, place: Place) -> None:
+    """Paint the lines, walls and obstacles of a place on the ground, in place; all lie flat.
+
+    Args:
+        picture, light, plane: as of :func:`print_line`.
+        place: the place.
+    """
+    for line in place.lines:
+        print_line(picture, light, plane, line.loop.points, line.width, LINE_COLOUR)
+    for x1, y1, x2, y2 in place.walls:
+        there_and_back = np.array([(x1, y1), ((x1 + x2) / 2, (y1 + y2) / 2), (x2, y2)])
+        print_line(picture, light, plane, there_and_back, THICKNESS, SOLID_COLOUR)
+    if place.outline:
+        print_line(picture, light, plane, np.array(place.outline), THICKNESS, SOLID_COLOUR)
+    for x, y, radius in place.obstacles:
+        spot = np.array([(x, y), (x + 1e-6, y), (x, y + 1e-6)])
+        print_line(picture, light, plane, spot, 2 * radius, SOLID_COLOUR)
 
 
 def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:

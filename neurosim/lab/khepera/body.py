@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.params import (
     PULSES_PER_METRE,
     SPEED_UNIT,
+    WHITE,
     KheperaParams,
-    LabArena,
 )
 from neurosim.lab.khepera.physics import S, U
 from neurosim.lab.nxt.world import LabTime
@@ -25,7 +26,7 @@ class KheperaBody:
 
     Args:
         params: the robot.
-        arena: what stands around it.
+        place: what stands around it.
         seed: of every random draw.
         pose: where it stands (m, m, rad).
     """
@@ -33,15 +34,15 @@ class KheperaBody:
     def __init__(
         self,
         params: KheperaParams,
-        arena: LabArena,
+        place: Place,
         seed: int,
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
-        self.params, self.arena = params, arena
+        self.params = params
         self.state = physics.new_state(*pose)
         self._inputs = physics.new_inputs()
         self._motor = params.motor_row()
-        self._walls, self._cylinders = arena.wall_rows, arena.cylinder_rows
+        self._walls, self._cylinders = place.surfaces, place.cylinders
         self._rng = np.random.default_rng([seed, 0x6B48])
         self._noises = (params.noise, params.light_noise)
         self._zeros = [0, 0]
@@ -129,7 +130,7 @@ class KheperaBody:
             float(self.state[S.DRIFT]),
             self._walls,
             self._cylinders,
-            self.arena.albedo,
+            WHITE,
             self._rng,
         ).tolist()
 
@@ -145,11 +146,11 @@ class KheperaBody:
 
 
 class KheperaLab(LabTime):
-    """An arena with a Khepera in it, in a time that moves only when asked to.
+    """A place with a Khepera in it, in a time that moves only when asked to.
 
     Args:
         params: the robot.
-        arena: what stands around it.
+        place: what stands around it.
         seed: of every random draw.
         start: where it stands at first (m, m, rad).
 
@@ -163,14 +164,13 @@ class KheperaLab(LabTime):
     def __init__(
         self,
         params: KheperaParams,
-        arena: LabArena,
+        place: Place,
         seed: int = 0,
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
     ):
         super().__init__()
-        self.arena = arena
         self.camera: KheperaCamera | None = None
-        self.body = KheperaBody(params, arena, seed, start)
+        self.body = KheperaBody(params, place, seed, start)
         self._rng = np.random.default_rng([seed, 0x6B50])
         self.place(*start)
 

@@ -1,15 +1,11 @@
-"""What makes one virtual Khepera differ from the next, and the arena it stands in."""
+"""What makes one virtual Khepera differ from the next."""
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-
-from neurosim.base.errors import UserError
-from neurosim.simulators.tables.arena import Arena, paper_arena
 
 #: Of the body: radius and distance between the wheels (m).
 RADIUS, WHEEL_BASE = 0.0275, 0.053
@@ -17,58 +13,8 @@ RADIUS, WHEEL_BASE = 0.0275, 0.053
 PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
 #: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
 SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
-#: Light that the wall of a white arena throws back.
+#: Share of infra-red light that walls and obstacles throw back, all of one white paper.
 WHITE = 0.9
-
-
-@dataclass(frozen=True)
-class LabArena:
-    """What stands in the lab: straight walls and round obstacles, all of one paper.
-
-    Attributes:
-        walls: (x1, y1, x2, y2), m; they need not close.
-        cylinders: (x, y, radius), m.
-        albedo: share of infra-red light that they throw back.
-
-    Raises:
-        UserError: for a wall without length or an obstacle without radius.
-    """
-
-    walls: tuple[tuple[float, float, float, float], ...] = ()
-    cylinders: tuple[tuple[float, float, float], ...] = ()
-    albedo: float = WHITE
-
-    def __post_init__(self) -> None:
-        for index, (x1, y1, x2, y2) in enumerate(self.walls):
-            if math.dist((x1, y1), (x2, y2)) <= 0.0:
-                raise UserError(f"wall {index} has no length")
-        for index, (_, _, radius) in enumerate(self.cylinders):
-            if radius <= 0.0:
-                raise UserError(f"obstacle {index} has a radius of {radius:g} m")
-
-    @classmethod
-    def paper(cls) -> LabArena:
-        """Return the arena of Lund and Miglino 1996 about the origin."""
-        return cls.of(paper_arena())
-
-    @classmethod
-    def of(cls, arena: Arena) -> LabArena:
-        """Return a simulator's arena as it stands in the lab."""
-        walls, cylinders = (
-            tuple(tuple(float(v) for v in row) for row in rows)
-            for rows in (arena.walls, arena.cylinders)
-        )
-        return cls(walls, cylinders)
-
-    @property
-    def wall_rows(self) -> NDArray[np.float64]:
-        """Walls, [W, 4]."""
-        return np.array(self.walls, float).reshape(-1, 4)
-
-    @property
-    def cylinder_rows(self) -> NDArray[np.float64]:
-        """Cylinders, [N, 3]."""
-        return np.array(self.cylinders, float).reshape(-1, 3)
 
 
 def _eight(value: float) -> NDArray[np.float64]:

@@ -13,6 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numba import njit
 
+from neurosim.lab.contact import deepest
 from neurosim.lab.khepera.params import PULSES_PER_METRE, RADIUS, WHEEL_BASE
 
 #: One step of the physics, and of the scan of the sensors, which takes 8 x 2.5 ms (s).
@@ -88,33 +89,9 @@ def _wanted(state, inputs, wheel, motor):
 
 
 @njit(cache=True)
-def deepest(x, y, walls, cylinders):
-    """Return the depth of the deepest contact (m) and the direction out of it."""
-    depth, nx, ny = -1.0, 0.0, 0.0
-    for i in range(walls.shape[0]):
-        x1, y1 = walls[i, 0], walls[i, 1]
-        dx, dy = walls[i, 2] - x1, walls[i, 3] - y1
-        share = ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)
-        share = max(0.0, min(1.0, share))
-        ox, oy = x - x1 - share * dx, y - y1 - share * dy
-        away = math.hypot(ox, oy)
-        if RADIUS - away > depth:
-            depth = RADIUS - away
-            nx, ny = (ox / away, oy / away) if away > 0.0 else (1.0, 0.0)
-    for i in range(cylinders.shape[0]):
-        ox, oy = x - cylinders[i, 0], y - cylinders[i, 1]
-        away = math.hypot(ox, oy)
-        into = RADIUS + cylinders[i, 2] - away
-        if into > depth:
-            depth = into
-            nx, ny = (ox / away, oy / away) if away > 0.0 else (1.0, 0.0)
-    return depth, nx, ny
-
-
-@njit(cache=True)
 def penetration(x, y, walls, cylinders):
     """Return how deep a robot at (x, y) would stand in something, m; below 0 where it is free."""
-    depth, _, _ = deepest(x, y, walls, cylinders)
+    depth, _, _ = deepest(x, y, RADIUS, walls, cylinders)
     return depth
 
 
@@ -123,7 +100,7 @@ def _settle(state, old_x, old_y, walls, cylinders, friction):
     """Push a robot out of what it ran into; along the surface, friction holds it back."""
     touched = False
     for _ in range(6):
-        depth, nx, ny = deepest(state[S.X], state[S.Y], walls, cylinders)
+        depth, nx, ny = deepest(state[S.X], state[S.Y], RADIUS, walls, cylinders)
         if depth <= 0.0:
             break
         touched = True

@@ -6,11 +6,12 @@ from typing import Any
 
 import numpy as np
 
+from neurosim.base.place import THICKNESS, Place, paper_arena
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.khepera.body import KheperaLab
 from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.firmware import KheperaFirmware
-from neurosim.lab.khepera.params import RADIUS, KheperaParams, LabArena
+from neurosim.lab.khepera.params import RADIUS, KheperaParams
 from neurosim.lab.nxt.params import CameraParams
 from neurosim.lab.server import Served
 from neurosim.robots.khepera.driver import Khepera
@@ -21,20 +22,21 @@ START = (-0.22, 0.0, 0.0)
 BITS = 11
 
 
-def sampling_places() -> tuple[LabArena, dict[str, tuple[float, float, float]]]:
+def sampling_places() -> tuple[Place, dict[str, tuple[float, float, float]]]:
     """Return a lab to sample in, and where the robot is put down there (m, m, rad).
 
     It faces a long ``wall`` and a ``cylinder`` of the paper's size and all but touches them;
     ``open`` is open floor.
     """
     touching = -RADIUS - 0.0002
-    arena = LabArena(((0.0, -1.0, 0.0, 1.0),), ((0.0275, 3.0, 0.0275),))
-    places = {
+    middle = THICKNESS / 2
+    place = Place(walls=((middle, -1.0, middle, 1.0),), obstacles=((0.0275, 3.0, 0.0275),))
+    poses = {
         "wall": (touching, 0.0, 0.0),
         "cylinder": (touching, 3.0, 0.0),
         "open": (-2.0, 1.5, 0.0),
     }
-    return arena, places
+    return place, poses
 
 
 class VirtualKheperaRig(Served):
@@ -43,7 +45,7 @@ class VirtualKheperaRig(Served):
     Args:
         robot_seed: which robot; the same number has the same motors and sensors.
         noise_seed: of everything that differs from one session to the next.
-        arena: what stands in the lab; by default the arena of Lund and Miglino 1996.
+        place: what stands in the lab; by default the arena of Lund and Miglino 1996.
         start: where the robot stands at first (m, m, rad).
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
@@ -66,7 +68,7 @@ class VirtualKheperaRig(Served):
         robot_seed: int,
         *,
         noise_seed: int = 0,
-        arena: LabArena | None = None,
+        place: Place | None = None,
         start: tuple[float, float, float] = START,
         device: str | None = None,
         port: int = 0,
@@ -79,7 +81,7 @@ class VirtualKheperaRig(Served):
         rng = np.random.default_rng([noise_seed, robot_seed, 0x6B52])
         self.lab = KheperaLab(
             KheperaParams.drawn(robot_seed) if params is None else params,
-            LabArena.paper() if arena is None else arena,
+            paper_arena() if place is None else place,
             int(rng.integers(2**31)),
             start,
         )

@@ -13,8 +13,17 @@ from typing import NamedTuple
 
 import numpy as np
 
+from neurosim.base.place import Place
 from neurosim.lab.nxt import physics
-from neurosim.lab.nxt.params import BOARD, LabParams, PrintedLine
+from neurosim.lab.nxt.params import (
+    BOARD,
+    BOARD_LIGHT,
+    FLOOR_LIGHT,
+    PERIMETER_LIGHT,
+    PRINT_LIGHT,
+    LabParams,
+    printed_share,
+)
 from neurosim.lab.nxt.physics import S, U
 
 MODE_ON, MODE_BRAKE, MODE_REGULATED = 0x01, 0x02, 0x04
@@ -61,7 +70,7 @@ class InputValues(NamedTuple):
     mode: int
 
 
-def ground_light(x: float, y: float, spot: float, printed: PrintedLine | None = None) -> float:
+def ground_light(x: float, y: float, spot: float, around: Place = Place()) -> float:  # noqa: B008
     """Return the light (0..1) that the ground at (x, y) throws back to a sensor close to it.
 
     Edges are blurred by the round spot that the sensor sees, as a linear ramp.
@@ -69,15 +78,17 @@ def ground_light(x: float, y: float, spot: float, printed: PrintedLine | None = 
     Args:
         x, y: m, board frame.
         spot: its radius, m.
-        printed: on the board, or None.
+        around: the place, with its board and its lines.
     """
-    inside = min(BOARD.length / 2 - abs(x), BOARD.width / 2 - abs(y))
-    from_line = abs(inside - BOARD.line_inset)
-    line = _share((BOARD.line_width / 2 - from_line) / spot)
-    light = BOARD.light + (BOARD.line_light - BOARD.light) * line
-    if printed is not None:
-        light += (printed.light - light) * printed.share(x, y, spot)
-    return BOARD.floor_light + (light - BOARD.floor_light) * _share(inside / spot)
+    board, light = around.board or BOARD, BOARD_LIGHT
+    inside = min(board.length / 2 - abs(x), board.width / 2 - abs(y))
+    if board.line_width:
+        from_line = abs(inside - board.line_inset)
+        share = _share((board.line_width / 2 - from_line) / spot)
+        light += (PERIMETER_LIGHT - light) * share
+    for line in around.lines:
+        light += (PRINT_LIGHT - light) * printed_share(line, x, y, spot)
+    return FLOOR_LIGHT + (light - FLOOR_LIGHT) * _share(inside / spot)
 
 
 class NxtBody:
@@ -91,7 +102,7 @@ class NxtBody:
         seed: of every random draw.
         pose: where it stands (m, m, rad, board frame).
         wiring: what is plugged in where.
-        line: what is printed on the board, or None.
+        around: the place that it drives in.
     """
 
     def __init__(
@@ -100,11 +111,11 @@ class NxtBody:
         seed: int,
         pose: tuple[float, float, float] = (0.0, 0.0, 0.0),
         wiring: Wiring | None = None,
-        line: PrintedLine | None = None,
+        around: Place = Place(),  # noqa: B008 - frozen
     ):
         self.params = params
         self.wiring = wiring or Wiring()
-        self.line = line
+        self.around = around
         self.state = physics.new_state(params, seed, pose)
         self._inputs = physics.new_inputs()
         self._coefficients = params.coefficients()
@@ -262,7 +273,7 @@ class NxtBody:
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
         x, y = x + cos * ahead - sin * aside, y + sin * ahead + cos * aside
-        return ground_light(x, y, self.params.light_spot, self.line)
+        return ground_light(x, y, self.params.light_spot, self.around)
 
     def battery_millivolts(self) -> int:
         """Return the battery's voltage as the brick measures it."""

@@ -10,65 +10,32 @@ from __future__ import annotations
 import math
 from collections import namedtuple
 from dataclasses import dataclass, fields, replace
-from typing import Any, NamedTuple
 
 import numpy as np
 
-from neurosim.base import perimeter
-from neurosim.base.closed_line import ClosedLine, distance_to
+from neurosim.base.closed_line import distance_to
+from neurosim.base.perimeter import Board
+from neurosim.base.place import Line
 from neurosim.robots.base import LIGHT_AHEAD, LIGHT_ASIDE
 
-_PLAIN = perimeter.Board()
-
-
-class Board(NamedTuple):
-    """The board on the floor, frame at its centre (m), and how much light it throws back.
-
-    Compiled code takes these numbers in as constants.
-    """
-
-    length: float = _PLAIN.length
-    width: float = _PLAIN.width
-    #: The perimeter line: its centre this far inside the edge, and its width.
-    line_inset: float = _PLAIN.line_inset
-    line_width: float = _PLAIN.line_width
-    #: Reflected light, 0..1, as a light sensor close to it sees it.
-    light: float = 0.55
-    line_light: float = 0.25
-    floor_light: float = 0.35
-
-
+#: The board on the floor of a place that has none, its frame at its centre.
 BOARD = Board()
+#: Reflected light, 0..1, as a light sensor close to it sees it: of the board, of its perimeter
+#: line, of a line that is printed on it, and of the floor around it.
+BOARD_LIGHT, PERIMETER_LIGHT, PRINT_LIGHT, FLOOR_LIGHT = 0.55, 0.25, 0.2, 0.35
 
 
-@dataclass(frozen=True, eq=False)
-class PrintedLine:
-    """A closed line that is printed on the board.
+def printed_share(line: Line, x: float, y: float, spot: float) -> float:
+    """Return the share of a round spot around a place that a line covers.
 
-    Attributes:
-        line: where its middle runs.
-        width: of the print, m.
-        light: reflected light, 0..1, as a light sensor close to it sees it.
+    Args:
+        line: the line.
+        x, y: m, board frame.
+        spot: radius, m; small beside the line's bends.
     """
-
-    line: ClosedLine
-    width: float = 0.04
-    light: float = 0.2
-
-    def share(self, x: float, y: float, spot: float) -> float:
-        """Return the share of a round spot around a place that is printed.
-
-        Args:
-            x, y: m, board frame.
-            spot: radius, m; small beside the line's bends.
-        """
-        away = distance_to(self.line.points, x, y)
-        near, far = self.width / 2 - away, self.width / 2 + away
-        return _of_disc(near / spot) + _of_disc(far / spot) - 1.0
-
-    def describe(self) -> dict[str, Any]:
-        """Return what makes the same line again, ready for JSON."""
-        return {**self.line.describe(), "width": self.width, "light": self.light}
+    away = distance_to(line.loop.points, x, y)
+    near, far = line.width / 2 - away, line.width / 2 + away
+    return _of_disc(near / spot) + _of_disc(far / spot) - 1.0
 
 
 def _of_disc(depth: float) -> float:

@@ -13,9 +13,10 @@ from dataclasses import asdict, replace
 import numpy as np
 
 from neurosim.base.errors import RobotError
+from neurosim.base.place import Place
 from neurosim.lab.nxt.body import Wiring
 from neurosim.lab.nxt.brick import VirtualBrick
-from neurosim.lab.nxt.params import CameraParams, LabParams, PrintedLine
+from neurosim.lab.nxt.params import CameraParams, LabParams
 from neurosim.lab.nxt.serve import PtyServer, Radio, SocketServer
 from neurosim.lab.nxt.world import Lab, Push
 from neurosim.lab.rig import BoardRig, put_down
@@ -45,8 +46,8 @@ class VirtualRig(BoardRig):
         real_time: the lab's time will be the wall clock's (see :class:`Pacer`).
         changes: fields of :class:`LabParams` in which robot and ground differ from those of the
             seed, such as another floor's slip.
-        line: a closed line that is printed on the board; the robot's light sensors are then mounted
-            in front, to follow it.
+        around: the place; where lines are printed on it, the robot's light sensors are mounted in
+            front, to follow them.
         push: what pushes the robot while it drives, or None.
 
     Attributes:
@@ -70,14 +71,15 @@ class VirtualRig(BoardRig):
         port: int = 0,
         real_time: bool = False,
         changes: Mapping[str, float] | None = None,
-        line: PrintedLine | None = None,
+        around: Place = Place(),  # noqa: B008 - frozen
         push: Push | None = None,
     ):
         self._about = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         if changes:
             self._about["changes"] = dict(changes)
-        if line is not None:
-            self._about["line"] = line.describe()
+        if around != Place():
+            self._about["place"] = around.to_json()
+        if around.lines:
             changes = {**_following(robot_seed), **(changes or {})}
         if push is not None:
             self._about["push"] = asdict(push)
@@ -89,7 +91,7 @@ class VirtualRig(BoardRig):
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=place,
             wiring=Wiring(),
-            line=line,
+            around=around,
             push=push,
         )
         self.brick = VirtualBrick(self.lab.body, name=f"lab-{robot_seed}", lock=self.lab.lock)
@@ -100,7 +102,7 @@ class VirtualRig(BoardRig):
         self._server = _serve(self.radio, device, port)
         self.address = _address(self._server)
         # What takes long here is this computer (compiling the physics, once), not the brick.
-        lights = {} if line is None else FOLLOWING
+        lights = FOLLOWING if around.lines else {}
         self.robot = NXT(clock=self.lab.clock, lamp=lamp, deadline=60.0, **lights, **self.address)
         self.robot.alone = False
         self.camera = self.lab.camera

@@ -12,10 +12,14 @@ from typing import Any, ClassVar, Protocol
 import numpy as np
 
 from neurosim.base.files import number, open_own, read_csv
+from neurosim.base.place import Place
 from neurosim.lab.camera.camera import RoofCamera
+from neurosim.lab.contact import deepest
 from neurosim.lab.nxt.body import NxtBody, Wiring
-from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams, PrintedLine
+from neurosim.lab.nxt.params import BOARD, CameraParams, LabParams
 
+#: Walls and obstacles meet a disc of this radius around the robot's middle, m, so often, s.
+SIZE, CONTACT = 0.12, 0.01
 _TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
 
 
@@ -152,7 +156,7 @@ class Lab(LabTime):
         start: where the robot stands at first (m, m, rad, board frame).
         wiring: what is plugged into the brick.
         truth_rate: true poses kept per second of lab time; 0 for none.
-        line: what is printed on the board, or None.
+        around: the place: what lies and stands on the floor.
         push: what pushes the robot, or None.
         body: a robot in place of the NXT.
     """
@@ -166,7 +170,7 @@ class Lab(LabTime):
         start: tuple[float, float, float] = (0.0, 0.0, 0.0),
         wiring: Wiring | None = None,
         truth_rate: float = 100.0,
-        line: PrintedLine | None = None,
+        around: Place = Place(),  # noqa: B008 - frozen
         push: Push | None = None,
         body: Body | None = None,
     ):
@@ -174,9 +178,12 @@ class Lab(LabTime):
         self._push, self._pushed = push, 0
         super().__init__()
         self.params = LabParams.drawn(seed) if params is None else params
-        self.body: Any = body or NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, line)
+        self.body: Any = body or NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, around)
+        self.around = around
         self.place(*start)
-        self.camera = None if camera is None else RoofCamera(camera, seed, lambda: self.time, line)
+        self.camera = (
+            None if camera is None else RoofCamera(camera, seed, lambda: self.time, around)
+        )
         self._truth_rate = truth_rate
         self._truth = np.empty((1024, len(_TRUTH_COLUMNS)))
         self._kept = self._written = self._ticks = 0
@@ -191,10 +198,14 @@ class Lab(LabTime):
 
         Raises:
             ValueError: if that is not within the room.
+            UserError: if it would stand in a wall or an obstacle.
         """
         room = self.params.room
-        if not (abs(x) <= BOARD.length / 2 + room and abs(y) <= BOARD.width / 2 + room):
+        board = self.around.board or BOARD
+        if not (abs(x) <= board.length / 2 + room and abs(y) <= board.width / 2 + room):
             raise ValueError(f"({x}, {y}) m is outside of the lab's room")
+        if self.around.solid:
+            self.around.check_start((x, y, theta), SIZE)
         with self.lock:
             self.body.place(x, y, theta)
 
@@ -208,7 +219,7 @@ class Lab(LabTime):
             due = min(truth_due, camera_due, push_due, program_due)
             if due > time:
                 break
-            self.body.advance(due)
+            self._drive(due)
             if program_due <= due:
                 self.program.end()
             if push_due <= due:
@@ -217,7 +228,23 @@ class Lab(LabTime):
                 self._keep_truth()
             if camera_due <= due:
                 self.camera.look(self.body.pose, self.body.lamp_light())
-        self.body.advance(time)
+        self._drive(time)
+
+    def _drive(self, until: float) -> None:
+        """Let the robot drive; walls and obstacles push it aside, and it slides along them."""
+        if not self.around.solid:
+            self.body.advance(until)
+            return
+        begun, walls, cylinders = self.body.time, self.around.surfaces, self.around.cylinders
+        pieces = max(math.ceil((until - begun) / CONTACT - 1e-9), 1)
+        for moment in np.linspace(begun, until, pieces + 1)[1:].tolist():
+            self.body.advance(moment)
+            for _ in range(4):
+                x, y, _ = self.body.pose
+                depth, to_x, to_y = deepest(x, y, SIZE, walls, cylinders)
+                if depth <= 0.0:
+                    break
+                self.body.shove(depth * to_x, depth * to_y)
 
     def _push_due(self) -> float:
         """Return when the robot is next pushed (s), infinity for never."""

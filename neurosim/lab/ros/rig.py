@@ -141,7 +141,8 @@ class VirtualRosRig(BoardRig):
             **board,
         )
         room = self.lab.params.room
-        self.walls = (BOARD.length / 2 + room, BOARD.width / 2 + room)
+        on = self.lab.around.board or BOARD
+        self.walls = (on.length / 2 + room, on.width / 2 + room)
         self.node = BaseNode(
             body,
             seed,

@@ -7,6 +7,7 @@ from typing import Unpack
 
 import numpy as np
 
+from neurosim.base.place import Place
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.nxt.body import ground_light
@@ -33,6 +34,7 @@ class ThymioBody(PlanarBody):
     def __init__(self, robot_seed: int, seed: int):
         super().__init__("omni", robot_seed, seed)
         self._noise = np.random.default_rng([seed, 0x7471])
+        self.around = Place()
         self._targets = (0, 0)
 
     def drive(self, left: int, right: int) -> None:
@@ -59,7 +61,10 @@ class ThymioBody(PlanarBody):
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
         lights = [
-            1000 * ground_light(x + cos * ahead - sin * aside, y + sin * ahead + cos * aside, SPOT)
+            1000
+            * ground_light(
+                x + cos * ahead - sin * aside, y + sin * ahead + cos * aside, SPOT, self.around
+            )
             for ahead, aside in GROUND.values()
         ]
         noisy = np.array(lights) + NOISE * self._noise.standard_normal(2)

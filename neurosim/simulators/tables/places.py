@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
+from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
 from neurosim.simulators.base import Rollouts, Simulator
-from neurosim.simulators.tables.arena import Arena
 
 #: From the middle of one arena to that of the next, m.
 PITCH = 100.0
@@ -35,7 +35,7 @@ _TRIES = 50
 
 def random_arena(
     rng: np.random.Generator, radius: float = _RADIUS, *, inner: int = MOST[1]
-) -> Arena:
+) -> Place:
     """Return an arena drawn at random, in which a robot of ``radius`` (m) can pass everywhere.
 
     Args:
@@ -51,19 +51,19 @@ def random_arena(
     scale = radius / _RADIUS
     room = 2.0 * radius + scale * _SPARE
     outline = _outline(rng, scale)
-    found = Arena(outline)
+    found = Place(outline)
     for _ in range(rng.integers(MOST[0] + 1)):
         place = _free(rng, found, room + OBSTACLE, lambda at: at[None])
         if place is not None:
             obstacle = (float(place[0, 0]), float(place[0, 1]), OBSTACLE)
-            found = Arena(outline, (*found.obstacles, obstacle), found.inner)
+            found = Place(outline, found.walls, (*found.obstacles, obstacle))
     for _ in range(rng.integers(inner + 1)):
         turn, length = rng.uniform(0.0, 2.0 * math.pi), scale * rng.uniform(*LENGTHS)
         along = np.linspace(0.0, length, 21)[:, None] * (math.cos(turn), math.sin(turn))
         line = _free(rng, found, room, lambda at, along=along: at + along)  # type: ignore[misc]
         if line is not None:
             (x1, y1), (x2, y2) = line[[0, -1]].tolist()
-            found = Arena(outline, found.obstacles, (*found.inner, (x1, y1, x2, y2)))
+            found = Place(outline, (*found.walls, (x1, y1, x2, y2)), found.obstacles)
     return found
 
 
@@ -80,13 +80,12 @@ def _outline(rng: np.random.Generator, scale: float) -> tuple[Any, ...]:
     turn = rng.uniform(-math.pi, math.pi)
     cos, sin = math.cos(turn), math.sin(turn)
     corners = corners @ np.array([(cos, sin), (-sin, cos)])
-    ends = np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
-    return tuple(tuple(wall) for wall in ends.tolist())
+    return tuple(tuple(corner) for corner in corners.tolist())
 
 
 def _free(
     rng: np.random.Generator,
-    arena: Arena,
+    arena: Place,
     room: float,
     points: Callable[[NDArray[np.float64]], NDArray[np.float64]],
 ) -> NDArray[np.float64] | None:
@@ -117,7 +116,7 @@ class ManyArenas(Simulator):
         self.has_noise = own.has_noise
         self.noise_width, self.noise_kind = own.noise_width, own.noise_kind
         self.reading_names, self.radius = own.reading_names, own.radius
-        self.places = [own.changed(arena=random_arena(rng, own.radius)) for _ in range(count)]
+        self.places = [own.changed(place=random_arena(rng, own.radius)) for _ in range(count)]
 
     @property
     def bearings(self) -> NDArray[np.float64]:

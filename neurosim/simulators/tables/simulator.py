@@ -31,9 +31,9 @@ from torch import Tensor
 
 from neurosim.base import files, formats
 from neurosim.base.errors import FileError, UserError
+from neurosim.base.place import Place, paper_arena
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.base import FORMAT, VERSION, Simulator
-from neurosim.simulators.tables.arena import Arena, paper_arena
 from neurosim.simulators.tables.kernels import (
     FAINT,
     LANES,
@@ -48,6 +48,8 @@ from neurosim.simulators.tables.places import ManyArenas
 from neurosim.simulators.tables.reaction import Reaction
 from neurosim.simulators.tables.sensor_table import OBJECTS, SensorTable
 
+#: The oldest version that is read: earlier tables had an arena.
+_OLDEST = 8
 #: Noise on every sensor and displacement: none; uniform; normal, as wide as the samples' own.
 NOISES = ("none", "uniform", "samples")
 #: Radius of a Khepera, m.
@@ -65,7 +67,7 @@ class TableSimulator(Simulator):
     Attributes:
         sensors: what the sensors say.
         motors: how the motors move the robot.
-        arena: where it moves.
+        place: where it moves.
         radius: of the robot, m.
         reaction: how late the robot answers a command.
         noise: one of :data:`NOISES`, drawn only where a generator is given.
@@ -81,7 +83,7 @@ class TableSimulator(Simulator):
 
     sensors: SensorTable
     motors: MotorTable = field(default_factory=MotorTable.ideal)
-    arena: Arena = field(default_factory=paper_arena)
+    place: Place = field(default_factory=paper_arena)
     radius: float = RADIUS
     noise: str = "uniform"
     noise_level: float = 0.05
@@ -92,8 +94,8 @@ class TableSimulator(Simulator):
     def __post_init__(self) -> None:
         if self.noise not in NOISES:
             raise UserError(f"noise is one of {', '.join(NOISES)}, not {self.noise!r}")
-        if self.arena.start is not None:
-            self.arena.check_start(self.arena.start, self.radius)
+        if self.place.start is not None:
+            self.place.check_start(self.place.start, self.radius)
         repeats = self.sensors.spread is not None or self.motors.spread is not None
         if self.noise == "samples" and not repeats:
             raise UserError(
@@ -102,7 +104,7 @@ class TableSimulator(Simulator):
             )
 
     def changed(self, **changes: Any) -> TableSimulator:
-        """Return this simulator with another arena, noise or other attributes."""
+        """Return this simulator with another place, noise or other attributes."""
         return replace(self, **changes)
 
     @property
@@ -132,19 +134,19 @@ class TableSimulator(Simulator):
         return self.sensors.bearings()
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return the arena's walls and obstacles."""
-        return self.arena.shapes()
+        """Return the place's walls and obstacles."""
+        return self.place.shapes()
 
     def conditions(self) -> dict[str, Any]:
-        """Return noise and arena."""
+        """Return noise and place."""
         return {
             "noise": {"kind": self.noise, "level": self.noise_level},
-            "arena": self.arena.to_json(),
+            "place": self.place.to_json(),
         }
 
     def free_poses(self, count: int, rng: np.random.Generator) -> np.ndarray:
         """Return random poses [count, 3] where the robot touches nothing."""
-        return self.arena.free_poses(count, self.radius, rng)
+        return self.place.free_poses(count, self.radius, rng)
 
     def elsewhere(self, count: int, seed: int) -> Simulator:
         """Return this simulator in ``count`` other arenas, drawn from a seed."""
@@ -152,7 +154,7 @@ class TableSimulator(Simulator):
 
     def touching(self, poses: np.ndarray) -> np.ndarray:
         """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
-        return self.arena.clearance(poses[..., :2]) < self.radius + SLACK
+        return self.place.clearance(poses[..., :2]) < self.radius + SLACK
 
     @property
     def noise_kind(self) -> str:  # type: ignore[override]
@@ -276,9 +278,9 @@ class TableSimulator(Simulator):
             fastest=self._fastest,
             longest=math.inf if self.reaction == Reaction() else STEP,
             looks=_filled(np.nan_to_num([np.cos(self.bearings), np.sin(self.bearings)])),
-            walls=_directed(self.arena.walls),
-            screens=_directed(self.arena.screens),
-            obstacles=self.arena.cylinders,
+            walls=_directed(self.place.surfaces),
+            screens=_directed(self.place.screens),
+            obstacles=self.place.cylinders,
             noise=NOISES.index(self.noise),
             sensor_noise=float(self.noise_level),
             twist_noise=self.noise_level * largest / math.sqrt(STEP),
@@ -471,7 +473,7 @@ class TableSimulator(Simulator):
             "radius": self.radius,
             "reaction": self.reaction.to_json(),
             "noise": {"kind": self.noise, "level": self.noise_level},
-            "arena": self.arena.to_json(),
+            "place": self.place.to_json(),
             **self.meta,
         }
         found = {name: value for name, value in tensors.items() if value is not None}
@@ -487,7 +489,7 @@ class TableSimulator(Simulator):
                 version, of the wrong shape, or not a number.
         """
         path, tables = Path(folder) / "simulator.json", Path(folder) / "tables.safetensors"
-        content = files.read_json(path, FORMAT, VERSION, formats.Tables)
+        content = files.read_json(path, FORMAT, VERSION, formats.Tables, oldest=_OLDEST)
         about, motors, noise = content["sensors"], content["motors"], content["noise"]
         if about["objects"] != list(OBJECTS):
             raise FileError(path, f"expected {', '.join(OBJECTS)}", field="sensors.objects")
@@ -520,7 +522,7 @@ class TableSimulator(Simulator):
                     found.get("motor_spread"),
                     motors["resolution"],
                 ),
-                Arena.from_json(path, content["arena"]),
+                Place.from_json(path, content["place"]),
                 content["radius"],
                 noise["kind"],
                 noise["level"],

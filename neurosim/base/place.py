@@ -1,0 +1,438 @@
+"""Places: what a robot drives in and on, in one small JSON file.
+
+Lengths are in metres, in a frame with x to the right and y up, its origin in the middle of the
+board where there is one. The outline is a closed polygon of walls; further walls stand inside it,
+boards of which a robot meets the two sides and, less well seen, the ends. Obstacles are round.
+Lines are printed on the floor. The board has an edge and a perimeter line, at which a guard ends
+drives (:mod:`neurosim.base.perimeter`).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from neurosim.base import files, formats
+from neurosim.base.closed_line import ClosedLine
+from neurosim.base.declared import (
+    Checked,
+    Coordinate,
+    Metres,
+    Mismatch,
+    Pose,
+    SettingError,
+    convert,
+)
+from neurosim.base.errors import FileError, UserError
+from neurosim.base.perimeter import Board
+
+FORMAT, VERSION = "neurosim-place", 1
+#: Points nearer to each other than this are one, m.
+_SAME = 1e-3
+#: Thickness of a wall that stands inside, m.
+THICKNESS = 0.01
+#: Radius of a light in pictures, m.
+_LIGHT = 0.01
+
+Point = tuple[Coordinate, Coordinate]
+Wall = tuple[Coordinate, Coordinate, Coordinate, Coordinate]
+Obstacle = tuple[Coordinate, Coordinate, Metres]
+
+
+@dataclass(frozen=True)
+class Line(Checked):
+    """A dark line that is printed on the floor.
+
+    Attributes:
+        points: x and y of where its middle runs, m; straight between them.
+        width: width of the line, m.
+        closed: whether the last point is joined to the first.
+    """
+
+    points: tuple[Point, ...]
+    width: Metres = 0.04
+    closed: bool = True
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", _rows(self.points))
+        super().__post_init__()
+        least = 3 if self.closed else 2
+        if len(self.points) < least:
+            raise UserError(
+                f"a {'closed' if self.closed else 'open'} line needs at least {least} points, "
+                f"found {len(self.points)}"
+            )
+
+    @cached_property
+    def loop(self) -> ClosedLine:
+        """The line as a closed one; an open line leads there and back."""
+        points = self.points
+        if not self.closed:
+            back = points[-2:0:-1] or [tuple(np.mean(points, axis=0))]
+            points = (*points, *back)
+        return ClosedLine(points)
+
+    def shapes(self) -> list[dict[str, Any]]:
+        """Return its straight pieces as shapes of a picture."""
+        points = [*self.points, *self.points[: int(self.closed)]]
+        width = self.width
+        return [{"polygon": [list(a), list(b)], "width": width} for a, b in pairwise(points)]
+
+
+@dataclass(frozen=True)
+class Place(Checked):
+    """What a place looks like; every part may be missing.
+
+    Attributes:
+        outline: x and y of the corners of the walls around it, m, in order.
+        walls: (x1, y1, x2, y2) of walls that stand inside, m, the middles of boards as thick as
+            :data:`THICKNESS`.
+        obstacles: (x, y, radius) of round obstacles, m.
+        lines: lines printed on the floor.
+        lights: x and y of lights, m.
+        board: the board on the floor, its middle at x = y = 0.
+        start: pose at which robots start: x (m), y (m), heading (rad).
+
+    Raises:
+        UserError: if something has no size, stands outside of the outline or in something else.
+    """
+
+    outline: tuple[Point, ...] = ()
+    walls: tuple[Wall, ...] = ()
+    obstacles: tuple[Obstacle, ...] = ()
+    lines: tuple[Line, ...] = ()
+    lights: tuple[Point, ...] = ()
+    board: Board | None = None
+    start: Pose | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("outline", "walls", "obstacles", "lights"):
+            object.__setattr__(self, name, _rows(getattr(self, name)))
+        object.__setattr__(self, "lines", tuple(self.lines))
+        if self.start is not None:
+            object.__setattr__(self, "start", tuple(map(float, self.start)))
+        super().__post_init__()
+        self._check_walls()
+        self._check_obstacles()
+        if self.start is not None:
+            self.check_start(self.start, 0.0)
+
+    @classmethod
+    def rectangle(cls, width: float, height: float, obstacles: Sequence[Obstacle] = ()) -> Place:
+        """Return a rectangle of walls about the origin, m."""
+        x, y = width / 2, height / 2
+        return cls(((-x, -y), (x, -y), (x, y), (-x, y)), obstacles=tuple(obstacles))
+
+    @classmethod
+    def with_line(
+        cls, shape: str, length: float = 1.4, width: float = 0.8, corner: float = 0.3
+    ) -> Place:
+        """Return a place with a closed line around the origin, counter-clockwise.
+
+        Args:
+            shape: ``rectangle`` with round corners, or ``ellipse``.
+            length: of the line along x, m.
+            width: of the line along y, m.
+            corner: radius of a rectangle's corners, m.
+
+        Raises:
+            UserError: if there is no such line.
+        """
+        line = ClosedLine.of(shape, length, width, corner)
+        return cls(lines=(Line(_rows(np.round(line.points, 6).tolist())),))
+
+    @classmethod
+    def of(cls, place: Place | Mapping[str, Any] | str | Path) -> Place:
+        """Return a place: itself, of what :meth:`to_json` returned, of a name or of a file.
+
+        Raises:
+            SettingError: naming the field of a mapping that is not as declared.
+            UserError: if there is no such place.
+            FileError: if a file is not that of a place.
+        """
+        if isinstance(place, Place):
+            return place
+        if isinstance(place, Mapping):
+            try:
+                convert(place, formats.Place)
+            except Mismatch as error:
+                raise SettingError(error.field, error.what) from None
+            return cls._made(place)
+        if str(place) in NAMED:
+            return NAMED[str(place)]()
+        if Path(place).suffix != ".json":
+            raise UserError(
+                f"{place}: no such file of a place (.json), and no place of this name; there are "
+                f"{', '.join(NAMED)}"
+            )
+        return cls.read(place)
+
+    @classmethod
+    def read(cls, path: str | Path) -> Place:
+        """Read and check a place.
+
+        Raises:
+            FileError: naming the field: a number that is missing, an obstacle that is outside or
+                overlaps something, a start in something solid.
+        """
+        return cls.from_json(path, files.read_json(path, FORMAT, VERSION, formats.Place))
+
+    @classmethod
+    def from_json(cls, path: str | Path, content: Mapping[str, Any]) -> Place:
+        """Return the place of a checked JSON object in the file ``path``."""
+        try:
+            return cls._made(content)
+        except FileError:
+            raise
+        except UserError as error:
+            raise FileError(path, str(error)) from None
+
+    @classmethod
+    def _made(cls, content: Mapping[str, Any]) -> Place:
+        found = _known(cls, content)
+        if "lines" in found:
+            found["lines"] = tuple(Line(**_known(Line, line)) for line in found["lines"])
+        if "board" in found:
+            # A line that nobody wrote down is not there.
+            found["board"] = Board(**{"line_width": 0.0, **_known(Board, found["board"])})
+        return cls(**found)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what :meth:`of` takes, without parts that are missing."""
+        found = {name: value for name, value in asdict(self).items() if value not in (None, ())}
+        plain: dict[str, Any] = json.loads(json.dumps(found))  # tuples as lists
+        return plain
+
+    def write(self, path: str | Path) -> None:
+        """Write the place's file, whole or not at all."""
+        files.write_json(path, FORMAT, VERSION, self.to_json())
+
+    def shapes(self) -> list[dict[str, Any]]:
+        """Return what a picture of it shows, as of a task's outline."""
+        found: list[dict[str, Any]] = []
+        if self.board is not None:
+            found += board_shapes(self.board)
+        if self.outline:
+            found.append({"polygon": [list(corner) for corner in self.outline]})
+        for line in self.lines:
+            found += line.shapes()
+        for wall in self.walls:
+            found.append({"polygon": _sides(wall)[:, :2].tolist(), "forbidden": True})
+        found += ({"circle": list(one), "forbidden": True} for one in self.obstacles)
+        return [*found, *({"circle": [*light, _LIGHT]} for light in self.lights)]
+
+    @cached_property
+    def surfaces(self) -> NDArray[np.float64]:
+        """All straight surfaces, [W, 4]: x1, y1, x2, y2, with the free side on the left.
+
+        The outline first, then the four sides of each wall inside.
+        """
+        outline = self._outline
+        x, y = outline[:, 0], outline[:, 1]
+        if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() < 0:
+            outline = outline[:, [2, 3, 0, 1]]
+        return np.concatenate([outline, *map(_sides, self.walls)])
+
+    @cached_property
+    def cylinders(self) -> NDArray[np.float64]:
+        """All obstacles, [N, 3]: x, y, radius."""
+        return np.array(self.obstacles, float).reshape(-1, 3)
+
+    @property
+    def solid(self) -> bool:
+        """Whether there is anything that a robot can touch."""
+        return bool(self.outline or self.walls or self.obstacles)
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """Smallest x and y, largest x and y, of the outline, else of the board.
+
+        Raises:
+            UserError: if it has neither.
+        """
+        if self.outline:
+            corners = np.array(self.outline)
+            return (*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist())
+        if self.board is None:
+            raise UserError("the place has neither an outline nor a board, so its size is unknown")
+        x, y = self.board.length / 2, self.board.width / 2
+        return -x, -y, x, y
+
+    @property
+    def screens(self) -> NDArray[np.float64]:
+        """Walls that may stand between a robot inside and something else, [H, 4].
+
+        The outline where it is not convex, and the middles of the walls inside.
+        """
+        sides = self._outline
+        edges = sides[:, 2:] - sides[:, :2]
+        after = np.roll(edges, -1, axis=0)
+        turns = edges[:, 0] * after[:, 1] - edges[:, 1] * after[:, 0]
+        convex = (turns >= -1e-12).all() or (turns <= 1e-12).all()
+        inner = np.array(self.walls, float).reshape(-1, 4)
+        return inner if convex else np.concatenate([sides, inner])
+
+    def inside(self, points: ArrayLike) -> NDArray[np.bool_]:
+        """Return whether points [..., 2] lie within the outline; without one, all do."""
+        points = np.asarray(points, float)
+        if not self.outline:
+            return np.ones(points.shape[:-1], np.bool_)
+        x, y = points[..., None, 0], points[..., None, 1]
+        x1, y1, x2, y2 = self._outline.T
+        crosses = (y1 > y) != (y2 > y)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            right = x < x1 + (y - y1) / (y2 - y1) * (x2 - x1)
+        return (crosses & right).sum(axis=-1) % 2 == 1
+
+    def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
+        """Return how far points [..., 2] are from the nearest surface, m; below 0 in solids."""
+        points = np.asarray(points, float)
+        found = wall_distances(self.surfaces, points).min(axis=-1, initial=np.inf)
+        if self.walls:
+            found *= np.where(self._in_walls(points), -1.0, 1.0)
+        if self.obstacles:
+            x, y, radius = self.cylinders.T
+            to = np.hypot(points[..., None, 0] - x, points[..., None, 1] - y) - radius
+            found = np.minimum(found, to.min(axis=-1))
+        cleared: NDArray[np.float64] = np.where(self.inside(points), found, -np.inf)
+        return cleared
+
+    def check_start(self, pose: ArrayLike, radius: float) -> None:
+        """Make sure that a robot fits where it is to start.
+
+        Raises:
+            UserError: if it would stand outside, or in a wall or an obstacle.
+        """
+        x, y = np.asarray(pose, float)[:2]
+        clearance = float(self.clearance([x, y]))
+        if clearance < radius:
+            where = "outside the outline" if clearance == -np.inf else "in a wall or an obstacle"
+            raise UserError(
+                f"the robot cannot start at x {100 * x:.1f} cm, y {100 * y:.1f} cm: it would "
+                f"stand {where}"
+            )
+
+    def free_poses(
+        self, count: int, radius: float, rng: np.random.Generator
+    ) -> NDArray[np.float64]:
+        """Return poses [count, 3] drawn evenly from all where a robot touches nothing.
+
+        Raises:
+            UserError: if there is hardly such a place, or its size is unknown.
+        """
+        x1, y1, x2, y2 = self.bounds
+        found = np.empty((0, 2))
+        for _ in range(200):
+            points = rng.uniform((x1, y1), (x2, y2), (4 * count, 2))
+            found = np.concatenate([found, points[self.clearance(points) > radius]])
+            if len(found) >= count:
+                headings = rng.uniform(-math.pi, math.pi, (count, 1))
+                return np.concatenate([found[:count], headings], axis=1)
+        raise UserError("there is no room for the robot in this place")
+
+    @cached_property
+    def _outline(self) -> NDArray[np.float64]:
+        """The sides of the outline, [N, 4], in order."""
+        corners = np.array(self.outline, float).reshape(-1, 2)
+        return np.hstack([corners, np.roll(corners, -1, axis=0)])
+
+    def _in_walls(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Return whether points [..., 2] are within the thickness of a wall inside."""
+        sides = self.surfaces[len(self.outline) :].reshape(-1, 4, 4)
+        along = sides[..., 2:] - sides[..., :2]
+        off = points[..., None, None, :] - sides[..., :2]
+        left = along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0]
+        return np.asarray((left < 0).all(axis=-1).any(axis=-1))
+
+    def _check_walls(self) -> None:
+        if 0 < len(self.outline) < 3:
+            raise UserError("an outline has at least 3 corners")
+        for index, (x1, y1, x2, y2) in enumerate(self._outline):
+            if math.dist((x1, y1), (x2, y2)) <= _SAME:
+                after = (index + 1) % len(self.outline)
+                raise UserError(f"corners {index} and {after} of the outline are the same")
+        for index, wall in enumerate(self.walls):
+            if math.dist(wall[:2], wall[2:]) <= _SAME:
+                raise UserError(f"wall {index} has no length")
+            if not self.inside([(wall[0] + wall[2]) / 2, (wall[1] + wall[3]) / 2]):
+                raise UserError(f"wall {index} stands outside the outline")
+
+    def _check_obstacles(self) -> None:
+        for index, (x, y, radius) in enumerate(self.obstacles):
+            if not self.inside((x, y)):
+                raise UserError(f"obstacle {index} stands outside the outline")
+            room = wall_distances(self.surfaces, np.array([x, y])).min(initial=np.inf)
+            if room < radius:
+                raise UserError(f"obstacle {index} overlaps a wall")
+            for other, (x2, y2, radius2) in enumerate(self.obstacles[:index]):
+                if math.hypot(x - x2, y - y2) < radius + radius2:
+                    raise UserError(f"obstacle {index} overlaps obstacle {other}")
+
+
+def paper_arena() -> Place:
+    """Return the arena of Lund and Miglino 1996.
+
+    60 x 35 cm with three round obstacles of 5.5 cm across in its middle; the paper does not say
+    how they stand: here in a row, 12 cm apart.
+    """
+    return Place.rectangle(0.60, 0.35, [(x, 0.0, 0.0275) for x in (-0.12, 0.0, 0.12)])
+
+
+#: Places by name.
+NAMED = {
+    "arena": paper_arena,
+    "board": lambda: Place(board=Board()),
+    "rectangle": lambda: Place.with_line("rectangle"),
+    "ellipse": lambda: Place.with_line("ellipse"),
+}
+
+
+def board_shapes(board: Board) -> list[dict[str, Any]]:
+    """Return what a picture shows of a board: its edge and its perimeter line."""
+    sign = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    half = np.array([board.length, board.width]) / 2
+    found: list[dict[str, Any]] = [{"polygon": (half * sign).tolist()}]
+    if board.line_width:
+        corners = ((half - board.line_inset) * sign).tolist()
+        found += Line(_rows(corners), board.line_width).shapes()
+    return found
+
+
+def wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
+    """Return the distances [..., W] of points [..., 2] from walls [W, 4]."""
+    start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
+    off = points[..., None, :] - start
+    share = np.clip((off * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(off - share[..., None] * along, axis=-1)
+
+
+def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Return what a mapping has of the fields of a dataclass."""
+    names = [one.name for one in fields(kind)]
+    return {name: content[name] for name in names if content.get(name) is not None}
+
+
+def _rows(rows: Any) -> Any:
+    """Return rows of numbers as tuples of floats; what is no number is left to be refused."""
+    try:
+        return tuple(tuple(map(float, row)) for row in rows)
+    except (TypeError, ValueError):
+        return tuple(rows)
+
+
+def _sides(wall: Wall) -> NDArray[np.float64]:
+    """Return the four sides [4, 4] of a board, which have what is free on their left."""
+    one, other = np.array(wall).reshape(2, 2)
+    along = other - one
+    aside = 0.5 * THICKNESS * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    corners = np.array([one + aside, other + aside, other - aside, one - aside])
+    return np.hstack([corners, np.roll(corners, -1, axis=0)])

@@ -1,0 +1,49 @@
+"""``neurosim place``: files of places."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from neurosim.cli._common import emit, json_option, next_step
+from neurosim.cli._types import PATH
+
+
+@click.group()
+def place() -> None:
+    """Files of places: walls, obstacles, lines, lights, the board and the start."""
+
+
+@place.command("import")
+@click.argument("drawing", type=PATH)
+@click.option("-o", "--out", type=PATH, required=True, help="The place's new file, .json.")
+@click.option("--overwrite", is_flag=True, help="Replace an existing file.")
+@json_option
+def import_(drawing: Path, out: Path, overwrite: bool, as_json: bool) -> None:
+    """Make the file of a place from DRAWING, an SVG.
+
+    Name elements or layers outline, walls, obstacles, lines, lights, board, perimeter and start.
+    Name a line of known length scale-50cm; without one, the page's size counts.
+    """
+    from neurosim.base.drawing import read_drawing
+    from neurosim.base.errors import UserError
+
+    if out.suffix != ".json":
+        raise UserError(f"{out}: the file of a place ends in .json")
+    if out.exists() and not overwrite:
+        raise UserError(f"{out} exists; name another file, or add --overwrite to replace it")
+    found = read_drawing(drawing)
+    found.write(out)
+    counts = {
+        "corners": len(found.outline),
+        "walls": len(found.walls),
+        "obstacles": len(found.obstacles),
+        "lines": len(found.lines),
+        "lights": len(found.lights),
+    }
+    there = [name for name in ("board", "start") if getattr(found, name) is not None]
+    what = [*(f"{count} {name}" for name, count in counts.items() if count), *there]
+    result = {"place": str(out), **counts, **{name: name in there for name in ("board", "start")}}
+    picture = out.with_suffix(".png")
+    emit(result, as_json, f"{out}: {', '.join(what)}.\n" + next_step("view", out, "-o", picture))
