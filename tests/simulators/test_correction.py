@@ -40,7 +40,7 @@ def instant():
 
 def driven_twist(drive, left, right, time):
     speeds = double([[left, right]])
-    return sum(drive.pieces(drive.begun(speeds), speeds, double([time]))) @ drive.kinematics
+    return sum(drive.pieces(drive.begun(speeds), speeds, double([time]))) @ drive.twists
 
 
 @st.composite

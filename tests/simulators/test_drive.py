@@ -135,7 +135,7 @@ def integrated_pose(drive, speeds, dt=5e-4):
     """Return the displacement [3] of a robot whose actuators have speeds [T + 1, C]."""
     middle = torch.from_numpy(0.5 * (speeds[1:] + speeds[:-1]))
     span = torch.full((len(middle),), dt, dtype=torch.float64)
-    vx, vy, turn = (motion_features(middle * dt, span) @ drive.kinematics).numpy().T
+    vx, vy, turn = (motion_features(middle * dt, span, drive.turning) @ drive.twists).numpy().T
     heading = np.cumsum(turn) - 0.5 * turn
     cos, sin = np.cos(heading), np.sin(heading)
     return np.array([(cos * vx - sin * vy).sum(), (sin * vx + cos * vy).sum(), turn.sum()])

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
 
+from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import PHASES, DriveModel, features_of
 from neurosim.simulators.motion.network import rows_underway
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
-from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion
+from neurosim.training.trainers.drive_fit import Actuators, Fit, Motion, fit_drive
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
 
@@ -45,10 +48,12 @@ def test_distances_are_those_of_the_drive_model(motion):
     laws = several_laws(torch.Generator().manual_seed(1))
     bands = torch.tensor([[0.0, 0.0], [0.1, 0.2], [0.0, 0.3], [0.05, 0.0]], dtype=torch.float64)
     actuators = Actuators.of(laws, bands)
+    turning = torch.tensor([-0.4, 0.6], dtype=torch.float64)
+    motion = replace(motion, turning=turning)
     pieces, within = motion.distances(actuators)
     for p in range(len(laws)):
         parts = (torch.from_numpy(part) for part in actuators.one(p)[3:])
-        drive = DriveModel(*parts, torch.zeros(features_of(2), 3))
+        drive = DriveModel(*parts, torch.zeros(features_of(2), 3), turning)
         fit = Fit(drive, motion, bands[p], laws[p], True, actuators)
         x = motion.inputs(fit)
         under = rows_underway(drive, motion.columns, x)
@@ -63,3 +68,27 @@ def test_distances_are_those_of_the_drive_model(motion):
         )
         assert pytest.approx(sum(until), abs=1e-9) == within[p].sum(0).T
         assert pytest.approx(until[-1], abs=1e-9) == within[p, -1].T
+
+
+def test_what_a_robot_loses_in_curves_is_found():
+    """One of two wheels that loses a third of its speed ahead, and half of its turn, in a spin."""
+    generator = torch.Generator().manual_seed(2)
+    rows, double = 200, torch.float64
+    x = 2.0 * torch.rand(rows, 5, generator=generator, dtype=double) - 1.0
+    x[:, 4] = 0.2 + 0.8 * torch.rand(rows, generator=generator, dtype=double)
+    kinematics = torch.zeros(features_of(2), 3, dtype=double)
+    kinematics[:2] = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])
+    losses = kinematics[:2] * torch.tensor([-1 / 3, 0.0, -1 / 2], dtype=double)
+    laws = [torch.full((2,), value, dtype=double) for value in (0.1, 1.0, 1.0, 20.0, 0.0)]
+    curve, delay = torch.zeros(2, 6, dtype=double), torch.zeros(1, dtype=double)
+    turning = torch.tensor([-0.5, 0.5], dtype=double)
+    true = DriveModel(*laws, curve, delay, kinematics, turning, losses)
+    under = rows_underway(true, CommandFeatures.of(NAMES), x)
+    changing, twist = true.phases(under, x[:, 2:4], x[:, 4] * 2.0)
+    y = se2.compose(changing, se2.exp(twist))
+    y = y + 0.001 * torch.randn(rows, 3, generator=generator, dtype=double)
+    follows = torch.zeros(rows, dtype=torch.bool)
+    fit = fit_drive(Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0))
+    assert fit.drive.turning.tolist() == pytest.approx([-0.5, 0.5], abs=0.02)
+    assert fit.drive.losses[:, 0].tolist() == pytest.approx([-1 / 30, -1 / 30], rel=0.15)
+    assert fit.drive.losses[:, 2].tolist() == pytest.approx([0.5, -0.5], rel=0.15)

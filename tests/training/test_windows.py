@@ -35,7 +35,8 @@ def drive_model(delay=0.15, lag=(0.1, 0.3)):
 
 
 def actuators_of(model: DriveModel) -> Actuators:
-    laws = (getattr(model, name).numpy()[None] for name in DriveModel.NAMES[:-1])
+    names = (*DriveModel.LAWS, "curve", "delay")
+    laws = (getattr(model, name).numpy()[None] for name in names)
     return Actuators(np.arange(2), np.ones(2), np.zeros((1, 2)), *laws)
 
 
@@ -118,7 +119,7 @@ def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
     rows = Chains.of(x, y, joined, CommandFeatures.of(NAMES), 1.0)
     features, _, row, _ = rows.driven(actuators_of(model).one(0))
     pose, poses = np.zeros(3), [np.zeros(3)]
-    for twist in (features @ model.kinematics).numpy():
+    for twist in (features @ model.twists).numpy():
         pose = se2.compose(pose, se2.exp(twist))
         poses.append(pose)
     ends = np.append(np.searchsorted(row.numpy(), np.arange(count)), len(row))

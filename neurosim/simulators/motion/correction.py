@@ -79,4 +79,4 @@ class Correction(Checked):
         pairs = [(i, j) for i in range(count) for j in range(i, count)]
         both = [ahead[i] * turn[j] + (ahead[j] * turn[i] if i != j else 0.0) for i, j in pairs]
         kinematics[count:, 1] += self.slip * torch.stack(both)
-        return replace(drive, kinematics=kinematics)
+        return replace(drive, kinematics=kinematics, losses=self.of_twists(drive.losses))

@@ -13,6 +13,8 @@ has overcome it. Within its dead band it stands; beyond it the goal is a static 
 command, forwards and backwards each of its own, which need not rise. The speeds, and their products
 by pairs, make a body twist, linearly: a differential drive, an omnidirectional base and a car at
 small steering angles are all of this form (Siegwart, Nourbakhsh and Scaramuzza 2011, chapter 3).
+What slips in curves, as skid steering does, loses speed in proportion to the rate of turn: the
+speeds times the magnitude of one of their linear combinations are part of the twist, too.
 
 So what is under way where a command begins (:class:`Underway`) says all about the commands before
 it, and speeds and distances until any instant follow in closed form. The pose does by pieces of
@@ -106,6 +108,9 @@ class DriveModel:
         curve: of the speed by the command, coefficients of :func:`curvature`, [C, 6].
         delay: from a command to the first answer, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].
+        turning: of what stands for the rate of turn in the losses, by speeds, [C]; zeros if not
+            given.
+        losses: of the twist by speeds times the magnitude of that, [C, 3]; zeros if not given.
         slots: how many commands may be waiting or acting where another one begins.
     """
 
@@ -117,17 +122,21 @@ class DriveModel:
     curve: Tensor
     delay: Tensor
     kinematics: Tensor
+    turning: Tensor = None  # type: ignore[assignment]
+    losses: Tensor = None  # type: ignore[assignment]
     slots: int = field(init=False, default=0)
 
     #: Laws of each actuator, and all that a drive model consists of.
     LAWS: ClassVar[tuple[str, ...]] = ("lag", "slowing", "braking", "rate", "stick")
-    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", "kinematics")
+    NAMES: ClassVar[tuple[str, ...]] = (*LAWS, "curve", "delay", "kinematics", "turning", "losses")
 
     def __post_init__(self) -> None:
         count = len(self.lag)
         shapes = self.shapes(count)
         for name in self.NAMES:
             value = getattr(self, name)
+            if value is None:
+                value = self.lag.new_zeros(shapes[name])
             if tuple(value.shape) != shapes[name]:
                 raise ValueError(
                     f"{name} must be of shape {shapes[name]}, not {tuple(value.shape)}"
@@ -146,7 +155,12 @@ class DriveModel:
         """Return the shapes of the tensors for so many actuators."""
         each = dict.fromkeys(DriveModel.LAWS, (count,))
         rest = {"curve": (count, CURVES), "delay": (1,), "kinematics": (features_of(count), 3)}
-        return {**each, **rest}
+        return {**each, **rest, "turning": (count,), "losses": (count, 3)}
+
+    @property
+    def twists(self) -> Tensor:
+        """What makes the twist of what it is linear in, see :func:`motion_features`, [K, 3]."""
+        return torch.cat([self.kinematics, self.losses])
 
     def to(self, device: torch.device | str) -> DriveModel:
         """Return the model on another device."""
@@ -285,7 +299,7 @@ class DriveModel:
         return Underway(*reached, goals, torch.where(join, acts[:, :-1], acts[:, 1:]))
 
     def pieces(self, under: Underway, told: Tensor, time: Tensor) -> list[Tensor]:
-        """Return what each piece of constant twist is linear in, tensors [B, F].
+        """Return what each piece of constant twist is linear in, tensors [B, K].
 
         The last is that after the speeds have settled; before it come :data:`PHASES` of each
         command that acts.
@@ -313,7 +327,7 @@ class DriveModel:
         time: Tensor,
         end: Approach,
     ) -> list[Tensor]:
-        """Return what the twists from one instant [B] to the next are linear in, [B, F] each.
+        """Return what the twists from one instant [B] to the next are linear in, [B, K] each.
 
         The last is that until ``time`` [B], of which the approach is ``end``.
         """
@@ -322,7 +336,7 @@ class DriveModel:
         missed = [self.approach(speed, goal, one, push).missed for one in instants]
         for until, lost in zip((*instants, time), (*missed, end.missed), strict=True):
             ways = goal * until.unsqueeze(-1) - lost
-            found.append(motion_features(ways - way, until - began))
+            found.append(motion_features(ways - way, until - began, self.turning))
             way, began = ways, until
         return found
 
@@ -337,10 +351,11 @@ class DriveModel:
             time: since the beginning, [B] s.
         """
         *changing, steady = self.pieces(under, told, time)
-        moved = se2.exp(changing[0] @ self.kinematics)
+        twists = self.twists
+        moved = se2.exp(changing[0] @ twists)
         for piece in changing[1:]:
-            moved = se2.compose(moved, se2.exp(piece @ self.kinematics))
-        return moved, steady @ self.kinematics
+            moved = se2.compose(moved, se2.exp(piece @ twists))
+        return moved, steady @ twists
 
 
 def curvature(command: Tensor) -> Tensor:
@@ -358,10 +373,25 @@ def features_of(count: int) -> int:
     return count + count * (count + 1) // 2
 
 
-def motion_features(way: Tensor, time: Tensor) -> Tensor:
-    """Return ways [B, C] of actuators and time times products of mean speeds, [B, F]."""
+def terms_of(count: int) -> int:
+    """Return how many numbers a twist is linear in: these, and losses of so many speeds."""
+    return features_of(count) + count
+
+
+def motion_features(way: Tensor, time: Tensor, turning: Tensor) -> Tensor:
+    """Return what twists are linear in, [B, K].
+
+    Distances, time times products of mean speeds by pairs, and distances times the magnitude of
+    the speeds' combination that stands for the rate of turn.
+
+    Args:
+        way: distances of actuators, [B, C].
+        time: that they took, [B] s.
+        turning: of the combination, [C].
+    """
     count = way.shape[-1]
     time = time.unsqueeze(-1)
     mean = way / time.clamp(min=1e-9)
     products = [mean[:, i] * mean[:, j] for i in range(count) for j in range(i, count)]
-    return torch.cat([way, torch.stack(products, dim=-1) * time], dim=-1)
+    lost = way * (mean @ turning).abs().unsqueeze(-1)
+    return torch.cat([way, torch.stack(products, dim=-1) * time, lost], dim=-1)

@@ -77,7 +77,7 @@ class MotionModel(NamedTuple):
     before: np.ndarray
     duration: int
     swing: float  #: as in Derived, NaN for none
-    drives: bool  #: whether there is a drive model; if not, the next eleven hold anything
+    drives: bool  #: whether there is a drive model; if not, the next thirteen hold anything
     slots: int  #: as in DriveModel
     lag: np.ndarray  #: [C], this and the next seven as in DriveModel
     slowing: np.ndarray
@@ -86,7 +86,9 @@ class MotionModel(NamedTuple):
     stick: np.ndarray
     curve: np.ndarray  #: [C, 6]
     delay: np.ndarray  #: [1]
-    kinematics: np.ndarray  #: [F, 3], corrected
+    kinematics: np.ndarray  #: [F, 3], corrected, as are the losses
+    turning: np.ndarray  #: [C]
+    losses: np.ndarray  #: [C, 3]
     correction: np.ndarray  #: [4], of the networks' twists: Correction's first four
     longest: float  #: what durations are scaled by, s; infinite without one
     members: bool  #: whether the last column of a state names a member
@@ -470,10 +472,16 @@ def _twist(a, law, begin, end, distance):
         left, missed = _follow(law[c], end)
         until = law[c, 12] * end - missed
         distance[1, c], distance[0, c], distance[2, c] = until - distance[0, c], until, left
-    vx, vy, turn = 0.0, 0.0, 0.0
+    vx, vy, turn, turned = 0.0, 0.0, 0.0, 0.0
     place = count
     for c in range(count):
+        turned += distance[1, c] * a.turning[c]
+    turned = abs(turned) * inverse
+    for c in range(count):
         w = distance[1, c]
+        vx += w * turned * a.losses[c, 0]
+        vy += w * turned * a.losses[c, 1]
+        turn += w * turned * a.losses[c, 2]
         vx += w * a.kinematics[c, 0]
         vy += w * a.kinematics[c, 1]
         turn += w * a.kinematics[c, 2]

@@ -32,7 +32,7 @@ from neurosim.simulators.motion.drive import (
     PHASES,
     SHORTEST,
     DriveModel,
-    features_of,
+    terms_of,
 )
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
 from neurosim.simulators.motion.network import chain
@@ -57,6 +57,8 @@ _WIDEST, _TRIED = 0.5, 24
 _TOGETHER = 32
 #: A dead band must raise the log-likelihood by this much to be believed.
 _BELIEVED = 3.0
+#: Losses in curves must raise it by this times what a delay must.
+_LOST = 1.5
 #: Derivatives are differences over this share of each prior's width; no step is longer than this.
 _DIFFERENCE, _LONGEST = 1e-4, 2.0
 #: How much steps are damped, at first, at least and at most, and by which factors that changes.
@@ -117,25 +119,30 @@ class Actuators(NamedTuple):
         count = lag.shape[1]
         return cls(np.arange(count), np.ones(count), *(part.contiguous().numpy() for part in parts))
 
+    def turning(self, given: Tensor | None) -> NDArray:
+        """Return what stands for the rate of turn, [C], zeros if it is not given."""
+        return np.zeros(len(self.driven)) if given is None else given.numpy()
+
     def one(self, number: int) -> Actuators:
         """Return those of one of the models."""
         return Actuators(self.driven, self.input_scale, *(part[number] for part in self[2:]))
 
 
 @njit(error_model="numpy", cache=True)
-def _distances(several, before, told, time, follows, row, until, found, within):
+def _distances(several, turning, before, told, time, follows, row, until, found, within):
     """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
 
     Args:
         several: :class:`Actuators` of P models.
+        turning: as in DriveModel, [C].
         before: the command before each, [N, C].
         told: the commands, [N, C].
         time: durations, [N] s.
         follows: whether a row's command followed that of the row before it, [N].
-        row: of each instant within a command the row, [K], ascending.
-        until: and the time since it began, [K] s.
-        found: [P, _PIECES, F, N], zeros, written.
-        within: [P, _PIECES, F, K], zeros, written: of the commands until these instants.
+        row: of each instant within a command the row, [L], ascending.
+        until: and the time since it began, [L] s.
+        found: [P, _PIECES, K, N], zeros, written.
+        within: [P, _PIECES, K, L], zeros, written: of the commands until these instants.
     """
     count = told.shape[1]
     law, way = np.empty((count, _LAW)), np.empty(count)
@@ -159,24 +166,25 @@ def _distances(several, before, told, time, follows, row, until, found, within):
                 goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, told[i, c], c)
                 begins[c] = reached[c] if follows[i] else goals[0, c]
             while k < len(row) and row[k] == i:
-                _cut(a, begins, goals, until[k], law, way, reached, within[p, :, :, k])
+                _cut(a, turning, begins, goals, until[k], law, way, reached, within[p, :, :, k])
                 k += 1
-            _cut(a, begins, goals, time[i], law, way, reached, found[p, :, :, i])
+            _cut(a, turning, begins, goals, time[i], law, way, reached, found[p, :, :, i])
 
 
 @njit(error_model="numpy", cache=True)
-def _cut(a, begins, goals, time, law, way, reached, found):
+def _cut(a, turning, begins, goals, time, law, way, reached, found):
     """Cut a command into pieces of constant twist.
 
     Args:
         a: :class:`Actuators` of one model.
+        turning: as in DriveModel, [C].
         begins: speeds, [C].
         goals: that act until the delay has passed, and then, [2, C].
         time: that it lasts, s.
         law: [C, _LAW] scratch.
         way: [C] scratch.
         reached: [2 C], written: speeds and pushes at the end.
-        found: [_PIECES, F], written: ways, and products of mean speeds times time.
+        found: [_PIECES, K], written, see :func:`motion_features`.
     """
     count, begin = len(begins), 0.0
     for c in range(count):
@@ -196,12 +204,14 @@ def _cut(a, begins, goals, time, law, way, reached, found):
         first = PHASES if own else PHASES - pieces
         last = 0.0
         for k in range(pieces + own):
+            turned = 0.0
             end = changing * (k + 1) / pieces if k < pieces else span
             inverse = 1.0 / max(end - last, 1e-9)
             for c in range(count):
                 left, missed = _follow(law[c], end)
                 gone = goals[own, c] * end - missed
                 found[first + k, c], way[c] = gone - way[c], gone
+                turned += found[first + k, c] * turning[c]
                 if end == span:
                     reached[c], reached[count + c] = _come(law[c], span, left)
             place = count
@@ -210,6 +220,8 @@ def _cut(a, begins, goals, time, law, way, reached, found):
                     product = found[first + k, c] * found[first + k, d]
                     found[first + k, place] = product * inverse
                     place += 1
+            for c in range(count):
+                found[first + k, place + c] = found[first + k, c] * abs(turned) * inverse
             last = end
 
 
@@ -225,6 +237,7 @@ class Motion:
         longest: what durations are scaled by, s.
         within: poses within the commands, where they are known, in the order of the rows.
         weight: what each row counts, [N]; None: all alike.
+        turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
     """
 
     x: Tensor
@@ -234,6 +247,7 @@ class Motion:
     longest: float
     within: Within | None = None
     weight: Tensor | None = None
+    turning: Tensor | None = None
 
     #: A delay is nearly a lag where only the ends of commands are known.
     belief: ClassVar[float] = 10.0
@@ -245,9 +259,9 @@ class Motion:
             known = torch.nonzero(within.row < rows).squeeze(1)
             known = known[:: -(-len(known) // rows) or 1]
             within = Within(*(part[known] for part in within)) if len(known) else None
-        parts = (self.x[:rows], self.y[:rows], self.follows[:rows])
         weight = None if self.weight is None else self.weight[:rows]
-        return Motion(*parts, self.columns, self.longest, within, weight)
+        x, y, follows = self.x[:rows], self.y[:rows], self.follows[:rows]
+        return replace(self, x=x, y=y, follows=follows, within=within, weight=weight)
 
     def weighted(self, weight: Tensor) -> Motion:
         """Return the rows with other weights [N]."""
@@ -268,13 +282,13 @@ class Motion:
     def distances(self, actuators: Actuators) -> tuple[Tensor, Tensor]:
         """Return what the twists of pieces of each model's commands are linear in.
 
-        Of whole rows, [P, pieces, F, N], and until the poses within them, [P, pieces, F, K].
+        Of whole rows, [P, pieces, K, N], and until the poses within them, [P, pieces, K, L].
         """
         x, columns, within = self.x, self.columns, self.within
         if within is None:
             none = torch.zeros(0, dtype=x.dtype)
             within = Within(none.long(), none, none)
-        count = features_of(len(columns.driven))
+        count = terms_of(len(columns.driven))
         found = [
             torch.zeros(len(actuators.lag), _PIECES, count, rows, dtype=x.dtype)
             for rows in (len(x), len(within.row))
@@ -282,7 +296,8 @@ class Motion:
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
         times = x[:, columns.duration] * self.longest, self.follows
         parts = (*given, *times, within.row, within.time.to(x), *found)
-        _distances(actuators, *(part.numpy() for part in parts))
+        turning = actuators.turning(self.turning)
+        _distances(actuators, turning, *(part.numpy() for part in parts))
         return found[0], found[1]
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
@@ -316,6 +331,7 @@ class Rows(Protocol):
 
     Attributes:
         columns: of the inputs.
+        turning: of the drive models that are fitted, [C].
         belief: by how much a delay must raise the log-likelihood.
     """
 
@@ -323,6 +339,9 @@ class Rows(Protocol):
 
     @property
     def columns(self) -> CommandFeatures: ...
+
+    @property
+    def turning(self) -> Tensor | None: ...
 
     def first(self, rows: int) -> Rows:
         """Return the first rows."""
@@ -338,7 +357,7 @@ class Rows(Protocol):
         ...
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
-        """Return the best kinematics [P, F, 3] of each model, and the errors that they leave."""
+        """Return the best twists [P, K, 3] of each model, and the errors that they leave."""
         ...
 
 
@@ -366,7 +385,8 @@ class Fit(NamedTuple):
         """Return the fit of rows with given laws and dead bands."""
         actuators = Actuators.of(laws.unsqueeze(0), band)
         parts = (torch.from_numpy(part) for part in actuators.one(0)[3:])
-        drive = DriveModel(*parts, rows.fitted(actuators)[0][0])
+        linear, twists = len(band), rows.fitted(actuators)[0][0]
+        drive = DriveModel(*parts, twists[:-linear], rows.turning, twists[-linear:])
         return cls(drive, rows, band, laws, searched, actuators)
 
 
@@ -386,9 +406,12 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
             rows, _dead_bands(searched, at_once) if band is None else band, at_once, False
         )
     limits = _of_each(_LOWEST, count), _of_each(_HIGHEST, count)
+    roughly = _roughly(searched, *limits)
+    turning = _turning(searched, roughly, band)
+    rows, searched = replace(rows, turning=turning), replace(searched, turning=turning)
     if band is not None:
         return Fit.of(rows, band, _searched(searched, band, *limits), True)
-    band = _dead_bands(searched, _roughly(searched, *limits))
+    band = _dead_bands(searched, roughly)
     found = _searched(searched, band, *limits)
     # With the laws known better, slow commands say more.
     again = _dead_bands(searched, found)
@@ -407,6 +430,19 @@ def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
     starts = [_start(lag, _RATES[-1], delay, lowest) for lag, delay in product(_LAGS, _DELAYS)]
     best = int(_costs(rows, torch.stack(starts), none).argmin())
     return _again(rows, none, starts[best], lowest, highest)
+
+
+def _turning(rows: Rows, laws: Tensor, band: Tensor | None) -> Tensor | None:
+    """Return what stands for the rate of turn [C] if rows show that speeds are lost by it."""
+    count = laws.shape[1]
+    band = torch.zeros(count, dtype=torch.float64) if band is None else band
+    actuators = Actuators.of(laws[None], band)
+    twists, errors = rows.fitted(actuators)
+    turning = twists[0, :count, 2]
+    turning = turning / turning.abs().sum().clamp(min=1e-9)
+    _, less = replace(rows, turning=turning).fitted(actuators)
+    gain = sum(one.cost for one in errors) - sum(one.cost for one in less)
+    return turning if gain > _LOST * rows.belief else None
 
 
 def _start(lag: float, rate: float, delay: float, lowest: Tensor) -> Tensor:
@@ -640,16 +676,15 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
 def _regression(
     features: Tensor, target: Tensor, linear: int, weight: Tensor
 ) -> tuple[Tensor, Errors]:
-    """Return the weights [P, k F] of regressions with Huber's loss, and the errors that they leave.
+    """Return the weights [P, k K] of regressions with Huber's loss, and the errors that they leave.
 
     Args:
-        features: [P, k F, N]: k times linear features and products.
+        features: [P, k K, N]: k times speeds, products and losses.
         target: [N].
-        linear: how many of F are linear.
+        linear: how many of K are linear.
         weight: what each row counts, [N].
     """
-    width = linear + linear * (linear + 1) // 2
-    product = torch.arange(features.shape[1]) % width >= linear
+    product = torch.arange(features.shape[1]) % terms_of(linear) >= linear
     shares, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
     # By a product alone a target would be of the size that it has, or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)

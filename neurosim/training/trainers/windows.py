@@ -17,7 +17,7 @@ from numba import njit
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import Underway, features_of
+from neurosim.simulators.motion.drive import Underway, terms_of
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -130,11 +130,12 @@ def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor
 
 
 @njit(error_model="numpy", cache=True)
-def _driven(a, told, before, time, joined, features, lasts, row, states):
+def _driven(a, turning, told, before, time, joined, features, lasts, row, states):
     """Drive rows one after the other.
 
     Args:
         a: :class:`Actuators` of one model.
+        turning: as in DriveModel, [C].
         told: commands of the rows, [N, C].
         before: those before each row, of use where it is not joined to the row before it, [N, C].
         time: of the rows, s.
@@ -175,12 +176,15 @@ def _driven(a, told, before, time, joined, features, lasts, row, states):
                 left, missed = _follow(law, span)
                 way[c] = goal * span - missed
                 speed[c], push[c] = _come(law, span, left)
-            place = count
+            place, turned = count, 0.0
             for c in range(count):
                 features[made, c] = way[c]
+                turned += way[c] * turning[c]
                 for d in range(c, count):
                     features[made, place] = way[c] * way[d] / span
                     place += 1
+            for c in range(count):
+                features[made, place + c] = way[c] * abs(turned) / span
             lasts[made], row[made] = span, i
             made += 1
             now += span
@@ -202,6 +206,7 @@ class Chains:
         whole: where the rows begin that these were cut from, [K].
         columns: of their inputs.
         weight: what the whole rows count, [K]; None: all alike.
+        turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
     """
 
     told: Tensor
@@ -213,6 +218,7 @@ class Chains:
     whole: Tensor
     columns: CommandFeatures
     weight: Tensor | None = None
+    turning: Tensor | None = None
 
     #: Windows begin anywhere in a command, also while its delay lasts.
     belief: ClassVar[float] = 1.0
@@ -254,12 +260,12 @@ class Chains:
         """Return the first rows, more than asked for as they are short, with their windows."""
         rows *= _SHORTER
         some = self.windows.end <= rows
-        parts = (self.told, self.before, self.time, self.joined, self.y)
+        names = ("told", "before", "time", "joined", "y")
+        parts = {name: getattr(self, name)[:rows] for name in names}
         windows = Windows(*(part[some] for part in self.windows))
         whole = self.whole[self.whole < rows]
         weight = None if self.weight is None else self.weight[: len(whole)]
-        rest = windows, whole, self.columns, weight
-        return Chains(*(part[:rows] for part in parts), *rest)
+        return replace(self, **parts, windows=windows, whole=whole, weight=weight)
 
     def weighted(self, weight: Tensor) -> Chains:
         """Return the rows with other weights of the whole rows, [K]."""
@@ -290,14 +296,16 @@ class Chains:
         time, count = self.time.numpy(), self.told.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
         most = int((time / PIECE).sum()) + 3 * len(time) + 8
-        features = np.zeros((most, features_of(count)))
+        features = np.zeros((most, terms_of(count)))
         lasts, row, states = (
             np.zeros(most),
             np.zeros(most, np.int64),
             np.zeros((len(time), 2 * count)),
         )
         given = (self.told.numpy(), self.before.numpy(), time, self.joined.numpy())
-        made = _driven(actuators, *given, features, lasts, row, states)
+        made = _driven(
+            actuators, actuators.turning(self.turning), *given, features, lasts, row, states
+        )
         parts = (features[:made], lasts[:made], row[:made], states)
         return tuple(map(torch.from_numpy, parts))  # type: ignore[return-value]
 
@@ -396,9 +404,8 @@ def _regression(
         windows: their kinds and weights.
         linear: how many of F are linear.
     """
-    width = linear + linear * (linear + 1) // 2
     features = features.T.contiguous()  # what stands beside each other is summed fastest
-    product = (torch.arange(len(features)) % width >= linear).to(target)
+    product = (torch.arange(len(features)) % terms_of(linear) >= linear).to(target)
     kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
     size = torch.ones_like(target)
     for kind in kinds:
