@@ -47,6 +47,7 @@ from zoo_robots import ZOO
 
 from neurosim.base import files, se2
 from neurosim.simulators import MotionNetwork
+from neurosim.training.base import TrainingData
 from neurosim.training.coverage import LEVELS, central
 from neurosim.training.train import learn, training_data
 from tracking.datasets.csv_files import import_csv
@@ -223,8 +224,8 @@ def lengths_of(robot: Robot) -> tuple[float, ...]:
     return tuple(dict.fromkeys(min(length, longest) for length in (*LENGTHS, FREE)))
 
 
-def learned(robot: Robot, seed: int, **settings) -> tuple[MotionNetwork, int]:
-    """Return a simulator of a robot, and how many rows it was learned from."""
+def data_of(robot: Robot) -> TrainingData:
+    """Return the rows to learn a robot from, through the import of CSV files."""
     tables = [
         pd.DataFrame(
             {
@@ -241,7 +242,7 @@ def learned(robot: Robot, seed: int, **settings) -> tuple[MotionNetwork, int]:
         path = Path(folder) / "log.csv"
         pd.concat(tables).to_csv(path, index=False)
         rows = import_csv(path, Path(folder) / "dataset", columns=columns, session="drive")
-    return learn(training_data(rows), seed, **settings), len(rows)
+    return training_data(rows)
 
 
 def samples(simulator: MotionNetwork, windows: Cut, draws: int, seed: int) -> tuple[Array, Array]:
@@ -385,8 +386,8 @@ def main() -> None:
             kept[key] = measured(robot, options.seed, options.quick)
             if options.peers:
                 files.write_text(options.peers, json.dumps(kept))
-        began = time.monotonic()
-        simulator, count = learned(robot, options.seed)
+        data, began = data_of(robot), time.monotonic()
+        simulator = learn(data, options.seed)
         seconds = time.monotonic() - began
         ours: dict[str, dict] = {}
         for length in lengths_of(robot):
@@ -400,7 +401,7 @@ def main() -> None:
             }
         errors = {length: own["error"] for length, own in ours.items()}
         found[name] = {
-            "rows": count,
+            "rows": len(data.x),
             "seconds": round(seconds, 1),
             "ours": ours,
             "peers": kept[key],

@@ -1,13 +1,26 @@
 """Whether intervals hold what they say they hold, on robots of different make.
 
     python benchmarks/zoo_intervals.py [--robots "lab 101,car"] [--rows 1000] [--seeds 1] [--json]
+    python benchmarks/zoo_intervals.py --robots fresh --logs gravel,sand --rows 20,50,200 --seeds 6
+    python benchmarks/zoo_intervals.py --kept FILE ...     in parts, or on where it was stopped
 
 A simulator with members and noise model is learned of each robot of the zoo. Then the robot is
 driven by fresh commands, with noise: random ones, as it was for learning, and ones that plans are
 made of (forward, fast, long). Shares of what happened that lay within the central intervals of
 50, 80 and 95 %: of dx, dy and dtheta of single commands; of parts of commands, until an instant
 within each; and, after ten commands in a row, of the position (regions of that probability) and
-the heading. On one idle core about a minute for a robot and 1,000 rows.
+the heading.
+
+``--logs``: robots of :mod:`real_robots`, each learned from so many rows in a row, anywhere in its
+log. Shares are those of dx, dy and dtheta of held-out windows, their means over lengths.
+
+The last table has the means over robots and seeds: with few rows one recording's intervals may be
+too narrow and another's too wide. How noise is learned from few rows was chosen on ``classroom``,
+``large``, ``tracked``, ``car``, ``omni``, ``lab 101`` and the log of ``asphalt``; the others are
+only reported.
+
+On one idle core about a minute for a robot and 1,000 rows. ``--kept FILE`` keeps results; it knows
+nothing of changes to robots or trainer: delete it then.
 """
 
 from __future__ import annotations
@@ -15,13 +28,16 @@ from __future__ import annotations
 import argparse
 import json
 from collections.abc import Callable
+from functools import cache
+from pathlib import Path
 
 import numpy as np
+import real_robots as logs
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
-from zoo import poses_within
-from zoo_robots import FRESH, ZOO, Drives, Robot, plan_commands, random_commands, rows
+from zoo import Known, poses_within
+from zoo_robots import FRESH, ZOO, Drives, plan_commands, random_commands, rows
 
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators import MotionNetwork
@@ -38,33 +54,98 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("--robots", default=",".join(ZOO), help="a,b,...; or fresh")
-    parser.add_argument("--rows", type=int, default=1000, help="to learn from")
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--robots", help="a,b,... of the zoo; or fresh; all if no logs are named")
+    parser.add_argument("--logs", default="", help="a,b,... of real_robots.py; or all")
+    parser.add_argument("--rows", default="1000", help="to learn from, a,b,...")
+    parser.add_argument("--seeds", type=int, default=1, help="recordings of each robot")
+    parser.add_argument("--kept", type=Path, metavar="FILE", help="keeps results")
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    names = FRESH if options.robots == "fresh" else options.robots.split(",")
-    unknown = set(names) - set(ZOO)
-    if unknown:
-        parser.error(f"no robots {', '.join(unknown)}; there are {', '.join(ZOO)}")
+    if options.robots is None:
+        options.robots = "" if options.logs else ",".join(ZOO)
+    zoo = FRESH if options.robots == "fresh" else listed(options.robots)
+    real = tuple(logs.ROBOTS) if options.logs == "all" else listed(options.logs)
+    for names, there_are in ((zoo, ZOO), (real, logs.ROBOTS)):
+        if unknown := set(names) - set(there_are):
+            parser.error(f"no robots {', '.join(unknown)}; there are {', '.join(there_are)}")
     torch.set_num_threads(1)
     if not options.json:
         print("percent within the intervals of 50/80/95 percent")
         heads = ("dx", "dy", "dtheta", "x, y after ten", "heading")
-        print(f"{'':22s}" + "".join(f"{head:>16s}" for head in heads))
-    found = {}
-    for name in names:
-        runs = [measured(ZOO[name], options.rows, seed) for seed in range(options.seeds)]
-        found[name] = {kind: np.mean([run[kind] for run in runs], axis=0) for kind in runs[0]}
-        for kind, shares in [] if options.json else found[name].items():
-            cells = ("/".join(f"{100 * share:.0f}" for share in row) for row in shares)
-            print(f"{name + ', ' + kind:22s}" + "".join(f"{c:>16s}" for c in cells), flush=True)
+        print(f"{'':32s}" + "".join(f"{head:>16s}" for head in heads))
+    known, found = Known(options.kept), {}
+    cases = [(name, name, of_zoo) for name in zoo]
+    cases += [(f"log of {name}", name, of_log) for name in real]
+    for count in map(int, listed(options.rows)):
+        found[count] = {}
+        for label, name, measured in cases:
+            runs = []
+            for seed in range(options.seeds):
+                key = f"{label}|{count}|{seed}"
+                run = known.get(key)
+                if run is None:
+                    known.put(key, run := measured(name, count, seed))
+                runs.append(run)
+            found[count][label] = means(runs)
+            if not options.json:
+                show(f"{label}, {count}", found[count][label])
+        found[count]["mean"] = means(list(found[count].values()))
     if options.json:
-        print(json.dumps(found, default=np.ndarray.tolist))
+        print(json.dumps(found))
+        return
+    print("means over robots and seeds")
+    for count, table in found.items():
+        show(f"{count} rows", table["mean"])
 
 
-def measured(robot: Robot, count: int, seed: int) -> dict[str, NDArray[np.float64]]:
+def listed(names: str) -> tuple[str, ...]:
+    """Return the names between commas."""
+    return tuple(name.strip() for name in names.split(",") if name.strip())
+
+
+def means(runs: list[dict[str, list]]) -> dict[str, list]:
+    """Return of each kind of commands the mean shares of the runs that have it."""
+    kinds = dict.fromkeys(kind for run in runs for kind in run)
+    return {
+        kind: np.mean([run[kind] for run in runs if kind in run], axis=0).tolist() for kind in kinds
+    }
+
+
+def show(label: str, found: dict[str, list]) -> None:
+    """Print the shares of each kind of commands."""
+    for kind, shares in found.items():
+        cells = ("/".join(f"{100 * share:.0f}" for share in row) for row in shares)
+        print(f"{label + ', ' + kind:32s}" + "".join(f"{c:>16s}" for c in cells), flush=True)
+
+
+@cache
+def _log(name: str) -> tuple[logs.Robot, TrainingData]:
+    """Return a robot of the logs, and its rows."""
+    robot = logs.ROBOTS[name]()
+    return robot, logs.data_of(robot)
+
+
+def of_log(name: str, count: int, seed: int) -> dict[str, list]:
+    """Return the shares [3, L] of held-out windows that lie within the intervals of LEVELS.
+
+    There are none if the log has fewer rows.
+    """
+    robot, data = _log(name)
+    if len(data.x) < count:
+        return {}
+    start = int(np.random.default_rng([seed, 3]).integers(len(data.x) - count + 1))
+    simulator = learn(data.part(slice(start, start + count)), seed)
+    shares = []
+    for length in logs.lengths_of(robot):
+        windows = logs.cut(robot.held_out, length, logs.APART, logs.JUDGED)
+        drawn = logs.samples(simulator, windows, DRAWS, seed)[1]
+        shares.append(_shares(central(drawn, windows.moved).T))
+    return {"windows": np.mean(shares, axis=0).tolist()}
+
+
+def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
     """Return of each kind of commands the shares [3 or 5, L] within the intervals of LEVELS."""
+    robot = ZOO[name]
     drives = rows(robot, count, seed)
     x, y = torch.tensor(drives.x), torch.tensor(drives.y)
     simulator = learn(TrainingData(robot.inputs, x, y, poses_within(drives)), seed)
@@ -78,7 +159,7 @@ def measured(robot: Robot, count: int, seed: int) -> dict[str, NDArray[np.float6
         single = _shares(central(drawn, fresh.y).T)
         found[kind] = np.concatenate([single, _after_ten(simulator, given, fresh, generator)])
         found[f"{kind}, parts"] = _of_parts(simulator, given, fresh, rng, generator)
-    return found
+    return {kind: shares.tolist() for kind, shares in found.items()}
 
 
 def _shares(ranks: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 from driven_robot import drive_data
@@ -7,6 +8,7 @@ from neurosim.simulators.motion.derived import Derived
 from neurosim.simulators.motion.kernel_units import covariance
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import TrainingData
+from neurosim.training.coverage import central_ranks
 from neurosim.training.error_size import row_weights
 from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
 from neurosim.training.trainers.drive_fit import Motion, fit_drive, fit_drives
@@ -245,6 +247,19 @@ def test_members_span_what_another_recording_of_the_same_robot_would_say():
     )
     ratio = (of_members.mean((0, 1)) / means.var(0).mean(0)).sqrt()
     assert ((ratio > 0.6) & (ratio < 2.0))[[0, 2]].all()
+
+
+@pytest.mark.slow
+def test_intervals_hold_when_rows_are_few():
+    """A drive model leaves much less of 24 rows that it was fitted to than of others."""
+    fresh = drive_data(300, seed=99, noise=0.01)
+    ranks = []
+    for seed in range(4):
+        data = drive_data(24, seed=seed, noise=0.01)
+        simulator = trained(data, members=8, noise=True, whole_commands=True)
+        ranks.append(central_ranks(simulator, fresh.x.numpy(), fresh.y.numpy(), draws=100))
+    held = (np.stack(ranks) <= 0.8).mean((0, 1))
+    assert held == pytest.approx(0.8, abs=0.12)
 
 
 @pytest.mark.slow

@@ -32,11 +32,11 @@ from neurosim.simulators.motion.derived import Derived, can_swing
 from neurosim.simulators.motion.drive import DriveModel, Underway
 from neurosim.simulators.motion.kernel_units import KernelUnits
 from neurosim.simulators.motion.network import can_drive, rows_underway
-from neurosim.simulators.motion.noise import CommandFeatures
+from neurosim.simulators.motion.noise import CommandFeatures, NoiseModel
 from neurosim.training.base import TrainingData, Within
 from neurosim.training.error_size import row_weights
 from neurosim.training.noise import fit_noise
-from neurosim.training.trainers.drive_fit import Motion, fit_drive, fit_drives
+from neurosim.training.trainers.drive_fit import Fit, Motion, fit_drive, fit_drives
 from neurosim.training.trainers.gaussian_process import Process, choose_centres, learn_process
 from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows_of
 
@@ -51,6 +51,9 @@ UNPROVEN = 0.5
 ROWS_PER_CENTRE = 3
 #: How much a part of a command counts for the noise.
 NOISE_PART = 0.03
+#: With no more rows than this, what a drive model leaves of its own rows is much less than what it
+#: will leave of others.
+FEW = 250
 #: Steps of the fractions that the Gaussian process is tried with.
 _FRACTIONS = 10
 #: Where a chord is shorter than this share of its arc, where the arc led says nothing of its speed.
@@ -185,19 +188,19 @@ class CombinedTrainer:
         elif "dead_zone" in settings.without:
             band = torch.zeros(len(driven), dtype=x.dtype, device=device)
         within = None if settings.whole_commands else data.within
-        under = None
         self._windows: Windows | None = None
+        self._motion: Motion | Chains
         laws = "laws" not in settings.without
         if data.joined is None:
-            motion = Motion(x, y, data.follows.to(device), self._columns, self._longest, within)
-            self._fit = fit_drive(motion, laws, band)
-            inputs = motion.inputs(self._fit)
+            follows = data.follows.to(device)
+            self._motion = Motion(x, y, follows, self._columns, self._longest, within)
         else:
             self._windows = windows_of(data.x[:, self._columns.duration], data.joined)
-            chains = Chains.of(x, y, data.joined.to(device), self._columns, self._longest, within)
-            self._fit = fit_drive(chains, laws, band)
-            inputs, under = chains.inputs(self._fit, x)
-        self._drive = self._fit.drive
+            joined = data.joined.to(device)
+            self._motion = Chains.of(x, y, joined, self._columns, self._longest, within)
+        self._fit = fit_drive(self._motion, laws, band)
+        self._drive, self._band = self._fit.drive, band
+        inputs, under = self._inputs(self._fit)
         self._dead_zone = torch.zeros_like(x[0])
         self._dead_zone[driven] = self._dead_zone[before] = self._fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
@@ -210,16 +213,29 @@ class CombinedTrainer:
         self._rows = rows
         return rows.left[: len(x)].square().mean(0)
 
+    def _inputs(self, fit: Fit) -> tuple[Tensor, Underway | None]:
+        """Return the inputs that a drive model makes of the whole rows.
+
+        And where windows are learned from what is under way there, which inputs say only in part.
+        """
+        if isinstance(self._motion, Chains):
+            return self._motion.inputs(fit, self._data.scaled_inputs.to(self._device))
+        return self._motion.inputs(fit), None
+
+    def _phases(
+        self, drive: DriveModel, x: Tensor, under: Underway | None = None
+    ) -> tuple[Tensor, Tensor]:
+        """Return :meth:`DriveModel.phases` of inputs [N, I]."""
+        columns = self._columns
+        under = rows_underway(drive, columns, x) if under is None else under
+        time = x[:, columns.duration] * self._longest
+        return drive.phases(under, x[:, list(columns.driven)], time)
+
     def _residuals(
         self, x: Tensor, y: Tensor, weight: Tensor, under: Underway | None = None
     ) -> Residuals:
-        columns = self._columns
-        share = x[:, columns.duration]
-        under = rows_underway(self._drive, columns, x) if under is None else under
-        changing, twist = self._drive.phases(
-            under, x[:, list(columns.driven)], share * self._longest
-        )
-        left, factor = _left(changing, twist, share, y)
+        phases = self._phases(self._drive, x, under)
+        left, factor = _left(*phases, x[:, self._columns.duration], y)
         return Residuals(x, y, x[:, : len(self._data.inputs)], left, factor, weight)
 
     def _parts(self, x: Tensor) -> tuple[Residuals, Tensor]:
@@ -342,9 +358,25 @@ class CombinedTrainer:
     @property
     def _half(self) -> Tensor:
         """Which rows the first half is, [N]: stretches of time, parts with their commands."""
-        whole = int(self._command.amax()) + 1
+        whole = len(self._data.x)
         stretches = STRETCHES if self._windows is None else 2
         return (torch.arange(whole) * stretches // whole % 2 == 0)[self._command]
+
+    def _of_other_half(self, said: Tensor) -> Tensor:
+        """Return displacements [N, 3] of whole rows by drive models of the half they are not in.
+
+        Args:
+            said: outputs of the process [N, 3] that has not seen the rows either.
+        """
+        half, means = self._half[: len(said)], []
+        for seen in (~half, half):
+            rows = self._motion.weighted(seen.to(said))
+            fit = fit_drive(rows, self._fit.searched, self._band)
+            x, under = self._inputs(fit)
+            changing, twist = self._phases(fit.drive, x, under)
+            twist = twist + x[:, self._columns.duration, None] * said
+            means.append(se2.compose(changing, se2.exp(twist)))
+        return torch.where(half[:, None], *means)
 
     def _stacked(self, unseen: Tensor) -> tuple[Tensor, float]:
         """Return how much the process counts for each output, [3].
@@ -435,15 +467,29 @@ class CombinedTrainer:
         simulator.meta = {"composition": self._composition()}
         unseen = (best.unseen * fractions).T
         if settings.noise:
-            # Noise of the parts of a command is the same noise again.
-            weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)
-            # What halves of the rows leave open stays in it: members are alike in their mistakes.
-            some = slice(None, None, -(-len(weight) // settings.noise_rows))
-            mean = simulator.from_outputs(unseen[some], rows.x[some])
-            parts = rows.x[some], mean, rows.y[some], weight[some]
-            simulator.noise = fit_noise(simulator.columns, *parts)
+            simulator.noise = self._noise(simulator, unseen)
         self._simulator = simulator
         return (rows.left - rows.factor * unseen)[: len(self._data.x)].square().mean(0)
+
+    def _noise(self, simulator: MotionNetwork, unseen: Tensor) -> NoiseModel:
+        """Learn the noise, which holds what halves of the rows leave open too.
+
+        Members do not show that: they are alike in their mistakes.
+
+        Args:
+            simulator: without noise.
+            unseen: outputs of the process [N, 3] that has not seen a row.
+        """
+        rows, whole = self._rows, len(self._data.x)
+        if whole <= FEW:
+            some = slice(whole)
+            mean = self._of_other_half(unseen[some])
+        else:
+            some = slice(None, None, -(-len(unseen) // self._settings.noise_rows))
+            mean = simulator.from_outputs(unseen[some], rows.x[some])
+        # Noise of the parts of a command is the same noise again.
+        weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
+        return fit_noise(self._columns, rows.x[some], mean, rows.y[some], weight)
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
