@@ -47,6 +47,8 @@ from neurosim.training.train import learn
 
 #: Fresh commands of each kind, how many are driven in a row, and samples drawn.
 COMMANDS, ROW, DRAWS = 2000, 10, 300
+#: Held-out windows of each length of a log, at most, and samples drawn of each.
+WINDOWS, OF_WINDOWS = 100, 100
 KINDS: dict[str, Callable] = {"random": random_commands, "plan": plan_commands}
 
 
@@ -137,8 +139,8 @@ def of_log(name: str, count: int, seed: int) -> dict[str, list]:
     simulator = learn(data.part(slice(start, start + count)), seed)
     shares = []
     for length in logs.lengths_of(robot):
-        windows = logs.cut(robot.held_out, length, logs.APART, logs.JUDGED)
-        drawn = logs.samples(simulator, windows, DRAWS, seed)[1]
+        windows = logs.cut(robot.held_out, length, logs.APART, WINDOWS)
+        drawn = logs.samples(simulator, windows, OF_WINDOWS, seed)[1]
         shares.append(_shares(central(drawn, windows.moved).T))
     return {"windows": np.mean(shares, axis=0).tolist()}
 
