@@ -20,7 +20,7 @@ from click.testing import CliRunner
 
 import neurosim as ns
 from neurosim.back_to_reality import run
-from neurosim.base import checkpoint, formats
+from neurosim.base import checkpoint, formats, place
 from neurosim.cli import demo, pipeline
 from neurosim.cli._options import SettingsCommand, documented
 from neurosim.cli.main import cli
@@ -28,7 +28,6 @@ from neurosim.controllers import files as controllers
 from neurosim.loop import journal
 from neurosim.sampling import sampler
 from neurosim.simulators import base as simulators
-from neurosim.simulators.tables import arena
 from neurosim.tasks import files as tasks
 from neurosim.trials import trial
 from tracking.camera import camera_model
@@ -155,7 +154,7 @@ FILES: list[tuple[str, tuple[str, int], type[formats.Format]]] = [
     ("simulator.json, tables", _of(simulators), formats.Tables),
     ("simulator.json, legged", _of(simulators), formats.Legged),
     ("sampling.json", _of(sampler), formats.BegunSampling),
-    ("arena", _of(arena), formats.Arena),
+    ("place", _of(place), formats.Place),
     ("task", _of(tasks), formats.Task),
     ("controller.json", _of(controllers), formats.Controller),
     ("trial.json", _of(trial), formats.Trial),
