@@ -70,15 +70,15 @@ def test_distances_are_those_of_the_drive_model(motion):
         assert pytest.approx(until[-1], abs=1e-9) == within[p, -1].T
 
 
-def test_what_a_robot_loses_in_curves_is_found():
-    """One of two wheels that loses a third of its speed ahead, and half of its turn, in a spin."""
+def in_curves(ahead: float, turn: float) -> Motion:
+    """Return rows of a robot with two wheels that loses these fractions of its speeds in a spin."""
     generator = torch.Generator().manual_seed(2)
     rows, double = 200, torch.float64
     x = 2.0 * torch.rand(rows, 5, generator=generator, dtype=double) - 1.0
     x[:, 4] = 0.2 + 0.8 * torch.rand(rows, generator=generator, dtype=double)
     kinematics = torch.zeros(features_of(2), 3, dtype=double)
     kinematics[:2] = torch.tensor([[0.1, 0.0, -1.0], [0.1, 0.0, 1.0]])
-    losses = kinematics[:2] * torch.tensor([-1 / 3, 0.0, -1 / 2], dtype=double)
+    losses = kinematics[:2] * torch.tensor([-ahead, 0.0, -turn], dtype=double)
     laws = [torch.full((2,), value, dtype=double) for value in (0.1, 1.0, 1.0, 20.0, 0.0)]
     curve, delay = torch.zeros(2, 6, dtype=double), torch.zeros(1, dtype=double)
     turning = torch.tensor([-0.5, 0.5], dtype=double)
@@ -87,8 +87,15 @@ def test_what_a_robot_loses_in_curves_is_found():
     changing, twist = true.phases(under, x[:, 2:4], x[:, 4] * 2.0)
     y = se2.compose(changing, se2.exp(twist))
     y = y + 0.001 * torch.randn(rows, 3, generator=generator, dtype=double)
-    follows = torch.zeros(rows, dtype=torch.bool)
-    fit = fit_drive(Motion(x, y, follows, CommandFeatures.of(NAMES), 2.0))
+    return Motion(x, y, torch.zeros(rows, dtype=torch.bool), CommandFeatures.of(NAMES), 2.0)
+
+
+def test_what_a_robot_loses_in_curves_is_found():
+    fit = fit_drive(in_curves(1 / 3, 1 / 2))
     assert fit.drive.turning.tolist() == pytest.approx([-0.5, 0.5], abs=0.02)
     assert fit.drive.losses[:, 0].tolist() == pytest.approx([-1 / 30, -1 / 30], rel=0.15)
     assert fit.drive.losses[:, 2].tolist() == pytest.approx([0.5, -0.5], rel=0.15)
+
+
+def test_a_robot_that_loses_nothing_in_curves_has_no_losses():
+    assert not fit_drive(in_curves(0.0, 0.0)).drive.losses.any()
