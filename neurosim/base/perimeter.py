@@ -137,7 +137,13 @@ class Perimeter(Checked):
         half = board.length / 2, board.width / 2
         if running is None:
             running = np.ones(len(after), np.bool_)
-        _ends(before, poses, seconds, running, half, line, sensors, margin, codes)
+
+        from neurosim.base.threads import WORTH_SHARING, on_cores  # imports torch
+
+        def part(first: int, last: int) -> None:
+            _ends(first, last, before, poses, seconds, running, half, line, sensors, margin, codes)
+
+        on_cores(_ends, part, len(poses), WORTH_SHARING)
         return codes, poses
 
 
@@ -149,6 +155,8 @@ def _inside(x: float, y: float, half: tuple[float, float]) -> float:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _ends(
+    first: int,
+    last: int,
     before: NDArray,
     poses: NDArray,
     seconds: NDArray,
@@ -159,13 +167,16 @@ def _ends(
     margin: float,
     codes: NDArray,
 ) -> None:
-    """Write codes [K], and into ``poses`` [K, 3] where robots were stopped; see Perimeter.ends."""
+    """Write codes [K], and into ``poses`` [K, 3] where robots were stopped; see Perimeter.ends.
+
+    ``first`` and ``last`` limit the robots, from the first to before the last.
+    """
     reach = 0.0
     for i in range(len(sensors)):
         reach = max(reach, math.hypot(sensors[i, 0], sensors[i, 1]))
     inner, outer = line[0] + 0.5 * line[1], line[0] - 0.5 * line[1]
     marked = line[1] > 0.0
-    for k in range(len(poses)):
+    for k in range(first, last):
         if not running[k]:
             continue
         x, y, heading = before[k, 0], before[k, 1], before[k, 2]

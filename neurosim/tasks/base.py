@@ -289,15 +289,13 @@ class Task(Checked):
         assert self.perimeter is not None
         running = ~_over(own, guard)
         code, poses = self.perimeter.ends(guard[:, :3], interval.poses, interval.duration, running)
-        stopped = guard[:, 3] > 0
-        if (hit := code > 0).any():
-            interval = interval._replace(poses=np.where(hit[:, None], poses, interval.poses))
+        stopped = np.flatnonzero(guard[:, 3] > 0)
         kept = own[stopped]
-        self.advance(own, interval)
+        self.advance(own, interval._replace(poses=poses))
         own[stopped] = kept
-        seen = running & np.isfinite(interval.poses).all(axis=1)
-        guard[seen, :3] = interval.poses[seen]
-        guard[hit, 3] = code[hit]
+        seen = running & np.isfinite(poses).all(axis=1)
+        np.copyto(guard[:, :3], poses, where=seen[:, None])
+        np.copyto(guard[:, 3], code, where=code > 0)
 
     def _score_guarded(self, own: NDArray, guard: NDArray | None) -> Judgement:
         judged = replace(self.worth(own), over=_over(own, guard))
