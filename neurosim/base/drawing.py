@@ -106,6 +106,8 @@ def read_drawing(path: str | Path) -> Place:
         raise
     except UserError as error:
         raise FileError(path, str(error)) from None
+    except RecursionError:
+        raise FileError(path, "its groups are nested too deeply; ungroup them") from None
 
 
 def _strokes(element: Any, outer: Transform, part: str, width: float | None) -> Iterator[_Stroke]:
@@ -239,6 +241,8 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
         points = points[np.append(True, apart)]
         if stroke.closed and len(points) > 1 and np.linalg.norm(points[-1] - points[0]) <= NEAR:
             points = points[:-1]
+        if len(points) < 2 and stroke.part != "light":
+            raise UserError(f"{stroke.name} ({stroke.part}) is smaller than {1000 * NEAR:g} mm")
         width = None if stroke.width is None else page * stroke.width
         found.append(replace(stroke, points=points, width=width))
     return found
@@ -246,10 +250,15 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
 
 def _page_scale(root: Any) -> float | None:
     """Return metres per unit of a drawing whose page says how wide it is; None: it does not."""
-    match = re.fullmatch(r"\s*([\d.]+)\s*(mm|cm|in)\s*", root.get("width", ""))
-    box = [float(value) for value in re.findall(r"[-+.\de]+", root.get("viewBox", ""))]
+    match = re.fullmatch(r"\s*(\d+\.?\d*)\s*(mm|cm|in)\s*", root.get("width", ""))
     if match is None:
         return None
+    try:
+        box = [
+            float(value) for value in re.split(r"[\s,]+", root.get("viewBox", "").strip()) if value
+        ]
+    except ValueError:
+        raise UserError(f"viewBox is not four numbers: {root.get('viewBox')!r:.40}") from None
     if len(box) == 4 and box[2] > 0:
         return float(match[1]) * _METRES[match[2]] / box[2]
     return _METRES["in"] / 96

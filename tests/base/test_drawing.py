@@ -155,3 +155,16 @@ def test_files_that_are_no_drawings(text, words, tmp_path):
     path.write_text(text)
     with pytest.raises(FileError, match=re.compile(words)):
         read_drawing(path)
+
+
+@pytest.mark.parametrize(
+    ("box", "inside", "words"),
+    [
+        ("0 0 e 1", '<circle id="obstacle" r="9"/>', "viewBox is not four numbers"),
+        ("0 0 100 100", '<circle id="obstacle" r="0.1"/>', "obstacle .* is smaller than 1 mm"),
+        ("0 0 100 100", "<g>" * 3000 + '<circle id="wall" r="9"/>' + "</g>" * 3000, "too deeply"),
+    ],
+)
+def test_sizes_that_cannot_be_are_refused(box, inside, words, tmp_path):
+    with pytest.raises(FileError, match=words):
+        drawn(tmp_path, inside, f'width="100mm" viewBox="{box}"')
