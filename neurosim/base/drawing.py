@@ -43,6 +43,7 @@ _PART = re.compile(
     r"(outline|board|perimeter|start|wall|obstacle|line|light)s?(?:[-_ .]?\d+)?", re.IGNORECASE
 )
 _SCALE = re.compile(r"scale[-_ ]?(\d+(?:\.\d+)?)[-_ ]?(mm|cm|m)", re.IGNORECASE)
+_PAGE = re.compile(r"\s*(\d+\.?\d*)\s*(mm|cm|in)\s*")
 _METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "in": 0.0254}
 _LENGTH = re.compile(
     r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:e[-+]?\d+)?)\s*(px|mm|cm|in|pt|pc)?\s*$", re.I
@@ -126,6 +127,8 @@ def _strokes(element: Any, outer: Transform, part: str, width: float | None) -> 
     width = width if own is None else _length(own, "stroke-width")
     transform = outer.transform(_transform(element.get("transform", "")))
     name = element.get("id") or label or f"<{tag}>"
+    if part and tag in ("text", "image", "tspan"):
+        raise UserError(f"{name} ({part}) is a <{tag}>: draw a shape, or turn it into a path")
     if part and (data := _path_data(element, tag, name)):
         scale = math.sqrt(abs(transform.xx * transform.yy - transform.xy * transform.yx))
         metres = 0.0
@@ -142,6 +145,8 @@ def _part_of(name: str) -> str | None:
     """Return which part of a place a name is of; of a scale, the name."""
     if _SCALE.fullmatch(name):
         return name
+    if name.lower().startswith("scale-"):
+        raise UserError(f"{name} is not a length such as scale-50cm")
     match = _PART.fullmatch(name)
     return match[1].lower() if match else None
 
@@ -162,6 +167,8 @@ def _path_data(element: Any, tag: str, name: str) -> str:
     if tag in ("circle", "ellipse"):
         x, y = at("cx"), at("cy")
         across, down = (at("r"), at("r")) if tag == "circle" else (at("rx"), at("ry"))
+        if min(across, down) <= 0:
+            raise UserError(f"{name} has a radius that is not above 0")
         half = f"A{across!r},{down!r} 0 0 1"
         return f"M{x - across!r},{y!r} {half} {x + across!r},{y!r} {half} {x - across!r},{y!r}z"
     if tag == "rect":
@@ -236,9 +243,7 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
         )
     found = []
     for stroke in strokes:
-        points = stroke.points * (page, -page)
-        apart = np.linalg.norm(np.diff(points, axis=0), axis=1) > NEAR
-        points = points[np.append(True, apart)]
+        points = _thinned(stroke.points * (page, -page))
         if stroke.closed and len(points) > 1 and np.linalg.norm(points[-1] - points[0]) <= NEAR:
             points = points[:-1]
         if len(points) < 2 and stroke.part != "light":
@@ -248,9 +253,18 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
     return found
 
 
+def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return points [N, 2] without those that are no farther than NEAR from the last one kept."""
+    kept = [points[0]]
+    for point in points[1:]:
+        if np.linalg.norm(point - kept[-1]) > NEAR:
+            kept.append(point)
+    return np.array(kept)
+
+
 def _page_scale(root: Any) -> float | None:
     """Return metres per unit of a drawing whose page says how wide it is; None: it does not."""
-    match = re.fullmatch(r"\s*(\d+\.?\d*)\s*(mm|cm|in)\s*", root.get("width", ""))
+    match = _PAGE.fullmatch(root.get("width", ""))
     if match is None:
         return None
     try:
@@ -259,9 +273,15 @@ def _page_scale(root: Any) -> float | None:
         ]
     except ValueError:
         raise UserError(f"viewBox is not four numbers: {root.get('viewBox')!r:.40}") from None
-    if len(box) == 4 and box[2] > 0:
-        return float(match[1]) * _METRES[match[2]] / box[2]
-    return _METRES["in"] / 96
+    if not box:
+        return _METRES["in"] / 96
+    if len(box) != 4 or min(box[2:]) <= 0:
+        raise UserError(f"viewBox is not four numbers: {root.get('viewBox')!r:.40}")
+    scale = float(match[1]) * _METRES[match[2]] / box[2]
+    # The drawing is shown as large as fits into both.
+    if match := _PAGE.fullmatch(root.get("height", "")):
+        scale = min(scale, float(match[1]) * _METRES[match[2]] / box[3])
+    return scale
 
 
 def _place(strokes: list[_Stroke]) -> Place:

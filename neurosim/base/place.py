@@ -416,8 +416,15 @@ def wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
 
 
 def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a mapping has of the fields of a dataclass."""
+    """Return what a mapping has of the fields of a dataclass.
+
+    Raises:
+        UserError: if it has anything else, such as a name that is misspelt.
+    """
     names = [one.name for one in fields(kind)]
+    for name in content:
+        if name not in (*names, "format", "version"):
+            raise UserError(f"there is no {name!r:.40}; expected {', '.join(names)}")
     return {name: content[name] for name in names if content.get(name) is not None}
 
 

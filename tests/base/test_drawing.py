@@ -162,9 +162,26 @@ def test_files_that_are_no_drawings(text, words, tmp_path):
     [
         ("0 0 e 1", '<circle id="obstacle" r="9"/>', "viewBox is not four numbers"),
         ("0 0 100 100", '<circle id="obstacle" r="0.1"/>', "obstacle .* is smaller than 1 mm"),
+        ("0 0 0 0", '<circle id="obstacle" r="9"/>', "viewBox is not four numbers"),
+        ("0 0 100 100", '<circle id="obstacle" r="-9"/>', "radius that is not above 0"),
+        ("0 0 100 100", '<text id="wall-1">wall</text>', "wall-1 .wall. is a <text>: draw a shape"),
+        ("0 0 100 100", '<path id="scale-abc" d="M0 0h9"/>', "not a length such as scale-50cm"),
         ("0 0 100 100", "<g>" * 3000 + '<circle id="wall" r="9"/>' + "</g>" * 3000, "too deeply"),
     ],
 )
 def test_sizes_that_cannot_be_are_refused(box, inside, words, tmp_path):
     with pytest.raises(FileError, match=words):
         drawn(tmp_path, inside, f'width="100mm" viewBox="{box}"')
+
+
+def test_small_circles_stay_round(tmp_path):
+    """Steps of a curve may be shorter than what counts as one point."""
+    size = 'width="100cm" height="80cm" viewBox="0 0 1000 800"'
+    place = drawn(tmp_path, '<circle id="obstacle" cx="100" cy="100" r="8"/>', size)
+    assert place.obstacles[0][2] == pytest.approx(0.008, abs=2e-4)
+
+
+def test_a_page_is_shown_as_large_as_fits_into_width_and_height(tmp_path):
+    size = 'width="100cm" height="40cm" viewBox="0 0 1000 800"'
+    place = drawn(tmp_path, '<rect id="board" width="800" height="600"/>', size)
+    assert (place.board.length, place.board.width) == (0.4, 0.3)

@@ -68,6 +68,8 @@ def test_a_board_without_a_line_has_none(tmp_path):
         ({"start": [0.31, 0, 0]}, "cannot start at x 31.0 cm.*outside the outline"),
         ({"walls": [[0.1, -0.1, 0.1, 0.1]], "start": [0.103, 0, 0]}, "stand in a wall"),
         ({"version": 7}, "version"),
+        ({"wals": []}, "there is no 'wals'; expected outline, walls, obstacles"),
+        ({"lines": [{"point": []}]}, "missing"),
         ({"format": "neurosim-arena"}, "expected 'neurosim-place', found 'neurosim-arena'"),
     ],
 )
