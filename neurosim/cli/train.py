@@ -113,7 +113,10 @@ def _sensors_in_words(readings: dict[str, Any] | None) -> str:
 @click.option("--all-rows", is_flag=True, help="Also use the rows of the training.")
 @json_option
 def evaluate(simulator: Path, dataset: Path, all_rows: bool, as_json: bool) -> None:
-    """Print Table 2 of Pretorius et al. (2009) for SIMULATOR on DATASET, next to the paper's."""
+    """Print the errors of SIMULATOR on rows of DATASET, next to those of the paper.
+
+    It is Table 2 of Pretorius et al. (2009). The rows are those held out of training.
+    """
     from neurosim.training.evaluate import evaluate as evaluate_
 
     result = evaluate_(simulator, dataset, held_out_only=not all_rows)

@@ -37,7 +37,12 @@ from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
     type=ranged(Annotated[float, Meta(ge=0.1, le=3600)]),
     help="Time that a closed-loop controller drives, s.  [as long as its trial]",
 )
-@click.option("--noise/--no-noise", default=False, show_default=True)
+@click.option(
+    "--noise/--no-noise",
+    default=False,
+    show_default=True,
+    help="Drive with the simulator's noise, one random sample.",
+)
 @click.option("--overwrite", is_flag=True, help="Replace an existing picture or video.")
 @seed_option
 @json_option

@@ -87,9 +87,9 @@ class CombinedSettings(Checked):
         noise: Fit a noise model.
         dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
-        centres: units of the Gaussian process at first. They are doubled for as long as that
-            lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each;
-        most_centres: never beyond this number.
+        centres: Units of the Gaussian process at first. They are doubled for as long as that
+            lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each.
+        most_centres: The largest number of these units.
         part_weight: weight of a part of a command, relative to a whole command.
         most_parts: poses within commands that are learned from.
         noise_rows: rows that the noise is learned from.
