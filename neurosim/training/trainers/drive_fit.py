@@ -25,6 +25,7 @@ from numba import njit
 from numpy.typing import NDArray
 from torch import Tensor
 
+from neurosim.base.kernels import kernel
 from neurosim.base.se2 import tensors as se2
 from neurosim.simulators.motion.drive import (
     CURVES,
@@ -84,6 +85,7 @@ _HIGHEST = (math.log(2.0), math.log(5.0), math.log(5.0), math.log(50.0), 0.2, *[
 _PRODUCTS = 0.05
 #: Degrees of freedom of errors, and where Huber's loss begins to be linear.
 FREEDOM, _HUBER = 2.0, 1.345
+#: Steps of iteratively reweighted least squares.
 REGRESSIONS = 8
 #: Laws of actuators that reach their speeds at once.
 _AT_ONCE = torch.tensor(_USUAL, dtype=torch.float64).unsqueeze(1)
@@ -129,11 +131,11 @@ class Actuators(NamedTuple):
 
 
 @njit(error_model="numpy", cache=True)
-def _distances(several, turning, before, told, time, follows, row, until, found, within):
+def _distances(a, turning, before, told, time, follows, row, until, found, within):
     """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
 
     Args:
-        several: :class:`Actuators` of P models.
+        a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         before: the command before each, [N, C].
         told: the commands, [N, C].
@@ -141,34 +143,21 @@ def _distances(several, turning, before, told, time, follows, row, until, found,
         follows: whether a row's command followed that of the row before it, [N].
         row: of each instant within a command the row, [L], ascending.
         until: and the time since it began, [L] s.
-        found: [P, _PIECES, K, N], zeros, written.
-        within: [P, _PIECES, K, L], zeros, written: of the commands until these instants.
+        found: [_PIECES, K, N], zeros, written.
+        within: [_PIECES, K, L], zeros, written: of the commands until these instants.
     """
     count = told.shape[1]
     law, way = np.empty((count, _LAW)), np.empty(count)
     begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
-    for p in range(len(several.lag)):
-        a = Actuators(
-            several.driven,
-            several.input_scale,
-            several.dead_zone[p],
-            several.lag[p],
-            several.slowing[p],
-            several.braking[p],
-            several.rate[p],
-            several.stick[p],
-            several.curve[p],
-            several.delay[p],
-        )
-        k = 0
-        for i in range(len(told)):
-            for c in range(count):
-                goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, told[i, c], c)
-                begins[c] = reached[c] if follows[i] else goals[0, c]
-            while k < len(row) and row[k] == i:
-                _cut(a, turning, begins, goals, until[k], law, way, reached, within[p, :, :, k])
-                k += 1
-            _cut(a, turning, begins, goals, time[i], law, way, reached, found[p, :, :, i])
+    k = 0
+    for i in range(len(told)):
+        for c in range(count):
+            goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, told[i, c], c)
+            begins[c] = reached[c] if follows[i] else goals[0, c]
+        while k < len(row) and row[k] == i:
+            _cut(a, turning, begins, goals, until[k], law, way, reached, within[:, :, k])
+            k += 1
+        _cut(a, turning, begins, goals, time[i], law, way, reached, found[:, :, i])
 
 
 @njit(error_model="numpy", cache=True)
@@ -204,25 +193,35 @@ def _cut(a, turning, begins, goals, time, law, way, reached, found):
         first = PHASES if own else PHASES - pieces
         last = 0.0
         for k in range(pieces + own):
-            turned = 0.0
             end = changing * (k + 1) / pieces if k < pieces else span
-            inverse = 1.0 / max(end - last, 1e-9)
             for c in range(count):
                 left, missed = _follow(law[c], end)
                 gone = goals[own, c] * end - missed
                 found[first + k, c], way[c] = gone - way[c], gone
-                turned += found[first + k, c] * turning[c]
                 if end == span:
                     reached[c], reached[count + c] = _come(law[c], span, left)
-            place = count
-            for c in range(count):
-                for d in range(c, count):
-                    product = found[first + k, c] * found[first + k, d]
-                    found[first + k, place] = product * inverse
-                    place += 1
-            for c in range(count):
-                found[first + k, place + c] = found[first + k, c] * abs(turned) * inverse
+            products_and_losses(turning, end - last, count, found[first + k])
             last = end
+
+
+@kernel(forceinline=True)
+def products_and_losses(turning, time, count, terms):
+    """Write what a twist is linear in behind the distances, see :func:`motion_features`.
+
+    Args:
+        turning: as in DriveModel, [C].
+        time: that the distances took, s.
+        count: C.
+        terms: [K], distances of actuators first; written from there on.
+    """
+    place, turned, inverse = count, 0.0, 1.0 / max(time, 1e-9)
+    for c in range(count):
+        turned += terms[c] * turning[c]
+        for d in range(c, count):
+            terms[place] = terms[c] * terms[d] * inverse
+            place += 1
+    for c in range(count):
+        terms[place + c] = terms[c] * abs(turned) * inverse
 
 
 @dataclass(frozen=True)
@@ -295,9 +294,10 @@ class Motion:
         ]
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
         times = x[:, columns.duration] * self.longest, self.follows
-        parts = (*given, *times, within.row, within.time.to(x), *found)
+        parts = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
         turning = actuators.turning(self.turning)
-        _distances(actuators, turning, *(part.numpy() for part in parts))
+        for p, own in enumerate(zip(*(part.numpy() for part in found), strict=True)):
+            _distances(actuators.one(p), turning, *parts, *own)
         return found[0], found[1]
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
@@ -661,7 +661,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
         # They are from the same commands as the rows, which they are not to outweigh: they count
         # as many as there are rows, at most.
         counts = weight[within.row] * min(len(x) / len(within.row), 1.0)
-        twists = (kinematics.mT[:, None] @ parts).transpose(2, 3)  # [P, pieces, K, 3]
+        twists = (kinematics.mT[:, None] @ parts).transpose(2, 3)  # [P, pieces, L, 3]
         steps = se2.exp(twists).unbind(1)
         pose = steps[0]
         for step in steps[1:]:

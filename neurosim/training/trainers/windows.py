@@ -28,6 +28,7 @@ from neurosim.training.trainers.drive_fit import (
     Errors,
     Fit,
     outside,
+    products_and_losses,
 )
 
 #: How long windows last, s, and how many begin within the length of one.
@@ -176,15 +177,8 @@ def _driven(a, turning, told, before, time, joined, features, lasts, row, states
                 left, missed = _follow(law, span)
                 way[c] = goal * span - missed
                 speed[c], push[c] = _come(law, span, left)
-            place, turned = count, 0.0
-            for c in range(count):
                 features[made, c] = way[c]
-                turned += way[c] * turning[c]
-                for d in range(c, count):
-                    features[made, place] = way[c] * way[d] / span
-                    place += 1
-            for c in range(count):
-                features[made, place + c] = way[c] * abs(turned) / span
+            products_and_losses(turning, span, count, features[made])
             lasts[made], row[made] = span, i
             made += 1
             now += span
