@@ -10,7 +10,7 @@ network = ns.make_controller("network", simulator, task)
 fitness = ns.evaluate(simulator, task, network, samples=12)
 
 options = {"seed": 1, "popsize": 40, "maxiter": 60}
-search = cma.CMAEvolutionStrategy(network.genes * [0.0], 1.0, options)
+search = cma.CMAEvolutionStrategy(network.genes * [0.0], 0.5, options)
 while not search.stop():
     genes = search.ask()
     search.tell(genes, -fitness(genes))
