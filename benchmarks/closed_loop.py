@@ -115,7 +115,7 @@ def motion_network() -> MotionNetwork:
         torch.full((3,), 0.05),
         "residual-twist",
         noise=NoiseModel(**noise),
-        dead_zone=torch.tensor([0.07, 0.07, 0.07, 0.07, 0.0]),
+        dead_band=torch.tensor([0.07, 0.07, 0.07, 0.07, 0.0]),
         central=True,
         derived=derived,
         drive=drive,

@@ -29,7 +29,7 @@ that to the best peer at the output; over outputs and robots, geometric means. L
 ``+u``: on what the fitted unicycle leaves; ``+l``: on what the lagged one leaves. Peers get the
 inputs that ours gets and whole commands.
 
-``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_zone``, ``swing``,
+``--without PART,...``: ours without its drive model's laws (``laws``), ``dead_band``, ``swing``,
 ``process`` (the Gaussian process) or ``row_weights``, each in turn; columns ``-PART``.
 
 ``--outliers``: one row in a hundred, but at least one, ends 30 cm off in a random direction.

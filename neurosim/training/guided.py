@@ -168,12 +168,12 @@ def choose(
         if before is None:  # the robot stands
             before = (0.0,) * len(drawn[0].numbers)
         x = torch.tensor([[*before, *c.row] for c in drawn], dtype=torch.float64)
-        told = committee.displacements(x)
-        worth = committee.worth(x, told).numpy()
+        predicted = committee.displacements(x)
+        worth = committee.worth(x, predicted).numpy()
         if place is None or pose is None:
             best = int(worth.argmax())
         else:
-            moved = told.mean(0)
+            moved = predicted.mean(0)
             path = se2.compose(pose, [se2.arc(moved.numpy(), part) for part in _PARTS])
             inside = _inside(path, place)
             if inside.any():

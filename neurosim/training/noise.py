@@ -29,7 +29,7 @@ from neurosim.training.base import root_mean_square
 #: Strength of the pull to zero, in rows: a coefficient of 1 costs as much likelihood as half a row.
 PULL = 1.0
 
-#: Residuals are not told apart below this, m and rad.
+#: Residuals are not distinguished below this, m and rad.
 FINEST = 1e-6
 
 #: Sources where the search begins, as shares of the residuals' root mean squares: one of turn and
@@ -87,8 +87,10 @@ def fit_noise(
         z: list[Tensor] = []
         power, log_size = torch.zeros(()), torch.zeros(())
         for k, row in enumerate(lower):
-            told = sum((part * one for part, one in zip(row[:-1], z, strict=True)), torch.zeros(()))
-            z.append((error[:, k : k + 1] - told) / row[-1])
+            explained = sum(
+                (part * one for part, one in zip(row[:-1], z, strict=True)), torch.zeros(())
+            )
+            z.append((error[:, k : k + 1] - explained) / row[-1])
             # As if each had been read to the finest step only: no residual is likelier than that.
             power = power + z[-1].square() + (FINEST / size[k] / row[-1]).square()
             log_size = log_size + row[-1].log()

@@ -22,7 +22,7 @@ DRIVEN = {"size": 0.2}
 def plans(batch, count):
     rng = np.random.default_rng(0)
     commands = rng.uniform((-50, -50, 0.5), (50, 50, 3), (batch, count, 3))
-    # Zeros, speeds within the dead zone, equal speeds, and the same speeds backwards.
+    # Zeros, speeds within the dead band, equal speeds, and the same speeds backwards.
     commands[0, 0, :2] = 0.0
     commands[1, :, 0] = 2.0
     commands[2, :, 1] = commands[2, :, 0]

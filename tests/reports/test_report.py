@@ -102,7 +102,7 @@ def test_commands_and_poses_are_the_trials(whole):
 def test_what_a_simulator_is_made_of_is_shown(whole):
     page = whole[3]
     assert page.table(["actuator", "lag"]) == [
-        ["actuator", "lag", "dead zone"],
+        ["actuator", "lag", "dead band"],
         ["left", "0.0824", "0.07"],
         ["right", "0.1", "0"],
     ]

@@ -141,15 +141,15 @@ def test_it_does_not_matter_into_what_a_command_is_cut(values, cuts):
     sim, ends = SIMULATOR.adjusted(values), []
     times = 2.5 * np.array(cuts) / sum(cuts)
     for parts in ([2.5], times):
-        told = np.array([[20.0, -30.0, 0.7], *([35.0, 45.0, t] for t in parts)])[None]
-        plans = GivenPlans(told, np.ones(told.shape[:2], bool))
+        commanded = np.array([[20.0, -30.0, 0.7], *([35.0, 45.0, t] for t in parts)])[None]
+        plans = GivenPlans(commanded, np.ones(commanded.shape[:2], bool))
         rollouts = sim.rollouts(plans, Episode(rest=0.5))
         noise = np.random.default_rng(4).standard_normal((1, 2, 4))
-        noise = np.concatenate([noise, np.full((1, told.shape[1] - 1, 4), 99.0)], axis=1)
+        noise = np.concatenate([noise, np.full((1, commanded.shape[1] - 1, 4), 99.0)], axis=1)
         noise[:, -1] = 0.1
         draws = Draws(np.zeros((1, 3)), np.array([1]), noise)
         paths = drawn(rollouts, plans, draws)[0, 0], by_protocol(sim, np.zeros((1, 3)), plans)[0]
-        ends.append([path[[told.shape[1], -1]] for path in paths])
+        ends.append([path[[commanded.shape[1], -1]] for path in paths])
     np.testing.assert_allclose(ends[1], ends[0], rtol=0, atol=1e-10)
 
 

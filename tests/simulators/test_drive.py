@@ -1,4 +1,4 @@
-"""The drive model: how speeds come to what they are told, and what a command may be cut into."""
+"""The drive model: how speeds approach their targets, and how a command may be cut."""
 
 import json
 import math
@@ -141,15 +141,15 @@ def integrated_pose(drive, speeds, dt=5e-4):
     return np.array([(cos * vx - sin * vy).sum(), (sin * vx + cos * vy).sum(), turn.sum()])
 
 
-def reached(drive, before, told, time):
+def reached(drive, before, target, time):
     """Return the speeds [B, C] after a command that acts at once."""
-    return replace(drive, delay=double([0.0])).reached(drive.begun(before), told, time)[0]
+    return replace(drive, delay=double([0.0])).reached(drive.begun(before), target, time)[0]
 
 
 def test_an_exponential_worked_by_hand():
-    before, told = double([[0.0, 0.8]]), double([[0.5, 0.2]])
+    before, target = double([[0.0, 0.8]]), double([[0.5, 0.2]])
     drive = alike(lag=0.2, slowing=0.5, delay=0.1)
-    left, missed, settling, _ = drive.approach(before, told, double([0.4]))
+    left, missed, settling, _ = drive.approach(before, target, double([0.4]))
     # Two time constants; four where it slows down.
     up, down = math.exp(-2.0), math.exp(-4.0)
     assert left[0].tolist() == pytest.approx([0.5 * up, -0.6 * down])
@@ -157,22 +157,22 @@ def test_an_exponential_worked_by_hand():
     assert missed[0].tolist() == pytest.approx(way)
     assert settling[0].tolist() == pytest.approx([0.5, 0.25])
     # 0.4 s after a delay of 0.1 s, within which nothing happens.
-    speed, _ = drive.reached(drive.begun(before), told, double([0.5]))
+    speed, _ = drive.reached(drive.begun(before), target, double([0.5]))
     assert speed[0, 0] == pytest.approx(0.5 - 0.5 * up)
-    speed, _ = drive.reached(drive.begun(before), told, double([0.07]))
+    speed, _ = drive.reached(drive.begun(before), target, double([0.07]))
     assert torch.equal(speed, before)
     # But the command before goes on to act.
     under = drive.begun(before, double([[1.0, 0.0]]))
-    speed, _ = drive.reached(under, told, double([0.07]))
+    speed, _ = drive.reached(under, target, double([0.07]))
     assert speed[0].tolist() == pytest.approx([1 - math.exp(-0.35), 0.8 * math.exp(-0.35)])
 
 
 def test_a_reversal_to_a_lower_speed_worked_by_hand():
     # From -0.8 to 0.4 the lag is 0.1 s until -0.4, where two thirds of the difference are left,
     # and 0.2 s from then on.
-    drive, before, told = alike(lag=0.2, slowing=0.5), double([[-0.8, 0.0]]), double([[0.4, 0.0]])
+    drive, before, target = alike(lag=0.2, slowing=0.5), double([[-0.8, 0.0]]), double([[0.4, 0.0]])
     until = 0.1 * math.log(1.5)
-    left, missed, settling, _ = drive.approach(before, told, double([until + 0.2]))
+    left, missed, settling, _ = drive.approach(before, target, double([until + 0.2]))
     assert left[0, 0].item() == pytest.approx(0.8 / math.e)
     assert missed[0, 0].item() == pytest.approx(0.1 * 0.4 + 0.2 * 0.8 * (1 - 1 / math.e))
     assert settling[0, 0].item() == pytest.approx(0.5)
@@ -184,8 +184,8 @@ def test_commands_that_change_faster_than_the_delay_reach_the_motors():
     under = under._replace(goals=under.goals.expand(1, 15, 2), acts=torch.zeros(1, 15).double())
     time = double([0.05])
     for k in range(40):
-        told = goals * (1.0 + 0.005 * (-1.0) ** k)
-        under = drive.after(under, told, time, drive.reached(under, told, time))
+        target = goals * (1.0 + 0.005 * (-1.0) ** k)
+        under = drive.after(under, target, time, drive.reached(under, target, time))
     # 1.7 s after the first one acts it drives at their mean, but for what one in two adds.
     assert under.speed[0].tolist() == pytest.approx([0.5, 0.5], abs=1e-3)
     assert (under.acts[0] > 1e-9).sum() == 5
@@ -197,8 +197,8 @@ def test_commands_shorter_than_a_slot_ask_for_their_mean():
     under = SIMULATOR.drive.begun(double([[0.0, 0.0]]))
     under = under._replace(goals=torch.zeros(1, 5, 2).double(), acts=torch.zeros(1, 5).double())
     for k in range(12):
-        told, time = double([[0.4 + 0.2 * (k % 2), 0.5]]), double([0.005])
-        under = drive.after(under, told, time, drive.reached(under, told, time))
+        target, time = double([[0.4 + 0.2 * (k % 2), 0.5]]), double([0.005])
+        under = drive.after(under, target, time, drive.reached(under, target, time))
     assert under.acts[0].tolist() == pytest.approx([-0.06, -0.06, 0.04, 0.06, 0.08])
     assert under.goals[0, 2:].flatten().tolist() == pytest.approx([0.5] * 6)
 
@@ -208,8 +208,8 @@ def test_an_actuator_breaks_loose_though_its_command_changes():
     drive, under = alike(lag=0.1, stick=0.05), alike().begun(double([[0.0, 0.0]]))
     speeds = []
     for k in range(8):
-        told, time = double([[0.5 + 1e-3 * (-1) ** k, 0.0]]), double([0.02])
-        under = drive.after(under, told, time, drive.reached(under, told, time))
+        target, time = double([[0.5 + 1e-3 * (-1) ** k, 0.0]]), double([0.02])
+        under = drive.after(under, target, time, drive.reached(under, target, time))
         speeds.append(float(under.speed[0, 0]))
     assert speeds[:4] == [0.0] * 4
     assert speeds[-1] == pytest.approx(0.5 * (1 - math.exp(-0.6)), abs=2e-3)
@@ -218,28 +218,28 @@ def test_an_actuator_breaks_loose_though_its_command_changes():
 def test_standing_and_braking_worked_by_hand():
     drive = alike(lag=0.2, braking=0.5, stick=0.05)
     # Told 0.5 while it stands, it stands for another 0.1 s. Told to stand, it brakes at lag 0.1 s.
-    before, told = double([[0.0, 0.8]]), double([[0.5, 0.0]])
-    left, missed, settling, _ = drive.approach(before, told, double([0.3]))
+    before, target = double([[0.0, 0.8]]), double([[0.5, 0.0]])
+    left, missed, settling, _ = drive.approach(before, target, double([0.3]))
     assert left[0].tolist() == pytest.approx([0.5 * math.exp(-1.0), -0.8 * math.exp(-3.0)])
     way = [0.05 + 0.1 * (1 - math.exp(-1.0)), -0.08 * (1 - math.exp(-3.0))]
     assert missed[0].tolist() == pytest.approx(way)
     assert settling[0].tolist() == pytest.approx([0.6, 0.25])
-    assert reached(drive, before, told, double([0.06]))[0, 0] == 0.0
+    assert reached(drive, before, target, double([0.06]))[0, 0] == 0.0
     # From -0.5 to 0.5 it stands when half of the way is left, after 0.2 ln 2 s, for 0.1 s.
-    before, told = double([[-0.5, 0.2]]), double([[0.5, 0.5]])
+    before, target = double([[-0.5, 0.2]]), double([[0.5, 0.5]])
     until = 0.2 * math.log(2.0)
     times = (until + t for t in (0.0, 0.09, 0.1, 0.2))
-    speeds = [reached(drive, before, told, double([time]))[0, 0] for time in times]
+    speeds = [reached(drive, before, target, double([time]))[0, 0] for time in times]
     assert speeds == pytest.approx([0.0, 0.0, 0.0, 0.5 * (1 - math.exp(-0.5))], abs=1e-12)
     # What goes on the same way does not stand.
-    assert reached(drive, before, told, double([0.2]))[0, 1] == pytest.approx(0.5 - 0.3 / math.e)
+    assert reached(drive, before, target, double([0.2]))[0, 1] == pytest.approx(0.5 - 0.3 / math.e)
 
 
 def test_a_limited_rate_worked_by_hand():
     # From -0.5 to 0.5 at 2 a second: within 0.4 of the end, after 0.3 s, the lag of 0.2 s rules.
-    drive, before, told = alike(lag=0.2, rate=2.0), double([[-0.5, 0.5]]), double([[0.5, 0.5]])
-    assert reached(drive, before, told, double([0.2]))[0].tolist() == pytest.approx([-0.1, 0.5])
-    late = drive.approach(before, told, double([0.5]))
+    drive, before, target = alike(lag=0.2, rate=2.0), double([[-0.5, 0.5]]), double([[0.5, 0.5]])
+    assert reached(drive, before, target, double([0.2]))[0].tolist() == pytest.approx([-0.1, 0.5])
+    late = drive.approach(before, target, double([0.5]))
     assert late.left[0].tolist() == pytest.approx([0.4 / math.e, 0.0])
     assert late.missed[0, 0].item() == pytest.approx(0.3 * 0.7 + 0.4 * 0.2 * (1 - 1 / math.e))
     assert late.settling[0].tolist() == pytest.approx([0.3 + 2.5 * 0.2, 0.0])
@@ -294,9 +294,9 @@ def test_a_sequence_of_commands_follows_the_law_integrated_in_small_steps(spans,
     speeds, under = integrated(drive, commands, dt), standing(drive, len(commands))
     ends, way, away = np.zeros(len(commands), int), 0.0, []
     for command in torch.from_numpy(commands).unbind(1):
-        told, time = command[:, :2], command[:, 2]
-        way = way + sum(drive.pieces(under, told, time))[:, :2].numpy()
-        under = drive.after(under, told, time, drive.reached(under, told, time))
+        target, time = command[:, :2], command[:, 2]
+        way = way + sum(drive.pieces(under, target, time))[:, :2].numpy()
+        under = drive.after(under, target, time, drive.reached(under, target, time))
         ends = ends + np.round(time.numpy() / dt).astype(int)
         for b, end in enumerate(ends):
             integral = np.trapezoid(speeds[: end + 1, b], dx=dt, axis=0)
@@ -318,11 +318,11 @@ def test_it_does_not_matter_where_a_sequence_of_commands_is_cut(seed, share, sti
     goals, acts = (torch.cat([part, part], 1) for part in (whole.goals, whole.acts))
     whole = cut = Underway(whole.speed, whole.push, goals, acts)
     for command in commands.unbind(1):
-        told, time = command[:, :2], command[:, 2]
-        whole = drive.after(whole, told, time, drive.reached(whole, told, time))
+        target, time = command[:, :2], command[:, 2]
+        whole = drive.after(whole, target, time, drive.reached(whole, target, time))
         first = torch.where(time > 0.2, share * time, 0.5 * time)
         for part in (first, time - first):
-            cut = drive.after(cut, told, part, drive.reached(cut, told, part))
+            cut = drive.after(cut, target, part, drive.reached(cut, target, part))
     assert torch.allclose(cut.speed, whole.speed, atol=2e-4)
 
 
@@ -348,16 +348,16 @@ KINEMATICS = {
     st.floats(0.1, 3.0),
 )
 def test_phases_are_near_a_fine_integration(
-    kinematics, metres, radians, lag, rate, delay, before, told, time
+    kinematics, metres, radians, lag, rate, delay, before, target, time
 ):
     drive = alike(lag, 0.8, 0.8, rate, delay=round(delay, 3), kinematics=kinematics)
     # It has come to the speed before in 3 s.
     first, time = 3.0, round(time, 3)
     commands = torch.stack(
-        [torch.cat([before, double([first])]), torch.cat([told, double([time])])]
+        [torch.cat([before, double([first])]), torch.cat([target, double([time])])]
     )
     under = drive.begun(before[None], before[None])
-    moved, steady = drive.phases(under, told[None], double([time]))
+    moved, steady = drive.phases(under, target[None], double([time]))
     found = se2.compose(moved, se2.exp(steady))[0].numpy()
     speeds = integrated(drive, commands[None])[:, 0]
     wanted = integrated_pose(drive, speeds[round(first / 5e-4) :])
@@ -374,9 +374,9 @@ def test_the_turn_of_a_car_at_its_speed_is_the_product():
 
 def test_straight_ahead_the_phases_are_exact():
     drive = alike(0.2, 0.7, 3.0, delay=0.05)
-    before, told = double([[-1.0, -1.0]]), double([[1.0, 1.0]])
-    moved, steady = drive.phases(drive.begun(before), told, double([0.8]))
-    missed = drive.approach(before, told, double([0.75])).missed
+    before, target = double([[-1.0, -1.0]]), double([[1.0, 1.0]])
+    moved, steady = drive.phases(drive.begun(before), target, double([0.8]))
+    missed = drive.approach(before, target, double([0.75])).missed
     way = 0.3 * (0.75 - float(missed[0, 0]) - 0.05)
     ahead = se2.compose(moved, se2.exp(steady))[0].tolist()
     assert ahead == pytest.approx([way, 0.0, 0.0], abs=1e-12)
@@ -401,13 +401,13 @@ def compiled_approach(arrays, c, before, goal, push, time, law):
 @settings(max_examples=40, deadline=None)
 @given(drive_models(), speeds(), speeds(), st.floats(1e-4, 3.0), pairs(0.0, 0.03))
 @pytest.mark.slow
-def test_the_compiled_law_agrees(drive, before, told, time, push):
-    told = drive.shaped(told)
+def test_the_compiled_law_agrees(drive, before, target, time, push):
+    target = drive.shaped(target)
     arrays = ARRAYS._replace(**{name: getattr(drive, name).numpy() for name in DriveModel.NAMES})
-    each = torch.stack(drive.approach(before[None], told[None], double([time]), push[None]))[:, 0]
+    each = torch.stack(drive.approach(before[None], target[None], double([time]), push[None]))[:, 0]
     law = np.empty(kernels._LAW)
     for c in range(2):
-        given = (float(before[c]), float(told[c]), float(push[c]), time)
+        given = (float(before[c]), float(target[c]), float(push[c]), time)
         found = compiled_approach(arrays, c, *given, law)
         assert found == pytest.approx(each[:, c].tolist(), abs=1e-13)
 
@@ -487,7 +487,7 @@ def test_kernel_units_worked_by_hand():
     sim = random_motion_network(units=5, noise=False)
     bare = MotionNetwork(
         *(sim.inputs, sim.network, sim.genes, sim.input_scale, sim.output_scale),
-        *(sim.coordinates, None, None, sim.dead_zone, True, sim.derived, sim.drive),
+        *(sim.coordinates, None, None, sim.dead_band, True, sim.derived, sim.drive),
     )
     inputs = 20.0 * normal(3, 6, 5).abs()
     x = sim.derived.append(sim.columns, sim.scaled(inputs))
@@ -562,7 +562,7 @@ TIMES = st.floats(0.1, LONGEST)
 
 
 def cut(first, second):
-    """Return rows of both commands, [T, 3], each told in steps of these durations."""
+    """Return rows of both commands, [T, 3], each commanded in steps of these durations."""
     return double([[*FIRST, step] for step in first] + [[*SECOND, step] for step in second])
 
 
@@ -579,7 +579,7 @@ def noise_of(*counts, seed=5):
 
 
 def driven(sim, commands, noise=None, members=MEMBERS):
-    """Return the states [B, T + 1, S] of robots that are told commands [T, 3]."""
+    """Return the states [B, T + 1, S] of robots that get commands [T, 3]."""
     states = [sim.start(POSES[: len(members)], member=members if sim.members > 1 else None)]
     for k, command in enumerate(commands):
         z = None if noise is None else noise[: len(members), k]
@@ -594,7 +594,7 @@ def replaced(sim, **parts):
     """Return a simulator with other parts."""
     names = (
         *("inputs", "network", "genes", "input_scale", "output_scale", "coordinates", "meta"),
-        *("noise", "dead_zone", "central", "derived", "drive", "kernel_units"),
+        *("noise", "dead_band", "central", "derived", "drive", "kernel_units"),
     )
     return MotionNetwork(**({name: getattr(sim, name) for name in names} | parts))
 
@@ -697,17 +697,17 @@ def test_a_command_that_lasts_for_longer_than_the_longest_begins_anew():
     # 3.1 s are the longest but for a few percent.
     assert states[0, :, elapsed].tolist() == pytest.approx([0.0, 0.5, 2.0, 3.1, 0.5])
     speed = slice(3, 5)
-    told = SIMULATOR._speeds(double([SECOND]))
+    target = SIMULATOR._speeds(double([SECOND]))
     began = SIMULATOR.state_names.index("began_speed_left")
     reached = states[:, 4, began : began + 2]
     assert torch.equal(reached, states[:, 3, speed])
-    assert torch.allclose(reached, told)
+    assert torch.allclose(reached, target)
     noise = slice(elapsed + 4, elapsed + 8)
     assert torch.equal(states[:, 3, noise], normal(11, 4, 4))
     assert torch.equal(states[:, 4, noise], normal(12, 4, 4))
     # The same as if another robot came to that speed, on its way to the same.
-    x = torch.cat([reached, told.expand(4, 2), double([[0.5 / LONGEST]] * 4)], dim=1)
-    mean = SIMULATOR.displacement_of(torch.cat([x, told.expand(4, 2)], 1), MEMBERS)
+    x = torch.cat([reached, target.expand(4, 2), double([[0.5 / LONGEST]] * 4)], dim=1)
+    mean = SIMULATOR.displacement_of(torch.cat([x, target.expand(4, 2)], 1), MEMBERS)
     moved = SIMULATOR.disturbed(x, mean, normal(12, 4, 4))
     wanted = se2.compose(states[:, 3, :3], moved)
     assert torch.allclose(states[:, 4, :3], wanted, rtol=0, atol=1e-12)
@@ -715,18 +715,18 @@ def test_a_command_that_lasts_for_longer_than_the_longest_begins_anew():
 
 def test_another_command_begins_with_the_speeds_reached():
     states = driven(SIMULATOR, cut((0.2,), (0.3,)))
-    told = SIMULATOR._speeds(double([FIRST]))
+    target = SIMULATOR._speeds(double([FIRST]))
     drive, zero = SIMULATOR.drive, torch.zeros(1, 2).double()
-    reached, _ = drive.reached(drive.begun(zero), told, double([0.2]))
+    reached, _ = drive.reached(drive.begun(zero), target, double([0.2]))
     began = SIMULATOR.state_names.index("began_speed_left")
     assert torch.allclose(states[:, 2, began : began + 2], reached.expand(4, 2))
     assert torch.equal(states[:, 1, 3:5], states[:, 2, began : began + 2])
-    assert (reached.abs() < told.abs()).all()
+    assert (reached.abs() < target.abs()).all()
 
 
 @pytest.mark.parametrize("first", [(0.0, 0.0), (1.0, -2.0)])
 def test_to_stop_a_robot_that_stands(first):
-    """A command to stand, or within the dead zone, from rest: no speeds, noise of its own."""
+    """A command to stand, or within the dead band, from rest: no speeds, noise of its own."""
     state = SIMULATOR.start(POSES, member=MEMBERS)
     assert not state[:, 3:-1].any()
     z = normal(3, 4, 4)
@@ -760,7 +760,7 @@ def test_chained_inputs_are_those_of_steps_from_rest(drives):
     # What was left before the fifth command back is forgotten.
     assert torch.allclose(found[:5], moved[:5], rtol=0, atol=1e-12)
     assert torch.allclose(found, moved, rtol=0, atol=1e-3)
-    # A command that does not follow the row before it begins with the speed that was told.
+    # A command that does not follow the row before it begins with the commanded speed.
     inputs[6, :2] = 10.0
     again = sim.chained(inputs)
     assert torch.equal(again[6, :5], sim.scaled(inputs)[6])
@@ -781,7 +781,7 @@ def test_the_order_of_inputs_does_not_matter(members):
         sim.input_scale[order],
         sim.output_scale,
         "residual-twist",
-        dead_zone=sim.dead_zone[order],
+        dead_band=sim.dead_band[order],
         central=True,
         drive=sim.drive,
     )
@@ -794,5 +794,5 @@ def test_the_order_of_inputs_does_not_matter(members):
 def test_a_simulator_of_an_earlier_version_is_refused(folder):
     path = folder / "simulator.json"
     path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 3}))
-    with pytest.raises(FileError, match=r"'version': this neurosim reads version 8, found 3"):
+    with pytest.raises(FileError, match=r"'version': this neurosim reads version 9, found 3"):
         read_simulator(folder)

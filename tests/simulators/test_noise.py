@@ -36,7 +36,7 @@ STILL = torch.zeros(1, 3, dtype=torch.float64)
 def commands(seed, rows):
     drawn = np.random.default_rng(seed).uniform((-50, -50, 0.5), (50, 50, 3), (rows, 3))
     drawn[0, :2] = 0.0
-    drawn[-1, 0] = 2.0  # within the dead zone
+    drawn[-1, 0] = 2.0  # within the dead band
     return torch.from_numpy(drawn)
 
 
@@ -135,10 +135,10 @@ def test_noise_of_the_motion_is_that_of_twists(seed):
     twist = normal(seed, 1, 3) * torch.tensor([0.3, 0.1, 1.5])
     mean, unit = se2.exp(twist), noise.unit
     assert abs(float(twist[0, 2])) < 5.9  # well below a full circle
-    told = (twist[0].roll(1) / unit).double()
+    commanded = (twist[0].roll(1) / unit).double()
     expected = torch.zeros(3, 3, dtype=torch.float64)
     for source in noise.sources:
-        step = 1e-6 * (source @ told)
+        step = 1e-6 * (source @ commanded)
         ends = [se2.exp(twist + way * step.roll(-1)) for way in (1.0, -1.0)]
         moved = (residual(mean, ends[0]) - residual(mean, ends[1]))[0] / 2e-6
         expected += torch.outer(moved, moved)

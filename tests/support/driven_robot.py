@@ -49,16 +49,16 @@ def drive_data(
         torch.tensor(lag), torch.ones(2), torch.full((2,), braking), torch.full((2,), rate),
         torch.full((2,), stick), bent, torch.tensor([delay]), kinematics,
     )  # fmt: skip
-    told = drive.shaped(u) if curve is None else curve(u)
+    commanded = drive.shaped(u) if curve is None else curve(u)
     under, each = drive.begun(torch.zeros(1, 2, dtype=torch.float64)), []
     for row in range(count):
         each.append(under)
-        reached = drive.reached(under, told[row : row + 1], time[row : row + 1])
-        under = drive.after(under, told[row : row + 1], time[row : row + 1], reached)
+        reached = drive.reached(under, commanded[row : row + 1], time[row : row + 1])
+        under = drive.after(under, commanded[row : row + 1], time[row : row + 1], reached)
 
     def moved(rows, until):
         begun = Underway(*(torch.cat(parts)[rows] for parts in zip(*each, strict=True)))
-        changing, twist = drive.phases(begun, told[rows], until)
+        changing, twist = drive.phases(begun, commanded[rows], until)
         turn = wobble * torch.sin(2.0 * math.pi * u[rows, 0] * u[rows, 1]) * until
         twist = twist + torch.stack([0 * turn, 0 * turn, turn], 1)
         scatter = torch.randn(len(rows), 3, generator=g, dtype=torch.float64)

@@ -117,7 +117,7 @@ def random_motion_network(
         "residual-twist" if drives else "displacement",
         meta,
         noise=model,
-        dead_zone=torch.tensor([0.05 * (name != "duration") for name in names]),
+        dead_band=torch.tensor([0.05 * (name != "duration") for name in names]),
         central=central,
         derived=derived,
         drive=drive_model(seed, actuators) if drives is True else drives or None,

@@ -123,7 +123,7 @@ def make_simulator(folder, dataset_folder, seed=0):
         "wall_clock": {"training_seconds": 4.2},
         "composition": {
             "actuators": {
-                "left": {"lag": 0.0824, "dead_zone": 0.07}, "right": {"lag": 0.1, "dead_zone": 0.0},
+                "left": {"lag": 0.0824, "dead_band": 0.07}, "right": {"lag": 0.1, "dead_band": 0.0},
             },
             "delay": 0.028,
             "kernel_units": 75,

@@ -106,10 +106,12 @@ def test_noise_is_not_taken_for_one(seed):
 def test_steering_has_none_though_small_angles_do_little():
     """A car's turn is the product of speed and steering."""
     rng = np.random.default_rng(3)
-    told = rng.uniform(-1.0, 1.0, (300, 2))
-    x = np.column_stack([np.vstack([np.zeros(2), told[:-1]]), told, rng.uniform(0.5, 3.0, 300)])
-    v = np.where(np.abs(told[:, 0]) < 0.1, 0.0, told[:, 0])
-    w = 1.8 * v * told[:, 1] * rng.normal(1.0, 0.03, 300)
+    commanded = rng.uniform(-1.0, 1.0, (300, 2))
+    x = np.column_stack(
+        [np.vstack([np.zeros(2), commanded[:-1]]), commanded, rng.uniform(0.5, 3.0, 300)]
+    )
+    v = np.where(np.abs(commanded[:, 0]) < 0.1, 0.0, commanded[:, 0])
+    w = 1.8 * v * commanded[:, 1] * rng.normal(1.0, 0.03, 300)
     y = se2.exp(np.column_stack([v, 0 * v, w]) * x[:, 4:]) + rng.normal(0.0, 2e-3, (300, 3))
     speed, steering = found(x, y, ("prev_speed", "prev_steering", "speed", "steering", "duration"))
     assert speed == pytest.approx(0.1, abs=0.01)
@@ -125,11 +127,11 @@ def test_inputs_of_one_sign_have_none():
 def test_of_the_labs_robots_200_rows_tell_which_commands_do_nothing(seed):
     params, source = LabParams.drawn(seed), RandomCommands(seed=seed)
     drawn = [source.command(n) for n in range(200)]
-    told = np.array([c.row for c in drawn])
+    commanded = np.array([c.row for c in drawn])
     state = new_state(params, seed, (0.0, 0.0, 0.0))
-    poses = displacements(state, told, params.coefficients(), slip_field(params))
-    x = np.column_stack([np.vstack([np.zeros(2), told[:-1, :2]]), told])
+    poses = displacements(state, commanded, params.coefficients(), slip_field(params))
+    x = np.column_stack([np.vstack([np.zeros(2), commanded[:-1, :2]]), commanded])
     said = found(x, se2.between(poses[:-1], poses[1:]))
-    size = np.abs(told[:, :2])
+    size = np.abs(commanded[:, :2])
     stands = size < [params.dead_band_left, params.dead_band_right]
     np.testing.assert_array_equal((size < said)[size > 0], stands[size > 0])

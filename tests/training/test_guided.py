@@ -31,7 +31,7 @@ class Believer:
         forward = 0.5 * x[:, 2] / 100 * x[:, 4]
         return torch.stack([forward, 0 * forward, 0 * forward], dim=1)[None]
 
-    def worth(self, x, told):
+    def worth(self, x, predicted):
         return (x[:, 2] * x[:, 4]).abs()
 
 
@@ -79,8 +79,8 @@ def test_each_command_is_the_best_of_its_candidates_after_the_one_before(committ
     ):
         drawn = [source.command(6 * number + k) for k in range(6)]
         x = torch.tensor([[*speeds, *c.row] for c in drawn])
-        told = committee.displacements(x.double())
-        assert command == drawn[int(committee.worth(x.double(), told).argmax())]
+        predicted = committee.displacements(x.double())
+        assert command == drawn[int(committee.worth(x.double(), predicted).argmax())]
         speeds = command.numbers
 
 

@@ -42,11 +42,11 @@ def actuators_of(model: DriveModel) -> Actuators:
 
 def chains(rng, rows=60, breaks=(0, 25)):
     time = torch.tensor(rng.uniform(0.1, 0.6, rows))
-    told = torch.tensor(rng.uniform(-1, 1, (rows, 2)))
-    before = torch.cat([torch.zeros(1, 2, dtype=torch.float64), told[:-1]])
+    commanded = torch.tensor(rng.uniform(-1, 1, (rows, 2)))
+    before = torch.cat([torch.zeros(1, 2, dtype=torch.float64), commanded[:-1]])
     joined = torch.ones(rows, dtype=torch.bool)
     joined[list(breaks)] = False
-    x = torch.cat([before, told, time[:, None] / 3.0], 1)
+    x = torch.cat([before, commanded, time[:, None] / 3.0], 1)
     y = torch.zeros(rows, 3, dtype=torch.float64)
     y[:, 0] = 1.0
     return Chains.of(x, y, joined, CommandFeatures.of(NAMES), 3.0), x
@@ -59,7 +59,7 @@ def test_rows_are_driven_as_the_drive_model_is_stepped():
     none = torch.zeros(2, dtype=torch.float64)
     inputs, under = rows.inputs(Fit(model, rows, none, none, True, actuators), x)
     features, lasts, row, states = rows.driven(actuators.one(0))
-    goals = model.shaped(rows.told)
+    goals = model.shaped(rows.commanded)
     state = None
     for i in range(len(rows.time)):
         time, goal = rows.time[i : i + 1], goals[i : i + 1]

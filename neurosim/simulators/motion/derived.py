@@ -42,7 +42,7 @@ class Derived:
 
         Args:
             columns: of the inputs.
-            x: scaled inputs, the dead zone applied.
+            x: scaled inputs, the dead band applied.
         """
         if self.swing is None:
             return x

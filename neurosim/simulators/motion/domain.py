@@ -1,7 +1,7 @@
 """Where there were rows: which commands a motion network has learned from.
 
-Ranges alone do not tell a gap from a corner: a robot that was never told to turn left quickly may
-still have been told everything around that. So the space of commands is cut into cells, and each
+Ranges alone do not tell a gap from a corner: a robot that was never commanded to turn left quickly
+may still have had every command around that. So the space of commands is cut into cells, and each
 is marked that lies near enough to some row. Whether a command is like those that were recorded is
 one look at a cell, however many rows there were; so evolution can ask it of every command.
 """

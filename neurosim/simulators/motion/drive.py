@@ -83,7 +83,7 @@ class Underway(NamedTuple):
     Attributes:
         speed: of the actuators, [B, C].
         push: goals of actuators that stood, summed up over time, [B, C] s, since they last moved or
-            were told to stand: at ``stick`` an actuator breaks loose.
+            were commanded to stand: at ``stick`` an actuator breaks loose.
         goals: of the commands before, the oldest first, [B, N, C].
         acts: when these begin to act, [B, N] s since the command began; what is not above 0 does
             already, and the last of those is what the actuators obey.
@@ -102,9 +102,9 @@ class DriveModel:
     Attributes:
         lag: time constants, [C] s.
         slowing: of the lag where a speed is above its goal in magnitude: a factor, [C].
-        braking: of the lag where it is told to stand: a factor, [C].
+        braking: of the lag where it is commanded to stand: a factor, [C].
         rate: the most that a speed changes, [C] 1/s.
-        stick: what starts or turns round stands for this over the speed it is told, [C] s.
+        stick: what starts or turns round stands for this over its commanded speed, [C] s.
         curve: of the speed by the command, coefficients of :func:`curvature`, [C, 6].
         delay: from a command to the first answer, [1] s.
         kinematics: of the twist (m/s, m/s, rad/s) by speeds and their products, [F, 3].
@@ -240,20 +240,22 @@ class DriveModel:
         missed = on_ramp * (size - 0.5 * self.rate * on_ramp)
         return left, missed + torch.where(after, fading * lag * (1.0 - decay), 0.0)
 
-    def reached(self, under: Underway, told: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
-        """Return speeds and push [B, C] after a command with goals ``told`` [B, C] and ``time``."""
+    def reached(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+        """Return speeds and push [B, C] after a command ``commanded`` [B, C] of ``time`` s."""
         speed, push = under.speed, under.push
-        for goal, span in self._turns(under, told, time):
+        for goal, span in self._turns(under, commanded, time):
             approach = self.approach(speed, goal, span, push)
             speed, push = self._come(speed, goal, span, push, approach)
         return speed, push
 
-    def _turns(self, under: Underway, told: Tensor, time: Tensor) -> list[tuple[Tensor, Tensor]]:
+    def _turns(
+        self, under: Underway, commanded: Tensor, time: Tensor
+    ) -> list[tuple[Tensor, Tensor]]:
         """Return the goals [B, C] that act one after the other, and for how long, [B] s each."""
         delay = self.delay.to(time).expand_as(time)
         begins = [*under.acts.clamp(min=0.0).unbind(1), delay] if self.slots else [0.0 * time]
         ends = [torch.minimum(one, time) for one in (*begins[1:], time)]
-        goals = (*under.goals.unbind(1), told) if self.slots else (told,)
+        goals = (*under.goals.unbind(1), commanded) if self.slots else (commanded,)
         spans = [(end - begin).clamp(min=0.0) for begin, end in zip(begins, ends, strict=True)]
         turns = list(zip(goals, spans, strict=True))
         if torch.compiler.is_compiling():
@@ -271,13 +273,13 @@ class DriveModel:
         return torch.where(acts, speed, before), torch.where(acts, approach.push, push)
 
     def after(
-        self, under: Underway, told: Tensor, time: Tensor, reached: tuple[Tensor, Tensor]
+        self, under: Underway, commanded: Tensor, time: Tensor, reached: tuple[Tensor, Tensor]
     ) -> Underway:
         """Return what is under way where a command ends.
 
         Args:
             under: where it began.
-            told: its goals, [B, C].
+            commanded: its goals, [B, C].
             time: how long it was given, [B] s.
             reached: of :meth:`reached`.
         """
@@ -285,7 +287,7 @@ class DriveModel:
             return Underway(*reached, under.goals, under.acts)
         delay = self.delay.to(time).expand_as(time)
         acts = torch.cat([under.acts, delay.unsqueeze(1)], 1) - time.unsqueeze(1)
-        goals = torch.cat([under.goals, told.unsqueeze(1)], 1)
+        goals = torch.cat([under.goals, commanded.unsqueeze(1)], 1)
         # The oldest is forgotten, unless it acts: then, and where both are short, the newest two
         # become one.
         lasts = acts[:, -1] - acts[:, -2]
@@ -293,12 +295,12 @@ class DriveModel:
         join = ((acts[:, 1] > 0.0) | short).unsqueeze(1)
         waited = (acts[:, -1] - acts[:, -2].clamp(min=0.0)).clamp(min=0.0)
         share = (waited / (waited + time).clamp(min=1e-9)).unsqueeze(1)
-        mean = share * goals[:, -2] + (1.0 - share) * told
+        mean = share * goals[:, -2] + (1.0 - share) * commanded
         joined = torch.cat([goals[:, :-2], mean.unsqueeze(1)], 1)
         goals = torch.where(join.unsqueeze(2), joined, goals[:, 1:])
         return Underway(*reached, goals, torch.where(join, acts[:, :-1], acts[:, 1:]))
 
-    def pieces(self, under: Underway, told: Tensor, time: Tensor) -> list[Tensor]:
+    def pieces(self, under: Underway, commanded: Tensor, time: Tensor) -> list[Tensor]:
         """Return what each piece of constant twist is linear in, tensors [B, K].
 
         The last is that after the speeds have settled; before it come :data:`PHASES` of each
@@ -306,17 +308,17 @@ class DriveModel:
         """
         found = []
         speed, push = under.speed, under.push
-        *waiting, (_, own) = self._turns(under, told, time)
+        *waiting, (_, own) = self._turns(under, commanded, time)
         for goal, span in waiting:
             end = self.approach(speed, goal, span, push)
             first = torch.where(span > LONG_WAIT, span / PHASES, 0.0)
             instants = [first * k for k in range(1, PHASES)]
             found += self._ways(speed, push, goal, instants, span, end)
             speed, push = self._come(speed, goal, span, push, end)
-        end = self.approach(speed, told, own, push)
+        end = self.approach(speed, commanded, own, push)
         settled = torch.minimum(own, end.settling.amax(-1).clamp(min=SHORTEST))
         instants = [settled * (k + 1) / PHASES for k in range(PHASES)]
-        return found + self._ways(speed, push, told, instants, own, end)
+        return found + self._ways(speed, push, commanded, instants, own, end)
 
     def _ways(
         self,
@@ -340,17 +342,17 @@ class DriveModel:
             way, began = ways, until
         return found
 
-    def phases(self, under: Underway, told: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
+    def phases(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the displacement [B, 3] while the speeds change, and the twist of what follows.
 
         The twist [B, 3] (m, m, rad) is that of all the rest of the time.
 
         Args:
             under: at the beginning.
-            told: goals of the command, [B, C].
+            commanded: goals of the command, [B, C].
             time: since the beginning, [B] s.
         """
-        *changing, steady = self.pieces(under, told, time)
+        *changing, steady = self.pieces(under, commanded, time)
         twists = self.twists
         moved = se2.exp(changing[0] @ twists)
         for piece in changing[1:]:

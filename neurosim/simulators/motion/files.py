@@ -32,8 +32,8 @@ from neurosim.simulators.motion.noise import (
 )
 from neurosim.simulators.motion.sensors import TENSORS, Sensors
 
-#: The oldest version that is read: earlier networks had units of other kinds.
-_OLDEST = 7
+#: The oldest version that is read: in earlier ones the dead band has another name.
+_OLDEST = 9
 
 #: The tensors of kernel units.
 KERNEL = ("centres", "lengths", "weights")
@@ -78,7 +78,7 @@ def write_motion(simulator: MotionNetwork, folder: str | Path) -> None:
     }
     tensors = {
         name: getattr(simulator, name).cpu().numpy()
-        for name in ("genes", "input_scale", "output_scale", "dead_zone")
+        for name in ("genes", "input_scale", "output_scale", "dead_band")
     }
     if simulator.drive is not None:
         tensors |= {f"drive.{k}": _numbers(simulator.drive, k) for k in DriveModel.NAMES}
@@ -169,7 +169,7 @@ def read_motion(folder: str | Path, device: str | torch.device = "cpu") -> Motio
             content["coordinates"],
             meta,
             _noise(loaded) if noisy else None,
-            loaded["dead_zone"],
+            loaded["dead_band"],
             central,
             derived,
             DriveModel(**_part(loaded, "drive.")) if drives else None,
@@ -231,5 +231,5 @@ def _tensors(
         "genes": (members, len(OUTPUTS), network.genes),
         "input_scale": (inputs,),
         "output_scale": (members, len(OUTPUTS)),
-        "dead_zone": (inputs,),
+        "dead_band": (inputs,),
     }

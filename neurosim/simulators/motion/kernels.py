@@ -69,7 +69,7 @@ class MotionModel(NamedTuple):
     centre_square: np.ndarray  #: [K]: the sum of x times centres, of this, and of x^2 times
     nearness: np.ndarray  #: [I]
     input_scale: np.ndarray  #: [I]
-    dead_zone: np.ndarray  #: [I], scaled inputs that are smaller count as zero
+    dead_band: np.ndarray  #: [I], scaled inputs that are smaller count as zero
     floor: float  #: the smallest magnitude of a scaled input in a product unit
     source: np.ndarray  #: [I] column c of the command, or -c - 1 for column c of the state
     following: np.ndarray  #: without a drive model, the command that each remembered column takes
@@ -204,7 +204,7 @@ def sense(a, state, z, work, out):
 @kernel(forceinline=True)
 def _scaled(a, value, i):
     x = value / a.input_scale[i]
-    return 0.0 if abs(x) < a.dead_zone[i] else x
+    return 0.0 if abs(x) < a.dead_band[i] else x
 
 
 @kernel(forceinline=True)
@@ -336,11 +336,11 @@ def _inputs(a, state, command, memory, began, x):
             x[i] = _scaled(a, command[source] if source >= 0 else state[-source - 1], i)
         return False
     count, slots = len(a.driven), a.slots
-    told, start = 3 + 2 * count, 3 + 3 * count + 1 + 3 + DRAWS
-    time, lasted = command[a.source[a.duration]], state[told + count]
+    commanded, start = 3 + 2 * count, 3 + 3 * count + 1 + 3 + DRAWS
+    time, lasted = command[a.source[a.duration]], state[commanded + count]
     same = lasted > 0.0 and lasted + time <= a.longest * (1.0 + _HELD)
     for c in range(count):
-        if state[told + c] != command[a.source[a.driven[c]]]:
+        if state[commanded + c] != command[a.source[a.driven[c]]]:
             same = False
     for i in range(len(began)):
         began[i] = state[start + i]
@@ -348,7 +348,7 @@ def _inputs(a, state, command, memory, began, x):
         for i in range(2 * count):
             began[i] = state[3 + i]
         if slots > 0 and lasted > 0.0:
-            _queue(a, state[told : told + count], lasted, began[2 * count :])
+            _queue(a, state[commanded : commanded + count], lasted, began[2 * count :])
     for c in range(count):
         memory[2 * count + c] = command[a.source[a.driven[c]]]
         x[a.before[c]], x[a.driven[c]] = began[c], _speed(a, memory[2 * count + c], c)
@@ -358,12 +358,12 @@ def _inputs(a, state, command, memory, began, x):
 
 
 @kernel(forceinline=True)
-def _queue(a, told, lasted, queue):
+def _queue(a, commanded, lasted, queue):
     """Let a command join those that wait, see :meth:`DriveModel.after`.
 
     Args:
         a: :class:`MotionModel`.
-        told: the command, [C].
+        commanded: the command, [C].
         lasted: for how long it was given, s.
         queue: [slots + slots * C] when commands act, and their goals, changed.
     """
@@ -378,7 +378,7 @@ def _queue(a, told, lasted, queue):
         share = waited / max(waited + lasted, 1e-9)
         for c in range(count):
             place = slots + (slots - 1) * count + c
-            queue[place] = share * queue[place] + (1.0 - share) * _speed(a, told[c], c)
+            queue[place] = share * queue[place] + (1.0 - share) * _speed(a, commanded[c], c)
         return
     for n in range(slots - 1):
         queue[n] = queue[n + 1]
@@ -386,7 +386,7 @@ def _queue(a, told, lasted, queue):
     for i in range(slots, slots + (slots - 1) * count):
         queue[i] = queue[i + count]
     for c in range(count):
-        queue[slots + (slots - 1) * count + c] = _speed(a, told[c], c)
+        queue[slots + (slots - 1) * count + c] = _speed(a, commanded[c], c)
 
 
 @kernel(forceinline=True)

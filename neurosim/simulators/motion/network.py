@@ -59,9 +59,9 @@ class _State(NamedTuple):
     pose: Tensor
     speed: Tensor
     push: Tensor
-    told: Tensor
+    commanded: Tensor
     elapsed: Tensor
-    done: Tensor
+    displaced: Tensor
     noise: Tensor
     began_speed: Tensor
     began_push: Tensor
@@ -94,8 +94,8 @@ class MotionNetwork(Simulator):
         output_scale: as genes, [M, O]; the networks' outputs times this are in metres and radians.
         coordinates: one of :data:`COORDINATES`.
         noise: the noise model, or None.
-        dead_zone: [I]; scaled inputs that are smaller count as zero: a motor that is told to turn
-            too slowly stands.
+        dead_band: [I]; scaled inputs that are smaller count as zero: a motor that is to turn too
+            slowly stands.
         derived: the input of the networks that follows from the others and stands after them.
         drive: the drive model from which the robot departs; with it a command may be cut into
             steps of any length. Without, a step is a whole command.
@@ -120,7 +120,7 @@ class MotionNetwork(Simulator):
         coordinates: str = "displacement",
         meta: Mapping[str, Any] | None = None,
         noise: NoiseModel | None = None,
-        dead_zone: Tensor | None = None,
+        dead_band: Tensor | None = None,
         central: bool = False,
         derived: Derived | None = None,
         drive: DriveModel | None = None,
@@ -174,7 +174,7 @@ class MotionNetwork(Simulator):
         self.input_scale = input_scale.to(self.genes)
         self.output_scale = output_scale.to(self.genes).expand(shape[:2]).contiguous()
         zero = torch.zeros_like(self.input_scale)
-        self.dead_zone = zero if dead_zone is None else dead_zone.to(zero)
+        self.dead_band = zero if dead_band is None else dead_band.to(zero)
         self.coordinates = coordinates
         self.noise = noise
         self.meta = dict(meta or {})
@@ -197,8 +197,8 @@ class MotionNetwork(Simulator):
                 *("x", "y", "theta"),
                 *(f"speed_{name}" for name in driven),
                 *(f"push_{name}" for name in driven),
-                *(f"told_{name}" for name in driven),
-                *("elapsed", "done_x", "done_y", "done_theta"),
+                *(f"commanded_{name}" for name in driven),
+                *("elapsed", "moved_x", "moved_y", "moved_theta"),
                 *(f"noise_{number}" for number in range(DRAWS)),
                 *(f"began_speed_{name}" for name in driven),
                 *(f"began_push_{name}" for name in driven),
@@ -219,7 +219,7 @@ class MotionNetwork(Simulator):
             device=device,
         )
         self._driven = torch.tensor(columns.driven, dtype=torch.long, device=device)
-        self._told = [self.command_names.index(names[place]) for place in columns.driven]
+        self._commanded = [self.command_names.index(names[place]) for place in columns.driven]
 
     @property
     def input_names(self) -> tuple[str, ...]:
@@ -384,16 +384,16 @@ class MotionNetwork(Simulator):
         drive = self.drive
         assert drive is not None
         parts = self._parts(state)
-        driven = command[:, self._told]
+        driven = command[:, self._commanded]
         step = command[:, [self.command_names.index("duration")]]
         longest = self.input_scale[self.columns.duration]
-        same = (driven == parts.told).all(1, keepdim=True) & (parts.elapsed > 0.0)
+        same = (driven == parts.commanded).all(1, keepdim=True) & (parts.elapsed > 0.0)
         same &= parts.elapsed + step <= longest * (1.0 + HELD)
         began = _flat(self._after(drive, parts))
         began = {k: torch.where(same, getattr(parts, k), v) for k, v in began.items()}
         under = self._underway(parts._replace(**began))
         elapsed = torch.where(same, parts.elapsed, 0.0) + step
-        done = torch.where(same, parts.done, 0.0)
+        displaced = torch.where(same, parts.displaced, 0.0)
         noise = torch.where(same, parts.noise, 0.0 if z is None else z.to(state))
         x = state.new_zeros(state.shape[0], len(self.inputs))
         x[:, list(self.columns.before)] = under.speed
@@ -402,10 +402,10 @@ class MotionNetwork(Simulator):
         moved = self.displacement_of(x, member, under)
         if z is not None:
             moved = self.disturbed(x, moved, noise)
-        pose = se2.compose(parts.pose, se2.between(done, moved))
+        pose = se2.compose(parts.pose, se2.between(displaced, moved))
         speed, push = drive.reached(under, goals, elapsed.squeeze(1))
-        now = parts._replace(pose=pose, speed=speed, push=push, told=driven, elapsed=elapsed)
-        return torch.cat(now._replace(done=moved, noise=noise, **began), dim=1)
+        now = parts._replace(pose=pose, speed=speed, push=push, commanded=driven, elapsed=elapsed)
+        return torch.cat(now._replace(displaced=moved, noise=noise, **began), dim=1)
 
     def _parts(self, state: Tensor) -> _State:
         """Return states [B, S] in parts."""
@@ -422,7 +422,7 @@ class MotionNetwork(Simulator):
     def _after(self, drive: DriveModel, parts: _State) -> Underway:
         """Return what is under way where the last command ends; in a robot that stands, all 0."""
         under, time = self._underway(parts), parts.elapsed.squeeze(1)
-        after = drive.after(under, self._speeds(parts.told), time, (parts.speed, parts.push))
+        after = drive.after(under, self._speeds(parts.commanded), time, (parts.speed, parts.push))
         # After a command that was over already nothing is added.
         over = time <= 0.0
         pairs = zip(after[2:], under[2:], strict=True)
@@ -433,7 +433,7 @@ class MotionNetwork(Simulator):
         """Return the speeds [B, C] that driven inputs [B, C], in the dataset's units, come to."""
         assert self.drive is not None
         scaled = driven / self.input_scale[self._driven]
-        scaled = torch.where(scaled.abs() < self.dead_zone[self._driven], 0.0, scaled)
+        scaled = torch.where(scaled.abs() < self.dead_band[self._driven], 0.0, scaled)
         return self.drive.shaped(scaled)
 
     def displacement(self, inputs: Tensor, member: Tensor | int = -1) -> Tensor:
@@ -468,12 +468,12 @@ class MotionNetwork(Simulator):
         return self.from_outputs(outputs, x, under)
 
     def scaled(self, inputs: Tensor) -> Tensor:
-        """Return ``inputs`` [B, I] scaled, those within the dead zone zero.
+        """Return ``inputs`` [B, I] scaled, those within the dead band zero.
 
         With a drive model the commands become the speeds that they come to in the end.
         """
         scaled = inputs / self.input_scale
-        scaled = torch.where(scaled.abs() < self.dead_zone, 0.0, scaled)
+        scaled = torch.where(scaled.abs() < self.dead_band, 0.0, scaled)
         if self.drive is not None:
             for places in (self.columns.driven, self.columns.before):
                 scaled[:, list(places)] = self.drive.shaped(scaled[:, list(places)])
@@ -567,7 +567,7 @@ class MotionNetwork(Simulator):
             self.coordinates,
             self.meta,
             self.noise,
-            self.dead_zone,
+            self.dead_band,
             self.central,
             self.derived,
             self.drive,
@@ -620,7 +620,7 @@ class MotionNetwork(Simulator):
         )
         tensors = {
             "input_scale": self.input_scale,
-            "dead_zone": self.dead_zone,
+            "dead_band": self.dead_band,
             **{name: getattr(drive, name) for name in DriveModel.NAMES},
             "correction": torch.tensor(astuple(self.correction)[:4], dtype=torch.float64),
             **noise,
@@ -741,7 +741,7 @@ def chain(
         follows: [B] bool, whether a row's command followed that of the row before it.
         longest: what durations are scaled by, s.
     """
-    before, told = x[:, list(columns.before)], x[:, list(columns.driven)]
+    before, commanded = x[:, list(columns.before)], x[:, list(columns.driven)]
     time = x[:, columns.duration] * longest
     speed = before
     # What is left of a difference dies away within a few commands, or seconds.
@@ -751,7 +751,7 @@ def chain(
         else 0
     )
     for _ in range(links):
-        reached = drive.reached(drive.begun(speed, before), told, time)[0]
+        reached = drive.reached(drive.begun(speed, before), commanded, time)[0]
         speed = torch.where(follows[1:, None], reached[:-1], before[1:])
         speed = torch.cat([before[:1], speed])
     x = torch.cat([x, before], 1)

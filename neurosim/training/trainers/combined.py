@@ -42,7 +42,7 @@ from neurosim.training.trainers.windows import LENGTHS, Chains, Windows, windows
 
 OUTPUTS = 3
 #: What can be left out, to see what it is good for.
-MECHANISMS = ("laws", "dead_zone", "swing", "process", "row_weights", "drive_members")
+MECHANISMS = ("laws", "dead_band", "swing", "process", "row_weights", "drive_members")
 #: Stretches of time, every other one of which makes a half of the rows.
 STRETCHES = 24
 #: How much of the Gaussian process' uncertainty members show even where it counts for nothing.
@@ -85,7 +85,7 @@ class CombinedSettings(Checked):
     Attributes:
         members: Simulators in the ensemble; 1: no ensemble.
         noise: Fit a noise model.
-        dead_zone: scaled inputs that are smaller count as zero, one number an input; found from
+        dead_band: scaled inputs that are smaller count as zero, one number an input; found from
             the data if not given.
         centres: Units of the Gaussian process at first. They are doubled for as long as that
             lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each.
@@ -95,14 +95,14 @@ class CombinedSettings(Checked):
         noise_rows: rows that the noise is learned from.
         whole_commands: learn from whole commands alone, not from parts of them.
         without: mechanisms that are left out, to measure their effect: ``laws`` (all of a drive
-            model but its kinematics), ``dead_zone``, ``swing`` (an input of the process for the
+            model but its kinematics), ``dead_band``, ``swing`` (an input of the process for the
             change of direction), ``process``, ``row_weights``, ``drive_members`` (members differ in
             the process alone).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
     noise: bool = True
-    dead_zone: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
+    dead_band: tuple[Annotated[float, Meta(ge=0, lt=1)], ...] | None = None
     centres: Count = 75
     most_centres: Count = 1200
     part_weight: Annotated[float, Meta(ge=1e-6, le=1000)] = 0.3
@@ -183,9 +183,9 @@ class CombinedTrainer:
         x, y = data.scaled_inputs.to(device), data.y.to(device)
         driven, before = list(self._columns.driven), list(self._columns.before)
         band = None
-        if settings.dead_zone is not None:
-            band = torch.tensor(settings.dead_zone, dtype=x.dtype, device=device)[driven]
-        elif "dead_zone" in settings.without:
+        if settings.dead_band is not None:
+            band = torch.tensor(settings.dead_band, dtype=x.dtype, device=device)[driven]
+        elif "dead_band" in settings.without:
             band = torch.zeros(len(driven), dtype=x.dtype, device=device)
         within = None if settings.whole_commands else data.within
         self._windows: Windows | None = None
@@ -201,8 +201,8 @@ class CombinedTrainer:
         self._fit = fit_drive(self._motion, laws, band)
         self._drive, self._band = self._fit.drive, band
         inputs, under = self._inputs(self._fit)
-        self._dead_zone = torch.zeros_like(x[0])
-        self._dead_zone[driven] = self._dead_zone[before] = self._fit.band
+        self._dead_band = torch.zeros_like(x[0])
+        self._dead_band[driven] = self._dead_band[before] = self._fit.band
         rows = self._residuals(inputs, y, torch.ones_like(y[:, 0]), under)
         #: Of which command each row is a part.
         self._command = torch.arange(len(x))
@@ -255,15 +255,15 @@ class CombinedTrainer:
         until, since = ~odd & (time >= _SHORTEST), odd & (left >= _SHORTEST)
         begun, rest = x[within.row[until]].clone(), x[within.row[since]].clone()
         begun[:, columns.duration] = time[until] / self._longest
-        told = rest[:, list(columns.driven)]
+        commanded = rest[:, list(columns.driven)]
         under = rows_underway(self._drive, columns, rest)
-        speed, _ = self._drive.reached(under, told, time[since])
+        speed, _ = self._drive.reached(under, commanded, time[since])
         rest[:, list(columns.before)] = speed
-        rest[:, len(self._data.inputs) :] = told  # it acts already
+        rest[:, len(self._data.inputs) :] = commanded  # it acts already
         rest[:, columns.duration] = left[since] / self._longest
         after = se2.between(moved[since], self._data.y.to(x)[within.row[since]])
         # A rest is like a command of its own only if no command is still waiting.
-        alike = ((told - speed).abs().amax(1) < _SETTLED) | (time[since] >= self._drive.delay)
+        alike = ((commanded - speed).abs().amax(1) < _SETTLED) | (time[since] >= self._drive.delay)
         inputs, y = torch.cat([begun, rest[alike]]), torch.cat([moved[until], after[alike]])
         weight = torch.full_like(y[:, 0], self._settings.part_weight)
         commands = torch.cat([within.row[until], within.row[since][alike]])
@@ -458,7 +458,7 @@ class CombinedTrainer:
             self._data.input_scale,
             torch.ones(OUTPUTS),
             "residual-twist",
-            dead_zone=self._dead_zone.cpu(),
+            dead_band=self._dead_band.cpu(),
             central=count > 0,
             derived=self._derived,
             drive=self._drive,
@@ -564,7 +564,7 @@ class CombinedTrainer:
                 name: {
                     **{law: float(getattr(drive, law)[c]) for law in drive.LAWS},
                     **{name: float(speeds[c]) for name, speeds in reached.items()},
-                    "dead_zone": float(self._dead_zone[self._columns.driven[c]]),
+                    "dead_band": float(self._dead_band[self._columns.driven[c]]),
                 }
                 for c, name in enumerate(driven)
             },

@@ -101,7 +101,7 @@ class Actuators(NamedTuple):
 
     driven: NDArray  #: [C] their numbers
     input_scale: NDArray  #: [C] ones, as commands are scaled
-    dead_zone: NDArray  #: dead bands
+    dead_band: NDArray  #: dead bands
     lag: NDArray  #: this and the next six as in DriveModel
     slowing: NDArray
     braking: NDArray
@@ -131,14 +131,14 @@ class Actuators(NamedTuple):
 
 
 @njit(error_model="numpy", cache=True)
-def _distances(a, turning, before, told, time, follows, row, until, found, within):
+def _distances(a, turning, before, commanded, time, follows, row, until, found, within):
     """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
 
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
         before: the command before each, [N, C].
-        told: the commands, [N, C].
+        commanded: the commands, [N, C].
         time: durations, [N] s.
         follows: whether a row's command followed that of the row before it, [N].
         row: of each instant within a command the row, [L], ascending.
@@ -146,13 +146,13 @@ def _distances(a, turning, before, told, time, follows, row, until, found, withi
         found: [_PIECES, K, N], zeros, written.
         within: [_PIECES, K, L], zeros, written: of the commands until these instants.
     """
-    count = told.shape[1]
+    count = commanded.shape[1]
     law, way = np.empty((count, _LAW)), np.empty(count)
     begins, reached, goals = np.empty(count), np.zeros(2 * count), np.empty((2, count))
     k = 0
-    for i in range(len(told)):
+    for i in range(len(commanded)):
         for c in range(count):
-            goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, told[i, c], c)
+            goals[0, c], goals[1, c] = _speed(a, before[i, c], c), _speed(a, commanded[i, c], c)
             begins[c] = reached[c] if follows[i] else goals[0, c]
         while k < len(row) and row[k] == i:
             _cut(a, turning, begins, goals, until[k], law, way, reached, within[:, :, k])
@@ -421,7 +421,7 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
 
 
 def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
-    """Return laws [L, C] that dead bands can be told by.
+    """Return laws [L, C] that dead bands can be estimated with.
 
     They are without static friction, which could stand for a dead band.
     """
@@ -459,11 +459,11 @@ def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
     that were commanded. First one band for all is sought, because where two wheels creep neither
     can be judged while the other is thought to move; then each for itself.
     """
-    told, band = rows.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
-    ways = (told.amin(0) < 0.0) & (told.amax(0) > 0.0)
+    commanded, band = rows.commanded, torch.zeros(laws.shape[1], dtype=torch.float64)
+    ways = (commanded.amin(0) < 0.0) & (commanded.amax(0) > 0.0)
     each = [torch.arange(len(band)) == c for c in torch.nonzero(ways).flatten()]
     for group in (ways, *each * 2) if len(each) > 1 else each:
-        given = told[:, group].abs().unique()
+        given = commanded[:, group].abs().unique()
         given = given[(given > 0.0) & (given <= _WIDEST)]
         costs: dict[float, float] = {}
         sizes = [0.0, *((given[1:] + given[:-1]) / 2.0).tolist()]

@@ -131,13 +131,13 @@ def _cut(time: Tensor, y: Tensor, within: Within | None) -> tuple[Tensor, Tensor
 
 
 @njit(error_model="numpy", cache=True)
-def _driven(a, turning, told, before, time, joined, features, lasts, row, states):
+def _driven(a, turning, commanded, before, time, joined, features, lasts, row, states):
     """Drive rows one after the other.
 
     Args:
         a: :class:`Actuators` of one model.
         turning: as in DriveModel, [C].
-        told: commands of the rows, [N, C].
+        commanded: commands of the rows, [N, C].
         before: those before each row, of use where it is not joined to the row before it, [N, C].
         time: of the rows, s.
         joined: whether a row begins where that before it ended.
@@ -149,9 +149,9 @@ def _driven(a, turning, told, before, time, joined, features, lasts, row, states
     Returns:
         How many pieces there are.
     """
-    count, delay = told.shape[1], a.delay[0]
+    count, delay = commanded.shape[1], a.delay[0]
     speed, push, way = np.zeros(count), np.zeros(count), np.zeros(count)
-    law, goals, earlier = np.zeros(_LAW), np.zeros(told.shape), np.zeros(count)
+    law, goals, earlier = np.zeros(_LAW), np.zeros(commanded.shape), np.zeros(count)
     made, acting, start, acts = 0, 0, 0.0, 0.0
     for i in range(len(time)):
         if not joined[i]:
@@ -161,7 +161,7 @@ def _driven(a, turning, told, before, time, joined, features, lasts, row, states
                 speed[c], push[c] = earlier[c], 0.0
             chain = i
         for c in range(count):
-            goals[i, c] = _speed(a, told[i, c], c)
+            goals[i, c] = _speed(a, commanded[i, c], c)
             states[i, c], states[i, count + c] = speed[c], push[c]
         now, end = start, start + time[i]
         while now < end - 1e-9:
@@ -191,7 +191,7 @@ class Chains:
     """Rows that follow one another, cut where poses within them are known, and windows of these.
 
     Attributes:
-        told: what commands ask for, scaled, before the static curve, [N, C].
+        commanded: what commands ask for, scaled, before the static curve, [N, C].
         before: the same of the command before, [N, C].
         time: durations, [N] s.
         joined: whether a row begins where that before it ended, [N] bool.
@@ -203,7 +203,7 @@ class Chains:
         turning: of the drive models that are fitted, [C]; None: nothing is lost in curves.
     """
 
-    told: Tensor
+    commanded: Tensor
     before: Tensor
     time: Tensor
     joined: Tensor
@@ -239,22 +239,22 @@ class Chains:
         """
         row, begin, end, y = _cut(x[:, columns.duration] * longest, y, within)
         whole = torch.nonzero(begin == 0.0).squeeze(1)
-        told, before = x[row][:, list(columns.driven)], x[row][:, list(columns.before)]
+        commanded, before = x[row][:, list(columns.driven)], x[row][:, list(columns.before)]
         joined = joined[row] | (begin > 0.0)
         time = end - begin
         windows = windows_of(time, joined)
-        asked = (told != 0).any(1) | (before != 0).any(1)
+        asked = (commanded != 0).any(1) | (before != 0).any(1)
         moves = asked | (y.abs() > _STANDS * y.abs().amax(0)).any(1)
         count = torch.cat([torch.zeros(1), moves.cumsum(0)])
         some = count[windows.end] > count[windows.first]
         windows = Windows(*(part[some] for part in windows))
-        return cls(told, before, time, joined, y, windows, whole, columns)
+        return cls(commanded, before, time, joined, y, windows, whole, columns)
 
     def first(self, rows: int) -> Chains:
         """Return the first rows, more than asked for as they are short, with their windows."""
         rows *= _SHORTER
         some = self.windows.end <= rows
-        names = ("told", "before", "time", "joined", "y")
+        names = ("commanded", "before", "time", "joined", "y")
         parts = {name: getattr(self, name)[:rows] for name in names}
         windows = Windows(*(part[some] for part in self.windows))
         whole = self.whole[self.whole < rows]
@@ -264,11 +264,6 @@ class Chains:
     def weighted(self, weight: Tensor) -> Chains:
         """Return the rows with other weights of the whole rows, [K]."""
         return replace(self, weight=weight)
-
-    @property
-    def commanded(self) -> Tensor:
-        """What commands ask for, scaled, [N, C]."""
-        return self.told
 
     def _counted(self) -> Windows:
         """Return the windows with the mean of what their rows count."""
@@ -287,7 +282,7 @@ class Chains:
 
         They begin with speeds and pushes, [N, 2 C].
         """
-        time, count = self.time.numpy(), self.told.shape[1]
+        time, count = self.time.numpy(), self.commanded.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
         most = int((time / PIECE).sum()) + 3 * len(time) + 8
         features = np.zeros((most, terms_of(count)))
@@ -296,7 +291,7 @@ class Chains:
             np.zeros(most, np.int64),
             np.zeros((len(time), 2 * count)),
         )
-        given = (self.told.numpy(), self.before.numpy(), time, self.joined.numpy())
+        given = (self.commanded.numpy(), self.before.numpy(), time, self.joined.numpy())
         made = _driven(
             actuators, actuators.turning(self.turning), *given, features, lasts, row, states
         )
@@ -312,7 +307,9 @@ class Chains:
         """
         drive = fit.drive
         speed, push = self.driven(fit.actuators.one(0))[3][self.whole].chunk(2, 1)
-        goals, before = (drive.shaped(outside(part, fit.band)) for part in (self.told, self.before))
+        goals, before = (
+            drive.shaped(outside(part, fit.band)) for part in (self.commanded, self.before)
+        )
         begin = self.time.cumsum(0) - self.time
         number = torch.arange(len(begin))
         chain = torch.where(self.joined, 0, number).cummax(0).values
@@ -357,7 +354,7 @@ class Chains:
 
         way, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
-        linear = self.told.shape[1]
+        linear = self.commanded.shape[1]
         rate, turns_left = _regression(way[end] - way[first], turn, windows, linear)
         # What the turn of a row was, by the model, less or more what it missed.
         turns = features @ rate
