@@ -40,6 +40,21 @@ def test_workflows_run_commands_that_there_are():
     assert all(set(one.split(",")) <= set(extras) for one in named)
 
 
+@pytest.mark.parametrize("words", [[], ["--help"], ["dataset", "--help"], ["report", "--help"]])
+def test_help_does_not_wait_for_large_libraries(words):
+    program = (
+        "import sys\n"
+        "from neurosim.__main__ import main\n"
+        f"sys.argv[1:] = {words}\n"
+        "try:\n    main()\n"
+        "except SystemExit:\n    pass\n"
+        "print('large:', *({'torch', 'numba', 'pandas', 'cv2', 'scipy'} & set(sys.modules)))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert "Usage: " in done.stdout + done.stderr
+    assert done.stdout.splitlines()[-1].split() == ["large:"], done.stdout
+
+
 @pytest.mark.skipif(not HOSTED, reason="needs the source folder")
 def test_the_citation_and_the_changelog_are_of_this_version():
     version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]

@@ -53,7 +53,7 @@ def marker_poses(
 ) -> NDArray:
     """Return poses [N, 3] from the pixels [N, 2] of the two markers; see :func:`board_poses`."""
     height = float(markers.get("height", 0.0))
-    front, rear = (camera.to_board(p, height) for p in (front, rear))
+    front, rear = np.split(camera.to_board(np.concatenate([front, rear]), height), 2)
     own = np.array([[markers[m]["x"], markers[m]["y"]] for m in ("front", "rear")], float)
     axis, own_axis = front - rear, own[0] - own[1]
     theta = unwrap(np.arctan2(axis[:, 1], axis[:, 0]) - math.atan2(own_axis[1], own_axis[0]))

@@ -11,7 +11,6 @@ from itertools import pairwise
 from typing import Any
 
 import numba
-import torch
 
 #: From so many rows on, sharing them out to several cores pays.
 WORTH_SHARING = 500
@@ -78,6 +77,8 @@ def one_thread(device: str = "cpu") -> Iterator[None]:
     or other programs, want. And how it cuts up long sums, and so their last digits, depends on
     how many threads there are.
     """
+    import torch  # takes a second, which what only shares out compiled work need not wait
+
     threads = torch.get_num_threads()
     if torch.device(device).type == "cpu":
         torch.set_num_threads(1)

@@ -21,7 +21,6 @@ from click.core import ParameterSource
 
 from neurosim.base.declared import bounded, hints_of
 from neurosim.base.errors import UserError
-from neurosim.base.place import Place
 from neurosim.cli._types import (
     PATH,
     Json,
@@ -130,7 +129,12 @@ def _kind(annotation: Any, default: Any) -> click.ParamType | None:
         return click.Tuple(kinds) if origin is tuple and ... not in parts else Listed(kinds[0])
     if bounded(annotation)[0] in (int, float):
         return ranged(annotation)
-    return {bool: click.BOOL, str: click.STRING, Path: PATH, Place: PATH}.get(annotation)
+    kind = {bool: click.BOOL, str: click.STRING, Path: PATH}.get(annotation)
+    if kind is None and isinstance(annotation, type):
+        from neurosim.base.place import Place  # with Numba, for which --help need not wait
+
+        kind = PATH if annotation is Place else None
+    return kind
 
 
 _NUMBERS = (Whole, Real)

@@ -64,13 +64,17 @@ class Agreement:
         while len(self._fastest) > 1 and self._fastest[1][0] < time - 2 * MEMORY:
             self._fastest.popleft()
 
-    def seen(self, time: float, pose: NDArray) -> None:
-        """Remember that the robot was seen at a pose [3] at a time (s)."""
+    def seen(self, time: float, pose: NDArray) -> bool:
+        """Remember that the robot was seen at a pose [3] at a time (s); return whether it counts.
+
+        Sights that follow the last one at once say nothing new.
+        """
         if self._seen and time < self._seen[-1][0] + BETWEEN:
-            return
+            return False
         self._seen.append((time, np.asarray(pose, float)))
         while self._seen[0][0] < time - MEMORY:
             self._seen.popleft()
+        return True
 
     def broken(self) -> bool:
         """Return whether, since some sight, the robot should have moved, and stands."""

@@ -292,8 +292,7 @@ class Session:
         last = None if self._sights is None else self._sights.last
         if last is None or not self._must_agree:
             return
-        self._agreement.seen(*last)
-        if self._agreement.broken():
+        if self._agreement.seen(*last) and self._agreement.broken():
             raise SeenToStand(
                 "the robot was commanded to move and is seen to stand, so it was stopped: the "
                 "camera shows old pictures, or the robot is held or switched off; "
