@@ -1,11 +1,11 @@
-"""Damaged files through every verb that reads them: what is not one sentence is a fault.
+"""Damaged files through every command that reads them: what is not one sentence is a fault.
 
 Small artefacts of every kind are made. In each case one file of them is damaged
-(:mod:`mutations`), a verb reads it in the process of a worker, and the case is a fault where
+(:mod:`mutations`), a command reads it in the process of a worker, and the case is a fault where
 
   - anything but an exit with one sentence or a success comes out (a traceback, a crash);
   - it takes longer than 10 s, or more than 1 GB of memory beyond what the worker had;
-  - an output stands there although the verb failed, or something beside it was changed.
+  - an output stands there although the command failed, or something beside it was changed.
 
 The cases are drawn from the seed: ``--only 17`` repeats case 17 alone and shows what happens.
 
@@ -39,13 +39,13 @@ from mutations import damage
 
 #: A case may take so long, s, and so much more memory than there was before it, bytes.
 LONGEST, LARGEST = 10.0, 2**30
-#: What a verb may write into, though it fails: what it drove is kept.
+#: What a command may write into, though it fails: what it drove is kept.
 KEEPS = ("record", "sample", "run", "track")
 
 
 @dataclass(frozen=True)
 class Target:
-    """A verb and what it reads.
+    """A command and what it reads.
 
     Attributes:
         line: the words of the command; those that name something in ``reads`` stand for it.
@@ -124,7 +124,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--cases", type=int, default=20_000)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--verb", help="cases of verbs whose line begins so alone")
+    parser.add_argument("--command", help="cases of commands whose line begins so alone")
     parser.add_argument("--only", type=int, help="repeat one case, and show what happens")
     parser.add_argument("--made", type=Path, help="a folder of artefacts to keep, or to use again")
     parser.add_argument("--json", action="store_true")
@@ -138,7 +138,7 @@ def main() -> None:
 
 
 def run(made: Path, options: argparse.Namespace) -> None:
-    targets = [one for one in TARGETS if one.line.startswith(options.verb or "")]
+    targets = [one for one in TARGETS if one.line.startswith(options.command or "")]
     if options.worker is not None:
         _work(made, targets, options)
         return
@@ -171,7 +171,7 @@ def run(made: Path, options: argparse.Namespace) -> None:
 def case(
     made: Path, scratch: Path, targets: Sequence[Target], seed: int, number: int, show: bool = False
 ) -> dict[str, Any]:
-    """Damage one file, let a verb read it; return what came of it.
+    """Damage one file, let a command read it; return what came of it.
 
     Args:
         made: folder of whole artefacts.
@@ -179,7 +179,7 @@ def case(
         targets: that are drawn from.
         seed: of all cases.
         number: of this one.
-        show: whether what the verb prints and its traceback are shown.
+        show: whether what the command prints and its traceback are shown.
 
     Returns:
         ``line`` (the command), ``what`` (was damaged), ``ended`` (``success``, ``refused`` or
@@ -201,7 +201,7 @@ def case(
     if not fault and code == 1 and not said.strip().splitlines()[-1:][0].startswith("neurosim: "):
         fault = f"no sentence: {said[-200:]!r}"
     if not fault and code and words[0] not in KEEPS and any(work.glob("out*")):
-        fault = "an output stands there although the verb failed"
+        fault = "an output stands there although the command failed"
     if not fault and _state(scratch, words) != before:
         fault = "something beside the output was changed"
     shutil.rmtree(work)
@@ -279,7 +279,7 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _state(scratch: Path, words: Sequence[str]) -> set[str]:
-    """Return what stands beside the folder in which a verb works."""
+    """Return what stands beside the folder in which a command works."""
     return {path.name for path in scratch.iterdir()} | {path.name for path in
             scratch.parent.iterdir() if path.name == "out"}  # fmt: skip
 
@@ -293,7 +293,7 @@ def _results(made: Path, options: argparse.Namespace) -> Iterator[tuple[int, dic
     while number < options.cases:
         words = [sys.executable, __file__, "--made", str(made), "--seed", str(options.seed)]
         words += ["--cases", str(options.cases), "--worker", str(number)]
-        words += ["--verb", options.verb] if options.verb else []
+        words += ["--command", options.command] if options.command else []
         with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as worker:
             lines: queue.Queue[str] = queue.Queue()
             threading.Thread(target=_read, args=(worker.stdout, lines), daemon=True).start()
@@ -325,7 +325,7 @@ def _read(stream: Any, lines: queue.Queue[str]) -> None:
 
 def _lost(made: Path, options: argparse.Namespace, number: int, why: str) -> dict[str, Any]:
     rng = random.Random(f"{options.seed} {number}")
-    targets = [one for one in TARGETS if one.line.startswith(options.verb or "")]
+    targets = [one for one in TARGETS if one.line.startswith(options.command or "")]
     line = rng.choices(targets, [one.weight for one in targets])[0].line
     return {"line": line, "what": f"repeat it with --only {number}", "ended": "fault", "fault": why}
 
@@ -438,7 +438,7 @@ def _kept_checkpoints() -> Iterator[None]:
 
 
 def _write_inputs(folder: Path) -> None:
-    """Write what does not come from a verb: logs, samples, an arena, a task, markers."""
+    """Write what does not come from a command: logs, samples, an arena, a task, markers."""
     import numpy as np
 
     from neurosim.base import se2

@@ -87,7 +87,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n\n")[0])
     parser.add_argument("--cases", type=int, default=200)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--verb", default="", help="commands that begin so alone")
+    parser.add_argument("--command", default="", help="commands that begin so alone")
     parser.add_argument("--only", type=int, help="repeat one case")
     parser.add_argument("--patience", type=float, default=5.0, help="a command may take to end, s")
     parser.add_argument("--made", type=Path, help="a folder of artefacts to keep, or to use again")
@@ -127,7 +127,7 @@ def case(made: Path, work: Path, number: int, options: argparse.Namespace) -> di
         ``what`` was done, how it ``ended``, what it ``took`` to end (s), and ``faults``.
     """
     rng, patience = random.Random(f"{options.seed} {number}"), options.patience
-    line = rng.choice([line for line in COMMANDS if line.startswith(options.verb)])
+    line = rng.choice([line for line in COMMANDS if line.startswith(options.command)])
     cold = rng.random() < 0.25
     shutil.copytree(made, work)
     (work / "plugin.py").write_text(PLUGIN)

@@ -125,12 +125,12 @@ class Template(string.Formatter):
             if name not in self.used:
                 path = self._folder / f"{name}.json"
                 self.used[name] = json.loads(path.read_text(encoding="utf-8"))
-            found = self.used[name]["found"]
+            value = self.used[name]["found"]
             for key in keys:
-                found = found[int(key) if isinstance(found, list) else key]
+                value = value[int(key) if isinstance(value, list) else key]
         except (OSError, LookupError, TypeError, ValueError) as error:
             raise SystemExit(f"{self._folder}: there is no figure {field_name}: {error}") from None
-        return found, name
+        return value, name
 
     def format_field(self, value: Any, format_spec: str) -> str:
         spec, _, factor = format_spec.partition("*")
@@ -153,17 +153,17 @@ def block(name: str, folder: Path = FIGURES) -> str:
 
 def written(text: str, folder: Path = FIGURES) -> str:
     """Return a page with its figures."""
-    return BLOCK.sub(lambda found: found[1] + found[2] + block(found[1], folder), text)
+    return BLOCK.sub(lambda match: match[1] + match[2] + block(match[1], folder), text)
 
 
 def aged(text: str, folder: Path = FIGURES, root: Path = ROOT) -> str:
     """Return a page that says below its figures if they are older than their code."""
 
-    def noted(found: re.Match[str]) -> str:
+    def noted(match: re.Match[str]) -> str:
         template = Template(folder)
-        template.format((folder / f"{found[1]}.md").read_text(encoding="utf-8"))
+        template.format((folder / f"{match[1]}.md").read_text(encoding="utf-8"))
         notes = [note for one in template.used.values() for note in age(one, root)]
-        return "".join([found[0], *(f"\n**Older than their code:** {note}.\n" for note in notes)])
+        return "".join([match[0], *(f"\n**Older than their code:** {note}.\n" for note in notes)])
 
     return BLOCK.sub(noted, text)
 

@@ -80,17 +80,17 @@ def small(data: Any) -> None:
 
 def kept(outputs: list[Any]) -> list[Any]:
     """Return outputs without progress (stderr), with joined texts and small pictures."""
-    found: list[Any] = []
+    shortened: list[Any] = []
     for output in outputs:
         if output.get("name") == "stderr":
             continue
-        if found and output.output_type == found[-1].output_type == "stream":
-            found[-1].text += output.text
+        if shortened and output.output_type == shortened[-1].output_type == "stream":
+            shortened[-1].text += output.text
             continue
         if "image/png" in output.get("data", {}):
             small(output.data)
-        found.append(output)
-    return found
+        shortened.append(output)
+    return shortened
 
 
 def main(paths: list[Path]) -> None:

@@ -18,7 +18,7 @@ for name in ("SIGHUP", "SIGQUIT"):
     if hasattr(signal, name):
         signal.signal(getattr(signal, name), signal.SIG_DFL)
 
-#: Whoever asks for one of these waits for another process: all verbs in a row, or a browser.
+#: Whoever asks for one of these waits for another process: all commands in a row, or a browser.
 SLOW_FIXTURES = {"pipeline", "browser", "tab"}
 
 SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"

@@ -1,4 +1,4 @@
-"""Damaged files through the verbs that read them: a few of what benchmarks/fuzz.py does."""
+"""Damaged files through the commands that read them: a few of what benchmarks/fuzz.py does."""
 
 import json
 import random

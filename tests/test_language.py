@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 import pytest
-from plain_words import NOT_IN_MESSAGES
+from plain_words import NOT_IN_MESSAGES, NOT_NAMES
 
 from neurosim.cli.main import cli
 
@@ -53,6 +53,25 @@ def test_messages():
         for path in FILES
         for line, text in texts(path.read_text(encoding="utf-8"))
         if (hit := NOT_IN_MESSAGES.search(text))
+    ]
+    assert not hits
+
+
+def names(source):
+    """Give the names of variables and arguments, with their lines."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.arg):
+            yield node.lineno, node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.lineno, node.id
+
+
+def test_names():
+    hits = [
+        f"{path.relative_to(ROOT)}:{line}: {name}"
+        for path in FILES
+        for line, name in names(path.read_text(encoding="utf-8"))
+        if name in NOT_NAMES
     ]
     assert not hits
 

@@ -39,7 +39,7 @@ class Track:
         lamp: [N] brightness where the lamp is, 0..255, NaN where the pair was not found.
         size: width and height of the video in pixels.
         markers: as tracking.json has them. ``front`` and ``rear`` as found: name, rgb of the rim,
-            hue, chroma, how sure, and what speaks against them where they are not sure; or
+            hue, chroma, confidence, and the reason where it is low; or
             ``tag``: its dictionary and id, and the ids of others that were seen.
         undecided: frames in which several pairs could have been the lost one; none was taken.
         missing: frames that the video should have after these, and has not: it was cut short.

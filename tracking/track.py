@@ -1,4 +1,4 @@
-"""The verb ``track``: a recording's video, or any video, to a pose per frame."""
+"""The command ``track``: a recording's video, or any video, to a pose per frame."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tracking.clock.motor_delay import Delay, motion_delay
 from tracking.clock.sync import ClockFit, fit_clock, pulses
 from tracking.datasets.recordings import (
     TRACKING_FORMAT,
-    VERSION,
+    TRACKING_VERSION,
     CommandLine,
     Poses,
     Recording,
@@ -148,10 +148,10 @@ def track(
     if not parts:
         raise UserError(f"{source.path}: no command was sent in it, so there is nothing to track")
     for (path, seen), part in zip(tracks, parts, strict=True):
-        doubt = _doubt_of(seen, tracks)
-        if doubt and not doubtful:
-            raise UserError(_refusal(path, doubt))
-        part.doubtful[:] |= bool(doubt) & seen.found
+        reason = _reason_of(seen, tracks)
+        if reason and not doubtful:
+            raise UserError(_refusal(path, reason))
+        part.doubtful[:] |= bool(reason) & seen.found
     joined = Poses(
         *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Poses))
     )
@@ -166,7 +166,7 @@ def track(
         "sessions": sessions,
     }
     source.write_poses(joined)
-    write_json(source.path / "tracking.json", TRACKING_FORMAT, VERSION, summary)
+    write_json(source.path / "tracking.json", TRACKING_FORMAT, TRACKING_VERSION, summary)
     return summary
 
 
@@ -242,10 +242,10 @@ def track_video(
         )  # fmt: skip
         if not partial:
             _check_whole(path, len(seen.frame), seen.missing)
-        doubt = _doubt_of(seen, [(path, seen)])
-        if doubt and not doubtful:
-            raise UserError(_refusal(path, doubt))
-        unclear = (seen.doubtful | bool(doubt)) & seen.found
+        reason = _reason_of(seen, [(path, seen)])
+        if reason and not doubtful:
+            raise UserError(_refusal(path, reason))
+        unclear = (seen.doubtful | bool(reason)) & seen.found
         ahead, behind = seen.front, seen.rear
         if camera is not None:
             ahead, behind = plane(seen.front), plane(seen.rear)
@@ -279,7 +279,7 @@ def track_video(
         }
         if folder is not None:
             write_csv(folder / "poses.csv", columns)
-            write_json(folder / "tracking.json", TRACKING_FORMAT, VERSION, summary)
+            write_json(folder / "tracking.json", TRACKING_FORMAT, TRACKING_VERSION, summary)
     return {**summary, "poses": columns}
 
 
@@ -392,20 +392,20 @@ def _check_times(source: Recording, session: int, count: int) -> None:
     )
 
 
-def _doubt_of(seen: Track, tracks: Sequence[tuple[str | Path, Track]]) -> str | None:
+def _reason_of(seen: Track, tracks: Sequence[tuple[str | Path, Track]]) -> str | None:
     """Return why a pair may not be the robot's; in one session of several it may stand still."""
     moves = any(
-        all(marker.get("doubt") is None for marker in one.markers.values()) for _, one in tracks
+        all(marker.get("reason") is None for marker in one.markers.values()) for _, one in tracks
     )
-    still = all(marker.get("doubt") in (None, STILL) for marker in seen.markers.values())
+    still = all(marker.get("reason") in (None, STILL) for marker in seen.markers.values())
     if moves and still:
         return None
     return warning(seen.markers)
 
 
-def _refusal(path: str | Path, doubt: str) -> str:
+def _refusal(path: str | Path, reason: str) -> str:
     return (
-        f"{path}: {doubt}, and no poses are written; click on each with --click U,V (of a video "
+        f"{path}: {reason}, and no poses are written; click on each with --click U,V (of a video "
         "file) or in neurosim watch, name others with --colours, or take these with --doubtful"
     )
 

@@ -9,12 +9,12 @@ ROOM = 96  # of a line
 
 def checksum(data):
     """CRC-16/CCITT-FALSE."""
-    found = 0xFFFF
+    crc = 0xFFFF
     for byte in data:
-        found ^= byte << 8
+        crc ^= byte << 8
         for _ in range(8):
-            found = ((found << 1) ^ 0x1021 if found & 0x8000 else found << 1) & 0xFFFF
-    return found
+            crc = ((crc << 1) ^ 0x1021 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc
 
 
 class Lines:

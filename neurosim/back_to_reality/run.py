@@ -17,7 +17,7 @@ from neurosim.back_to_reality.settings import BackToRealitySettings, settings_na
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
 from neurosim.base.checkpoint import Checkpoint
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, UserError, counted
 from neurosim.base.scalars import Scalars
 from neurosim.controllers import Plan, SavedController, read_controller
 from neurosim.controllers.base import Controller
@@ -95,7 +95,8 @@ def _genes_of_plan(controller: Plan, saved: SavedController, path: str | Path) -
     room = controller.slots - len(saved.commands)
     if room < 0:
         raise UserError(
-            f"{path} has {len(saved.commands)} commands; expected {controller.slots} at most"
+            f"{path} has {counted(len(saved.commands), 'command')}; expected at most "
+            f"{controller.slots}"
         )
     return controller.encode([*saved.commands, *[None] * room])
 

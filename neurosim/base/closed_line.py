@@ -32,17 +32,17 @@ class ClosedLine:
         Raises:
             UserError: if they are no closed line: fewer than 3, not finite, or on one spot.
         """
-        found = np.ascontiguousarray(points, np.float64)
-        if found.ndim != 2 or found.shape[1] != 2 or len(found) < 3:
+        corners = np.ascontiguousarray(points, np.float64)
+        if corners.ndim != 2 or corners.shape[1] != 2 or len(corners) < 3:
             raise UserError("a closed line needs at least three points, each with x and y (m)")
-        if not np.isfinite(found).all() or np.abs(found).max() > 1e3:
+        if not np.isfinite(corners).all() or np.abs(corners).max() > 1e3:
             raise UserError("the points of a closed line must be finite, and within 1000 m")
-        sides = np.linalg.norm(np.roll(found, -1, axis=0) - found, axis=1)
-        found = found[sides > 1e-9]
-        if len(found) < 3:
+        sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
+        corners = corners[sides > 1e-9]
+        if len(corners) < 3:
             raise UserError("the points of a closed line must be at least three different ones")
-        self.points: NDArray[np.float64] = found
-        ends = np.roll(found, -1, axis=0) - found
+        self.points: NDArray[np.float64] = corners
+        ends = np.roll(corners, -1, axis=0) - corners
         self._sides = np.linalg.norm(ends, axis=1)
         self._until = np.concatenate([[0.0], np.cumsum(self._sides)])
         self._headings = np.arctan2(ends[:, 1], ends[:, 0])

@@ -81,11 +81,12 @@ class _Stroke:
         return (self.points.min(axis=0) + self.points.max(axis=0)) / 2
 
 
-def read_drawing(path: str | Path) -> Place:
-    """Return the place that a drawing shows.
+def read_drawing(path: str | Path) -> tuple[Place, list[str]]:
+    """Return the place that a drawing shows, and sentences on what was added to it.
 
     x points to the right and y up. The origin is the middle of the board, else of the outline,
-    else of everything.
+    else of everything. An outline and obstacles that are open are closed; a line without a stroke
+    width has the usual one.
 
     Raises:
         FileError: if the file is no drawing, has no parts of a place, says nothing of its size, or
@@ -102,7 +103,8 @@ def read_drawing(path: str | Path) -> Place:
         raise FileError(path, f"expected a drawing in SVG, found <{_tag(root)}>")
     try:
         strokes = list(_strokes(root, Identity, "", None))
-        return _place(_in_metres(strokes, _page_scale(root)))
+        scaled = _in_metres(strokes, _page_scale(root))
+        return _place(scaled), list(_added(scaled))
     except FileError:
         raise
     except UserError as error:
@@ -122,7 +124,7 @@ def _strokes(element: Any, outer: Transform, part: str, width: float | None) -> 
         return
     label = next((value for key, value in element.items() if key.endswith("}label")), None)
     names = [element.get("id"), label, *(element.get("class") or "").split()]
-    part = next((found for name in names if name and (found := _part_of(name))), part)
+    part = next((named for name in names if name and (named := _part_of(name))), part)
     own = style.get("stroke-width", element.get("stroke-width"))
     width = width if own is None else _length(own, "stroke-width")
     transform = outer.transform(_transform(element.get("transform", "")))
@@ -241,16 +243,17 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
             "the drawing says nothing of its size: add a line of a known length and name it, such "
             "as scale-50cm, or give the page's width in mm"
         )
-    found = []
+    scaled = []
     for stroke in strokes:
         points = _thinned(stroke.points * (page, -page))
-        if stroke.closed and len(points) > 1 and np.linalg.norm(points[-1] - points[0]) <= NEAR:
-            points = points[:-1]
+        closed = stroke.closed
+        if len(points) > (1 if closed else 3) and np.linalg.norm(points[-1] - points[0]) <= NEAR:
+            points, closed = points[:-1], True
         if len(points) < 2 and stroke.part != "light":
             raise UserError(f"{stroke.name} ({stroke.part}) is smaller than {1000 * NEAR:g} mm")
         width = None if stroke.width is None else page * stroke.width
-        found.append(replace(stroke, points=points, width=width))
-    return found
+        scaled.append(replace(stroke, points=points, closed=closed, width=width))
+    return scaled
 
 
 def _thinned(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -322,6 +325,17 @@ def _place(strokes: list[_Stroke]) -> Place:
     )
 
 
+def _added(strokes: list[_Stroke]) -> Iterator[str]:
+    """Give a sentence on each stroke in metres to which something is added."""
+    usual = {"line": Line.width, "perimeter": Board.line_width}
+    for one in strokes:
+        if one.part in usual and one.width is None:
+            width = f"{100 * usual[one.part]:g} cm"
+            yield f"{one.name} ({one.part}) has no stroke width: {width} is used"
+        if one.part in ("outline", "obstacle") and not one.closed:
+            yield f"{one.name} ({one.part}) is open: its last point is joined to its first"
+
+
 def _board(of: dict[str, list[_Stroke]]) -> Board | None:
     if "board" not in of:
         if "perimeter" in of:
@@ -336,7 +350,7 @@ def _board(of: dict[str, list[_Stroke]]) -> Board | None:
     apart = np.abs(line.middle - of["board"][0].middle).max()
     if min(insets) < 0 or max(abs(insets[0] - insets[1]), apart) > 5 * NEAR:
         raise UserError("the perimeter is not equally far inside the board's edges everywhere")
-    usual = Board().line_width if line.width is None else line.width
+    usual = Board.line_width if line.width is None else line.width
     return Board(length, width, line_inset=round(sum(insets) / 2, 6), line_width=round(usual, 6))
 
 
@@ -384,14 +398,14 @@ def _rows(points: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
 
 def _transform(text: str) -> Transform:
     """Return the transform of an attribute, such as ``translate(1, 2) rotate(90)``."""
-    found = Identity
+    transform = Identity
     for name, inside in _FUNCTION.findall(text):
         try:
             given = [float(value) for value in re.split(r"[\s,]+", inside.strip())]
-            found = found.transform(_FUNCTIONS[name](*given))
+            transform = transform.transform(_FUNCTIONS[name](*given))
         except (KeyError, TypeError, ValueError):
             raise UserError(f"the transform {name}({inside}) cannot be read") from None
-    return found
+    return transform
 
 
 def _rotated(degrees: float, x: float = 0.0, y: float = 0.0) -> Transform:

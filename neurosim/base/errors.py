@@ -1,8 +1,13 @@
-"""Errors that a user can cause, each one clear sentence for stderr."""
+"""Errors that a user can cause, each one clear sentence for stderr; and words of sentences."""
 
 from __future__ import annotations
 
 from pathlib import Path
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number of things in words, such as ``1 sample`` or ``2 samples``."""
+    return f"{count} {noun}" + "s" * (count != 1)
 
 
 class UserError(Exception):

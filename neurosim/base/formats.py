@@ -282,13 +282,13 @@ class MarkerSeen(Format):
 
     Attributes:
         colour: colour, as #rrggbb or by name.
-        sure: confidence, 0 to 1.
-        doubt: the reason of a low confidence.
+        confidence: how certain the colour is, 0 to 1.
+        reason: the reason of a low confidence.
     """
 
     colour: str | None = None
-    sure: float | None = None
-    doubt: str | None = None
+    confidence: float | None = None
+    reason: str | None = None
 
 
 class TagSeen(Format):

@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,6 +36,7 @@ from neurosim.base.errors import FileError, UserError
 from neurosim.base.perimeter import Board
 
 FORMAT, VERSION = "neurosim-place", 1
+_Part = TypeVar("_Part")
 #: Points nearer to each other than this are one, m.
 _SAME = 1e-3
 #: Thickness of a wall that stands inside, m.
@@ -193,23 +194,26 @@ class Place(Checked):
             return cls._made(content)
         except FileError:
             raise
+        except SettingError as error:
+            raise FileError(path, error.what, field=error.field) from None
         except UserError as error:
             raise FileError(path, str(error)) from None
 
     @classmethod
     def _made(cls, content: Mapping[str, Any]) -> Place:
-        found = _known(cls, content)
-        if "lines" in found:
-            found["lines"] = tuple(Line(**_known(Line, line)) for line in found["lines"])
-        if "board" in found:
+        parts = _known(cls, content)
+        if "lines" in parts:
+            lines = enumerate(parts["lines"])
+            parts["lines"] = tuple(_part(f"lines[{n}]", Line, line) for n, line in lines)
+        if "board" in parts:
             # A line that nobody wrote down is not there.
-            found["board"] = Board(**{"line_width": 0.0, **_known(Board, found["board"])})
-        return cls(**found)
+            parts["board"] = _part("board", Board, {"line_width": 0.0, **parts["board"]})
+        return cls(**parts)
 
     def to_json(self) -> dict[str, Any]:
         """Return what :meth:`of` takes, without parts that are missing."""
-        found = {name: value for name, value in asdict(self).items() if value not in (None, ())}
-        plain: dict[str, Any] = json.loads(json.dumps(found))  # tuples as lists
+        parts = {name: value for name, value in asdict(self).items() if value not in (None, ())}
+        plain: dict[str, Any] = json.loads(json.dumps(parts))  # tuples as lists
         return plain
 
     def write(self, path: str | Path) -> None:
@@ -218,17 +222,17 @@ class Place(Checked):
 
     def shapes(self) -> list[dict[str, Any]]:
         """Return what a picture of it shows, as of a task's outline."""
-        found: list[dict[str, Any]] = []
+        shapes: list[dict[str, Any]] = []
         if self.board is not None:
-            found += board_shapes(self.board)
+            shapes += board_shapes(self.board)
         if self.outline:
-            found.append({"polygon": [list(corner) for corner in self.outline]})
+            shapes.append({"polygon": [list(corner) for corner in self.outline]})
         for line in self.lines:
-            found += line.shapes()
+            shapes += line.shapes()
         for wall in self.walls:
-            found.append({"polygon": _sides(wall)[:, :2].tolist(), "forbidden": True})
-        found += ({"circle": list(one), "forbidden": True} for one in self.obstacles)
-        return [*found, *({"circle": [*light, _LIGHT]} for light in self.lights)]
+            shapes.append({"polygon": _sides(wall)[:, :2].tolist(), "forbidden": True})
+        shapes += ({"circle": list(one), "forbidden": True} for one in self.obstacles)
+        return [*shapes, *({"circle": [*light, _LIGHT]} for light in self.lights)]
 
     @cached_property
     def surfaces(self) -> NDArray[np.float64]:
@@ -296,14 +300,14 @@ class Place(Checked):
     def clearance(self, points: ArrayLike) -> NDArray[np.float64]:
         """Return how far points [..., 2] are from the nearest surface, m; below 0 in solids."""
         points = np.asarray(points, float)
-        found = wall_distances(self.surfaces, points).min(axis=-1, initial=np.inf)
+        clearance = wall_distances(self.surfaces, points).min(axis=-1, initial=np.inf)
         if self.walls:
-            found *= np.where(self._in_walls(points), -1.0, 1.0)
+            clearance *= np.where(self._in_walls(points), -1.0, 1.0)
         if self.obstacles:
             x, y, radius = self.cylinders.T
             to = np.hypot(points[..., None, 0] - x, points[..., None, 1] - y) - radius
-            found = np.minimum(found, to.min(axis=-1))
-        cleared: NDArray[np.float64] = np.where(self.inside(points), found, -np.inf)
+            clearance = np.minimum(clearance, to.min(axis=-1))
+        cleared: NDArray[np.float64] = np.where(self.inside(points), clearance, -np.inf)
         return cleared
 
     def check_start(self, pose: ArrayLike, radius: float) -> None:
@@ -330,13 +334,13 @@ class Place(Checked):
             UserError: if there is hardly such a place, or its size is unknown.
         """
         x1, y1, x2, y2 = self.bounds
-        found = np.empty((0, 2))
+        free = np.empty((0, 2))
         for _ in range(200):
             points = rng.uniform((x1, y1), (x2, y2), (4 * count, 2))
-            found = np.concatenate([found, points[self.clearance(points) > radius]])
-            if len(found) >= count:
+            free = np.concatenate([free, points[self.clearance(points) > radius]])
+            if len(free) >= count:
                 headings = rng.uniform(-math.pi, math.pi, (count, 1))
-                return np.concatenate([found[:count], headings], axis=1)
+                return np.concatenate([free[:count], headings], axis=1)
         raise UserError("there is no room for the robot in this place")
 
     @cached_property
@@ -400,11 +404,11 @@ def board_shapes(board: Board) -> list[dict[str, Any]]:
     """Return what a picture shows of a board: its edge and its perimeter line."""
     sign = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     half = np.array([board.length, board.width]) / 2
-    found: list[dict[str, Any]] = [{"polygon": (half * sign).tolist()}]
+    shapes: list[dict[str, Any]] = [{"polygon": (half * sign).tolist()}]
     if board.line_width:
         corners = ((half - board.line_inset) * sign).tolist()
-        found += Line(_rows(corners), board.line_width).shapes()
-    return found
+        shapes += Line(_rows(corners), board.line_width).shapes()
+    return shapes
 
 
 def wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
@@ -413,6 +417,20 @@ def wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
     off = points[..., None, :] - start
     share = np.clip((off * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
     return np.linalg.norm(off - share[..., None] * along, axis=-1)
+
+
+def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:
+    """Return a part of a place.
+
+    Raises:
+        SettingError: naming the field in the place.
+    """
+    try:
+        return kind(**_known(kind, content))
+    except SettingError as error:
+        raise SettingError(f"{field}.{error.field}", error.what) from None
+    except UserError as error:
+        raise SettingError(field, str(error)) from None
 
 
 def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:

@@ -80,7 +80,7 @@ def parameters(source: Any) -> list[Parameter]:
     except (TypeError, ValueError):
         return []
     annotations, helps = hints_of(source), documented(source)
-    found = []
+    result = []
     for name, each in signature.parameters.items():
         if each.kind in (each.POSITIONAL_ONLY, each.VAR_POSITIONAL, each.VAR_KEYWORD):
             continue
@@ -89,8 +89,8 @@ def parameters(source: Any) -> list[Parameter]:
         if kind is not None:
             default = _default(source, name, each.default)
             default = default if made is None else getattr(made, name)
-            found.append(Parameter(name, kind, hint, default, helps.get(name, "")))
-    return found
+            result.append(Parameter(name, kind, hint, default, helps.get(name, "")))
+    return result
 
 
 def _owners(source: Callable[..., Any]) -> list[Any]:
@@ -149,29 +149,29 @@ _ENTRY = re.compile(r"    (\w+(?:, \w+)*): (.*)")
 
 def documented(source: Callable[..., Any]) -> dict[str, str]:
     """Return the first sentence that the docstrings have of each parameter."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     for title in ("Attributes:", "Args:"):  # what is said of an argument counts first
         for owner in _owners(source):
             init = vars(owner).get("__init__") if isinstance(owner, type) else None
             for doc in (owner.__doc__, getattr(init, "__doc__", None)):
-                found |= _entries(inspect.cleandoc(doc or ""), title)
-    return {name: _sentence(text) for name, text in found.items()}
+                entries |= _entries(inspect.cleandoc(doc or ""), title)
+    return {name: _sentence(text) for name, text in entries.items()}
 
 
 def _entries(doc: str, title: str) -> dict[str, str]:
     """Return what a section of a docstring says of each name."""
-    found: dict[str, str] = {}
+    entries: dict[str, str] = {}
     inside, names = False, []
     for line in doc.splitlines():
         if line and not line.startswith(" "):
             inside, names = line == title, []
         elif inside and (entry := _ENTRY.match(line)):
             names = entry[1].split(", ")
-            found |= dict.fromkeys(names, entry[2])
+            entries |= dict.fromkeys(names, entry[2])
         elif line.strip():
             for name in names:
-                found[name] += " " + line.strip()
-    return found
+                entries[name] += " " + line.strip()
+    return entries
 
 
 def _sentence(text: str) -> str:
@@ -181,7 +181,7 @@ def _sentence(text: str) -> str:
     return f"{first[:1].upper()}{first[1:]}." if first else ""
 
 
-#: What is chosen: the verb's parameter -> a name.
+#: What is chosen: the command's parameter -> a name.
 Chosen = Mapping[str, str]
 
 
@@ -190,7 +190,7 @@ class Group:
     """Options that stand for the parameters of one callable.
 
     Attributes:
-        into: the verb's parameter that gets a dict of those that were given.
+        into: the command's parameter that gets a dict of those that were given.
         source: the callable, or a settings object, whose values are then the defaults; or
             :class:`Choices`, of which an option names one; or, with ``by_choice``, a function from
             what is chosen to any of these. As text, ``module:attribute``, it is imported when it is
@@ -234,7 +234,7 @@ class Group:
 
     @property
     def chooser(self) -> str:
-        """The verb's parameter that gets the chosen name."""
+        """The command's parameter that gets the chosen name."""
         return (self.option or "").strip("-").replace("-", "_")
 
     def choices(self) -> Choices:
@@ -257,7 +257,7 @@ class Group:
 
         Args:
             chosen: what is chosen.
-            taken: options of the verb; one that has the same name is prefixed with what is chosen.
+            taken: options of the command; one of the same name is prefixed with what is chosen.
         """
         source, made = self.chosen_by(chosen), {}
         skip = self.skip(chosen) if callable(self.skip) else self.skip
@@ -305,10 +305,10 @@ def _loaded(source: Any) -> Any:
 def settings_options(into: str, source: Any, **others: Any) -> Callable[[Callable], Callable]:
     """Return a decorator that makes options of a callable's parameters.
 
-    The verb gets those that were given as a dict, to call the callable with.
+    The command gets those that were given as a dict, to call the callable with.
 
     Args:
-        into: the verb's parameter.
+        into: the command's parameter.
         source: a settings class or a function; see :class:`Group`.
         others: see :class:`Group`.
     """
@@ -325,8 +325,8 @@ def choice_options(
 ) -> Callable[[Callable], Callable]:
     """Return a decorator that adds an option that names something, and the options of that.
 
-    Of ``--task`` the verb gets ``task``, the name, and ``task_options``, a dict of the options of
-    the task that were given. ``--help`` lists those of the task that is named, or of the default.
+    Of ``--task`` the command gets ``task``, the name, and ``task_options``, a dict of the task's
+    options that were given. ``--help`` lists those of the task that is named, or of the default.
 
     Args:
         option: such as ``--task``.
@@ -350,7 +350,7 @@ def _adds(group: Group) -> Callable[[Callable], Callable]:
 
 
 class SettingsCommand(click.Command):
-    """A verb with groups of options: see :func:`settings_options`, :func:`choice_options`.
+    """A command with groups of options: see :func:`settings_options`, :func:`choice_options`.
 
     Which options there are depends on what is chosen, so the line is read twice: at first with the
     options of everything that can be chosen.
@@ -359,7 +359,7 @@ class SettingsCommand(click.Command):
     for things outside this program (see :class:`Group`), which must be named again.
 
     Args:
-        begun: finds, by the verb's values, the options that what is resumed was begun with.
+        begun: finds, by the command's values, the options that what is resumed was begun with.
     """
 
     def __init__(
@@ -495,10 +495,10 @@ class SettingsCommand(click.Command):
         flag = error.option_name
 
         def has(chosen: Chosen) -> bool:
-            found = [
+            options = [
                 each for one in self._groups for each in _options_or_none(one, chosen).values()
             ]
-            return any(flag in (*each.opts, *each.secondary_opts) for each in found)
+            return any(flag in (*each.opts, *each.secondary_opts) for each in options)
 
         for group in self._groups:
             if group.option is None:
@@ -540,6 +540,23 @@ class SettingsCommand(click.Command):
         for title, records in sections.items():
             with formatter.section(title):
                 formatter.write_dl(records)
+        if others := list(self._others(state)):
+            with formatter.section("More options, with --help after these"):
+                formatter.write_dl(others)
+
+    def _others(self, state: _State) -> Iterator[tuple[str, str]]:
+        """Give each name that is not chosen, with the options that it would add."""
+        shown = {flag for each in state.params or () for flag in each.opts}
+        for group in self._groups:
+            for name in group.choices().names() if group.option is not None else ():
+                other = _State({**state.chosen, group.chooser: name})
+                try:
+                    list(self._expanded(other))
+                except UserError:
+                    continue  # of a package that cannot be imported
+                flags = [each.opts[0] for each in other.options[group.into].values()]
+                if more := [flag for flag in flags if flag not in shown]:
+                    yield f"{group.option} {name}", ", ".join(more)
 
 
 @dataclass
@@ -560,7 +577,7 @@ def _state(ctx: click.Context) -> _State:
 
 
 def given_options() -> dict[str, Any]:
-    """Return the options that were given to the verb that runs, to be kept for --resume."""
+    """Return the options that were given to the command that runs, to be kept for --resume."""
     return _state(click.get_current_context()).given
 
 

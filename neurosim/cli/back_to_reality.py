@@ -177,11 +177,13 @@ def back_to_reality(
 
 
 def _text(content: dict[str, Any], out: Path) -> str:
+    from neurosim.base.errors import counted
+
     start, best = content["start"]["fitness"], content["best"]
     times = "" if best["times_start"] is None else f", {best['times_start']:.2f} times that"
     text = (
         f"{out}: fitness {start:.3g} in reality to start with, {best['fitness']:.3g} in the end"
-        f"{times}, after {content['trials']} trial{'s' * (content['trials'] != 1)}.\n"
+        f"{times}, after {counted(content['trials'], 'trial')}.\n"
     )
     for number, cycle in enumerate(content["cycles"], 1):
         if "L3" in cycle:

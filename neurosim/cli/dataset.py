@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from neurosim.base.declared import Delay, Seconds
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.cli._common import emit, is_given, json_option, next_step
 from neurosim.cli._types import PATH, Pairs, ranged
 
@@ -241,8 +241,11 @@ def dataset(
     emit(
         result,
         as_json,
-        f"{out}: {len(made.table)} rows, {len(made.within)} poses within them; left out: "
-        f"{reasons or 'none'}.\n" + chained + late + next_step("train", out, "-o", "SIMULATOR"),
+        f"{out}: {counted(len(made.table), 'row')}, {len(made.within)} poses within them; "
+        f"left out: {reasons or 'none'}.\n"
+        + chained
+        + late
+        + next_step("train", out, "-o", "SIMULATOR"),
     )
 
 
@@ -251,4 +254,4 @@ def _too_few(rows: int) -> list[str]:
 
     if rows >= FEWEST_ROWS:
         return []
-    return [f"{rows} row{'s' * (rows != 1)}; neurosim train needs at least {FEWEST_ROWS}"]
+    return [f"{counted(rows, 'row')}; neurosim train needs at least {FEWEST_ROWS}"]

@@ -12,7 +12,7 @@ import click
 
 from neurosim.base.checkpoint import Checkpoint
 from neurosim.base.declared import CountOrNone
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.base.interrupts import exit_code
 from neurosim.cli._common import (
     at_line_option,
@@ -48,9 +48,9 @@ def _task(chosen: Chosen) -> Any:
     """Return the task that is chosen, with the settings of its file or its defaults."""
     from neurosim.tasks.files import FILES_AND_TASKS
 
-    found = FILES_AND_TASKS.get(chosen["task"])
+    task = FILES_AND_TASKS.get(chosen["task"])
     try:
-        return found() if isinstance(found, type) else found
+        return task() if isinstance(task, type) else task
     except TypeError:
         return None  # one that has no defaults
 
@@ -240,10 +240,10 @@ def evolve(
 
     if not real_generations and (is_given("reality") or reality_options):
         raise UserError("--reality needs --robot-generations: add it, or leave out --reality")
-    found = changed(read_simulator(simulator), **changes)
+    prepared = changed(read_simulator(simulator), **changes)
     if at_line == "ignore":
-        found.perimeter = None
-    made, family = make_both(found, task, task_options, controller, controller_options)
+        prepared.perimeter = None
+    made, family = make_both(prepared, task, task_options, controller, controller_options)
     if real_generations:
         evolution = {"runs": 1, **evolution}
     how = default_settings(family, made, optimiser=optimiser, **evolution)
@@ -259,7 +259,13 @@ def evolve(
     opened = nullcontext()
     if real_generations:
         opened = open_reality(
-            reality, family, made, found, camera=camera, calibration=calibration, **reality_options
+            reality,
+            family,
+            made,
+            prepared,
+            camera=camera,
+            calibration=calibration,
+            **reality_options,
         )
     with opened as real:
         if hours := real_generations * how.genetic.population * getattr(real, "seconds", 0) / 3600:
@@ -269,7 +275,7 @@ def evolve(
                 err=True,
             )
         controllers = evolve_(
-            found,
+            prepared,
             made,
             family,
             out=out,
@@ -323,8 +329,8 @@ def _say(
     if best.given:
         verdict = "completes the task" if best.predicted["completes"] else "does not complete it"
         text = (
-            f"{paths[0]}: {len(best.given)} commands, fitness {fitness:z.1f}, {verdict} in the "
-            f"simulator; {complete} of {runs} runs found a plan that does.\n"
+            f"{paths[0]}: {counted(len(best.given), 'command')}, fitness {fitness:z.1f}, "
+            f"{verdict} in the simulator; {complete} of {runs} runs found a plan that does.\n"
         )
     else:
         spread = best.predicted.get("spread")

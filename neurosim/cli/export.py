@@ -8,7 +8,7 @@ from typing import Any, Literal
 import click
 
 from neurosim.base.declared import Fps
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.cli._common import emit, is_given, json_option
 from neurosim.cli._types import PATH, ranged
 
@@ -56,7 +56,9 @@ def export(
         from neurosim.reports.rerun import export_rerun
 
         result = export_rerun(source[0], out, source[1:])
-        text = f"{out}: {result['frames']} frames, {result['samples']} samples"
+        text = (
+            f"{out}: {counted(result['frames'], 'frame')}, {counted(result['samples'], 'sample')}"
+        )
     else:
         if len(source) > 1:
             raise UserError(f"--to {to} takes one simulator")
@@ -80,6 +82,6 @@ def _lerobot(source: tuple[Path, ...], out: Path, fps: float | None) -> tuple[di
     folders = [part for folder in source for part in parts_of(folder)]
     result = export_lerobot(folders, out, None if fps is None else int(fps))
     return result, (
-        f"{out}: {result['episodes']} episodes, {result['frames']} frames at {result['fps']} a "
-        "second"
+        f"{out}: {counted(result['episodes'], 'episode')}, "
+        f"{result['frames']} frames at {result['fps']} a second"
     )

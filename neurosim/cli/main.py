@@ -50,7 +50,7 @@ from neurosim.cli.watch import watch
 
 
 class _InOrder(click.Group):
-    """Lists the verbs in the order of the pipeline, not of the alphabet."""
+    """Lists the commands in the order of the pipeline, not of the alphabet."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
         return list(self.commands)
@@ -113,7 +113,7 @@ def _line_of(error: Exception, path: Path) -> int | None:
     return lines[-1] if lines else None
 
 
-for verb in (
+for command in (
     print_page,
     place,
     watch,
@@ -139,7 +139,7 @@ for verb in (
     demo,
     docs,
 ):
-    cli.add_command(verb)
+    cli.add_command(command)
 
 
 def main() -> None:
@@ -154,7 +154,7 @@ def main() -> None:
     try:
         # A closed terminal or a kill must stop the motors as Ctrl-C does.
         answer_signals()
-        code = cli.main(standalone_mode=False)  # that of a verb that ends with exit()
+        code = cli.main(standalone_mode=False)  # that of a command that ends with exit()
         if asked_to_end() and not code:  # as the last line was written
             _interrupted()
         ignore_signals()

@@ -27,23 +27,25 @@ def import_(drawing: Path, out: Path, overwrite: bool, as_json: bool) -> None:
     Name a line of known length scale-50cm; without one, the page's size counts.
     """
     from neurosim.base.drawing import read_drawing
-    from neurosim.base.errors import UserError
+    from neurosim.base.errors import UserError, counted
 
     if out.suffix != ".json":
         raise UserError(f"{out}: the file of a place ends in .json")
     if out.exists() and not overwrite:
         raise UserError(f"{out} exists; name another file, or add --overwrite to replace it")
-    found = read_drawing(drawing)
-    found.write(out)
+    drawn, notes = read_drawing(drawing)
+    drawn.write(out)
+    for note in notes:
+        click.echo(f"warning: {drawing}: {note}", err=True)
     counts = {
-        "corners": len(found.outline),
-        "walls": len(found.walls),
-        "obstacles": len(found.obstacles),
-        "lines": len(found.lines),
-        "lights": len(found.lights),
+        "corners": len(drawn.outline),
+        "walls": len(drawn.walls),
+        "obstacles": len(drawn.obstacles),
+        "lines": len(drawn.lines),
+        "lights": len(drawn.lights),
     }
-    there = [name for name in ("board", "start") if getattr(found, name) is not None]
-    what = [*(f"{count} {name}" for name, count in counts.items() if count), *there]
+    there = [name for name in ("board", "start") if getattr(drawn, name) is not None]
+    what = [*(counted(count, name[:-1]) for name, count in counts.items() if count), *there]
     result = {"place": str(out), **counts, **{name: name in there for name in ("board", "start")}}
     picture = out.with_suffix(".png")
     emit(result, as_json, f"{out}: {', '.join(what)}.\n" + next_step("view", out, "-o", picture))

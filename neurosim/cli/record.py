@@ -263,11 +263,12 @@ def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str
 
 
 def _words(result: dict[str, Any]) -> str:
+    from neurosim.base.errors import counted
     from tracking.markers.palette import describe_markers
 
     markers = describe_markers(result["markers"])
     return (
-        f"{result['recording']}: {result['commands']} commands ({result['sent']} sent, "
+        f"{result['recording']}: {counted(result['commands'], 'command')} ({result['sent']} sent, "
         f"{result['cut']} cut at the line), "
         f"{result['robot_seconds'] / 60:.1f} minutes of the robot's time.\n"
         + (f"{markers}.\n" if markers else "")

@@ -186,8 +186,8 @@ def _place(saved: Any, robot: str) -> Any:
     from neurosim.trials.rig import place_of
 
     folder = _simulator(saved)
-    found = None if folder is None else read_simulator(folder)
-    return place_of(robot, make_task(saved.task), found)
+    simulator = None if folder is None else read_simulator(folder)
+    return place_of(robot, make_task(saved.task), simulator)
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.cli._common import (
     calibration_option,
     emit,
@@ -156,7 +156,8 @@ def _words(out: Path, result: dict[str, Any]) -> str:
     files = [out / name for name in result["samples"]]
     left, right = result["wheel_sizes"]
     text = (
-        f"{out}: {len(files)} samples, {result['motor_settings']} motor settings; the wheels are "
+        f"{out}: {counted(len(files), 'sample')}, "
+        f"{counted(result['motor_settings'], 'motor setting')}; the wheels are "
         f"{1000 * result['wheel_base']:.1f} mm apart and differ by "
         f"{100 * abs(right - left):.1f} %.\n"
     )

@@ -8,7 +8,7 @@ from typing import Annotated
 import click
 from msgspec import Meta
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.cli._common import emit, is_given, json_option, seed_option
 from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
 
@@ -76,7 +76,7 @@ def view(
         made = write_film(
             place, video, simulator=simulator, controller=controller, seed=seed, overwrite=overwrite
         )
-        text = f"{video}: {made['seconds']:.1f} s, {made['samples']} samples"
+        text = f"{video}: {made['seconds']:.1f} s, {counted(made['samples'], 'sample')}"
         emit({"video": str(video), **made}, as_json, text)
         return
     if out is None:

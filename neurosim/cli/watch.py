@@ -12,7 +12,7 @@ from typing import Any
 import click
 
 from neurosim.base.declared import Fps
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.base.interrupts import ended_as_usual
 from neurosim.cli._common import (
     calibration_option,
@@ -150,7 +150,7 @@ def watch(
 
 def _say_filmed(film: Path, frames: int) -> None:
     click.echo(
-        f"{film}: {frames} frames. {next_step('track', film, '-o', 'POSES')}"
+        f"{film}: {counted(frames, 'frame')}. {next_step('track', film, '-o', 'POSES')}"
         if frames
         else f"{film}: the camera delivered nothing to film",
         err=True,

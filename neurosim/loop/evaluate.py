@@ -229,7 +229,7 @@ _HINTS = {"keys": Evaluator._keys}
 @njit(cache=True, nogil=True)
 def _share(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
     """Return the share [P] of the time in active intervals [P, N] that are not supported."""
-    found = np.zeros(len(durations))
+    fractions = np.zeros(len(durations))
     for p in range(len(durations)):
         off = spent = 0.0
         for n in range(durations.shape[1]):
@@ -237,8 +237,8 @@ def _share(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
             spent += time
             off += 0.0 if supported[p, n] else time
         if spent > 0.0:
-            found[p] = off / spent
-    return found
+            fractions[p] = off / spent
+    return fractions
 
 
 def with_contacts(simulator: Simulator, trajectory: Trajectory) -> Trajectory:
@@ -319,8 +319,8 @@ class Fitness:
             if slow is not None:
                 slow.cancel()
         self._called = True
-        found = merit.merit[0] if single else merit.merit
-        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+        fitness = merit.merit[0] if single else merit.merit
+        return torch.as_tensor(fitness) if isinstance(genes, Tensor) else fitness
 
     def unsupported(self, genes: Any) -> Any:
         """Return the share [P] of the time in commands unlike any that were recorded, or of one.
@@ -335,8 +335,8 @@ class Fitness:
         rows, single = self._rows(genes)
         with self.evaluator.threads_for(len(rows) * len(self.draws)):
             share = self.evaluator.unsupported(self.evaluator.run(rows, self.draws))
-        found = share[0] if single else share
-        return torch.as_tensor(found) if isinstance(genes, Tensor) else found
+        unsupported = share[0] if single else share
+        return torch.as_tensor(unsupported) if isinstance(genes, Tensor) else unsupported
 
     def _rows(self, genes: Any) -> tuple[NDArray[np.float64], bool]:
         """Return genes as rows, and whether there was but one."""

@@ -230,7 +230,7 @@ class Evolution:
         judged, expected = evaluator.judge(best, evaluator.expectation())
         drawn, unsupported = self._drawn(best), evaluator.unsupported(expected)
         unmet = in_unmet_arenas(evaluator, best, self._seed)
-        found = []
+        controllers = []
         for run, genes in enumerate(best):
             poses, rest = path_of(expected, run, evaluator)
             predicted = {
@@ -251,7 +251,7 @@ class Evolution:
             if unmet is not None:
                 predicted["unmet"] = unmet[run].describe()
             said = {"run": run, "interrupted": interrupted, "history": self._history(run)}
-            found.append(
+            controllers.append(
                 SavedController.of(
                     evaluator.controller,
                     genes,
@@ -262,20 +262,20 @@ class Evolution:
                     {**(about or {}), **said},
                 )
             )
-        return sorted(found, key=self._worth, reverse=True)
+        return sorted(controllers, key=self._worth, reverse=True)
 
     def _history(self, run: int) -> dict[str, Any]:
         """Return best and mean of every generation of a run."""
-        found: dict[str, Any] = {}
+        history: dict[str, Any] = {}
         for prefix, stage in zip(("", "robust_"), self.stages, strict=False):
             if stage.done:
-                found[f"{prefix}best"] = [float(each[run]) for each in stage.best]
-                found[f"{prefix}mean"] = [float(each[run]) for each in stage.mean]
+                history[f"{prefix}best"] = [float(each[run]) for each in stage.best]
+                history[f"{prefix}mean"] = [float(each[run]) for each in stage.mean]
         if self.real is not None:
             for name, values in self.real.history().items():
-                found[name] += values
-            found["transfer"] = self.settings.generations
-        return found
+                history[name] += values
+            history["transfer"] = self.settings.generations
+        return history
 
     def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
         """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
@@ -286,12 +286,12 @@ class Evolution:
             draws = self._selection(evaluator)[1]
         else:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
-        found = []
+        drawn = []
         for one in best:
             judged, trajectory = evaluator.judge(one[None], draws)
             unsupported = float(evaluator.unsupported(trajectory)[0])
-            found.append((judged.fitness[0], judged.success[0], unsupported))
-        return found
+            drawn.append((judged.fitness[0], judged.success[0], unsupported))
+        return drawn
 
     def _worth(self, one: SavedController) -> tuple[bool, float]:
         robust, limit = self.settings.robust, self.settings.most_unsupported
@@ -446,8 +446,8 @@ def evolve(
         about["robot"] = about_reality(reality)
 
     def results(interrupted: bool) -> list[SavedController]:
-        found = about | _in_reality(evolution.real, None if interrupted else reality, seed)
-        return evolution.results(interrupted, made_in, found)
+        details = about | _in_reality(evolution.real, None if interrupted else reality, seed)
+        return evolution.results(interrupted, made_in, details)
 
     def trials_in(folder: Path) -> AbstractContextManager[Journal | None]:
         if reality is None or not real_generations:
@@ -486,17 +486,17 @@ def evolve(
             checkpoint.begin(begun, options)
 
         def written(interrupted: bool) -> list[SavedController]:
-            found = results(interrupted)
-            if controller.blind and not found[0].given:
+            controllers = results(interrupted)
+            if controller.blind and not controllers[0].given:
                 if interrupted:
                     raise UserError("no plan has a command yet; continue with --resume")
                 checkpoint.remove()
                 raise UserError("the best plan has no command; use more generations")
-            for folder, one in zip(folders, found, strict=False):
+            for folder, one in zip(folders, controllers, strict=False):
                 one.write(folder, overwrite=resume)
             if not interrupted:
                 checkpoint.remove()
-            return found
+            return controllers
 
         try:
             with trials_in(checkpoint.folder) as journal, Scalars(tensorboard) as scalars:
@@ -527,12 +527,12 @@ def _in_reality(real: Transfer | None, reality: Reality | None, seed: int) -> di
     if real is None or real.chosen is None:
         return {}
     mean, spread = float(real.again.mean()), float(real.again.std(ddof=1))
-    found: dict[str, Any] = {
+    about: dict[str, Any] = {
         "robot_fitness": {"mean": mean, "spread": spread, "trials": len(real.again)}
     }
     if isinstance(reality, Comparing):
-        found["trajectories"] = reality.compare(real.chosen, seed)
-    return found
+        about["trajectories"] = reality.compare(real.chosen, seed)
+    return about
 
 
 def _folders(out: Path, count: int) -> list[Path]:

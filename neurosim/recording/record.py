@@ -297,11 +297,11 @@ def _resumed(out: Path, wanted: dict[str, Any]) -> Recording:
             was, now = ({**side, "kind": robot_kind(side)} for side in (was, now))
         if keys is not None:
             was, now = ({key: side.get(key) for key in keys} for side in (was, now))
-        found = _difference(was, now, part)
-        if found:
+        difference = _difference(was, now, part)
+        if difference:
             raise UserError(
-                f"{out} was recorded with another {found[0]} ({found[1]!r}, now {found[2]!r}); "
-                "resume with the same settings, or start a new recording"
+                "{} was recorded with another {} ({!r}, now {!r}); resume with the same settings, "
+                "or start a new recording".format(out, *difference)
             )
     return recording
 
@@ -322,9 +322,9 @@ _SAME: dict[str, tuple[str, ...] | None] = {
 def _difference(was: Any, now: Any, name: str) -> tuple[str, Any, Any] | None:
     if isinstance(was, dict) and isinstance(now, dict):
         for key in [*was, *(key for key in now if key not in was)]:
-            found = _difference(was.get(key), now.get(key), f"{name}.{key}")
-            if found:
-                return found
+            difference = _difference(was.get(key), now.get(key), f"{name}.{key}")
+            if difference:
+                return difference
         return None
     return None if was == now else (name, was, now)
 

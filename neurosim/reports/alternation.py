@@ -9,6 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator
 
+from neurosim.base.errors import counted
 from neurosim.reports.artefacts import Artefact, Artefacts
 from neurosim.reports.page import Block, Picture, Section, Table
 from neurosim.reports.svg import INK, drawing, to_svg
@@ -46,7 +47,7 @@ def verdict(runs: Sequence[Artefact]) -> str:
         more = "" if times is None else f", {times:.2f} times that"
         sentences.append(
             f"In reality the controller went from a fitness of {start:.3g} to {best:.3g}{more}, "
-            f"in {one.meta['trials']} trials."
+            f"in {counted(one.meta['trials'], 'trial')}."
         )
     return " ".join(sentences)
 
@@ -125,7 +126,7 @@ def _evaluations(one: Artefact, prefix: str) -> Picture:
     trials = one.meta["settings"].get("trials", 1)
     return Picture(
         svg,
-        f"{label}. An evaluation is {trials} trial{'s' * (trials != 1)}; a dot is the mean of all "
+        f"{label}. An evaluation is {counted(trials, 'trial')}; a dot is the mean of all "
         "trials that its controller had till then. The grey line is what was started from.",
         wide=True,
     )

@@ -23,13 +23,14 @@ from neurosim.simulators.base import VERSION as SIMULATOR
 from neurosim.tasks.base import Task
 from neurosim.tasks.registry import TASKS, make_task
 from tracking.datasets.dataset import OUTPUTS, Dataset
+from tracking.datasets.dataset import VERSION as DATASET
 
 #: What may be in a folder; the first found counts, since a trial is also a recording: what its JSON
 #: holds, the newest version of that, and what reads and checks the other files.
 KINDS: dict[str, tuple[type, int, Callable[[Path], Any] | None]] = {
     "trial": (formats.Trial, 1, None),
     "recording": (formats.TrialRecording, 1, None),
-    "dataset": (formats.Dataset, 1, Dataset.read),
+    "dataset": (formats.Dataset, DATASET, Dataset.read),
     "simulator": (formats.Simulator, SIMULATOR, read_simulator),
     "controller": (formats.Controller, 1, read_controller),
     "back-to-reality": (formats.BackToReality, 1, None),
@@ -195,7 +196,7 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
         UserError: if nothing is named, or a folder is of no known kind.
         FileError: if a file in one is missing, of another version, cut short or wrong.
     """
-    found = Artefacts()
+    artefacts = Artefacts()
     seen: set[Path] = set()
     for path in map(Path, folders):
         if path.resolve() in seen:
@@ -205,21 +206,21 @@ def gather(folders: Sequence[str | Path]) -> Artefacts:
         form, version, reader = KINDS[kind]
         meta = read_json(path / f"{kind}.json", f"neurosim-{kind}", version, form)
         if kind == "trial":
-            found.trials.append(_trial(path, meta))
+            artefacts.trials.append(_trial(path, meta))
             continue
         artefact = Artefact(kind, path, meta, None if reader is None else reader(path))
         if kind == "back-to-reality":
             _check_alternation(artefact)
-            found.alternations.append(artefact)
+            artefacts.alternations.append(artefact)
             continue
         if kind == "controller":
             _ = artefact.task
         if kind == "simulator":
             _check_history(artefact)
-        getattr(found, f"{kind}s").append(artefact)
+        getattr(artefacts, f"{kind}s").append(artefact)
     if not seen:
         raise UserError("name at least one folder to report on")
-    return found
+    return artefacts
 
 
 def _kind(path: Path) -> str:

@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
-from neurosim.base.errors import FileError
+from neurosim.base.errors import FileError, counted
 from neurosim.base.files import sha256
 from neurosim.loop.objectives import TIE
 from neurosim.loop.unmet import Unmet
@@ -207,7 +207,7 @@ def _size(controller: Artefact) -> str:
     if not saved.commands:
         return f"{len(saved.genes)} genes"
     null = len(saved.commands) - len(saved.given)
-    return f"{len(saved.given)} commands" + (f", {null} null" if null else "")
+    return f"{counted(len(saved.given), 'command')}" + (f", {null} null" if null else "")
 
 
 def _completes(controller: Artefact) -> str:

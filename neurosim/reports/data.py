@@ -121,11 +121,11 @@ def _colours(artefact: Artefact) -> list[Block]:
     rows = [
         [
             f"{seen['recording']}, {seen['session']}",
-            *(f"{seen[m]['colour']}: {seen[m]['rgb']}, {seen[m]['sure']:.0%}" for m in _MARKERS),
-            "; ".join(sorted({seen[m]["doubt"] for m in _MARKERS if seen[m].get("doubt")})) or "-",
+            *("{colour}: {rgb}, {confidence:.0%}".format_map(seen[m]) for m in _MARKERS),
+            "; ".join(sorted(filter(None, {seen[m].get("reason") for m in _MARKERS}))) or "-",
         ]
         for seen in artefact.meta.get("markers", ())
-        if all("sure" in seen.get(m, {}) for m in _MARKERS)
+        if all("confidence" in seen.get(m, {}) for m in _MARKERS)
     ]
     if not rows:
         return []

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from neurosim.base.errors import counted
 from neurosim.base.statistics import wilson
 from neurosim.reports import charts
 from neurosim.reports.artefacts import Artefacts, Trial
@@ -110,7 +111,7 @@ def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Pic
     sides = {"predicted": len(trial.predicted), "actual": len(actual.get("path") or [])}
     which = " and ".join(name for name, count in sides.items() if count) or "no known"
     count = len(meta["commands"])
-    words = f"{label(trial)}: {which} path, {count} commands; {_outcome(trial)}"
+    words = f"{label(trial)}: {which} path, {counted(count, 'command')}; {_outcome(trial)}"
     paths = Paths(
         trial.predicted, trial.by_command, meta["predicted"].get("rest"),
         actual.get("poses") or [], actual.get("path") or [],

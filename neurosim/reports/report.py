@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.base.files import write_text
 from neurosim.reports import (
     accuracy,
@@ -193,7 +193,7 @@ def _title(artefacts: Artefacts) -> str:
         names = dict.fromkeys(trial.meta["task"]["name"] for trial in artefacts.trials)
         tasks = ", ".join(names).replace("-", " ")
         count = len(artefacts.trials)
-        return f"From a robot to a controller: {tasks}, {count} trial{'s' * (count != 1)}"
+        return f"From a robot to a controller: {tasks}, {counted(count, 'trial')}"
     kinds = dict.fromkeys(artefact.kind for artefact in artefacts.everything)
     return f"From a robot to a controller: {', '.join(kinds)}"
 

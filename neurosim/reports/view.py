@@ -17,7 +17,7 @@ from matplotlib.patches import Circle, Polygon, Wedge
 from matplotlib.patheffects import withStroke
 from numpy.typing import NDArray
 
-from neurosim.base.errors import UserError
+from neurosim.base.errors import UserError, counted
 from neurosim.base.files import atomic_path
 from neurosim.base.place import Place
 from neurosim.base.trajectory import Draws, Episode, Trajectory
@@ -83,28 +83,28 @@ def draw_view(
         raise UserError(f"{out}: a picture ends in {', '.join(SUFFIXES)}")
     if out.exists() and not overwrite:
         raise UserError(f"{out} exists; name another picture, or add --overwrite to replace it")
-    found, around = _place(place, simulator)
+    world, around = _place(place, simulator)
     rng = np.random.default_rng(seed)
     saved = task = note = None
     if controller is not None:
-        if found is None:
+        if world is None:
             raise UserError("a path needs a simulator to drive in: give --simulator")
         saved = read_controller(controller)
-        task, note = _task(saved, Path(controller) / "controller.json", found)
+        task, note = _task(saved, Path(controller) / "controller.json", world)
         if around is not None and not Path(place).is_dir():
             task = task.in_place(around)
         elif task.place is not None:
-            found, around = task.placed(found), task.place
-    start = _start(found, around, task, pose, rng)
+            world, around = task.placed(world), task.place
+    start = _start(world, around, task, pose, rng)
     path, stops, result, touching = start[None], None, {}, None
-    if saved is not None and task is not None and found is not None:
-        evaluator, episode = Evaluator(found, task, saved.controller), task.episode
+    if saved is not None and task is not None and world is not None:
+        evaluator, episode = Evaluator(world, task, saved.controller), task.episode
         if seconds is not None:
             episode = replace(episode, steps=max(round(seconds / episode.step), 1))
-        trajectory = _drive(found, saved, episode, start, rng if noise else None)
-        path, stops = _path(found, saved, episode, trajectory, noise)
+        trajectory = _drive(world, saved, episode, start, rng if noise else None)
+        path, stops = _path(world, saved, episode, trajectory, noise)
         if episode.contacts:
-            trajectory = with_contacts(found, trajectory)
+            trajectory = with_contacts(world, trajectory)
         result = {"path": path, "steps": trajectory.commands.shape[-2]}
         if note is None:
             judged = evaluator.task.judge(trajectory)
@@ -114,19 +114,19 @@ def draw_view(
                 "completes": completes,
                 "reason": None if completes else task.why(reason),
             }
-        touching = found.touching(path)
+        touching = world.touching(path)
         if touching is not None:
             result["contacts"] = int((touching & ~np.roll(touching, 1))[1:].sum())
     result["pose"], result["note"] = path[-1], note
     place_shapes = [] if around is None else around.shapes()
-    if found is not None:
-        place_shapes = found.outline()
-        if found.reading_names:
+    if world is not None:
+        place_shapes = world.outline()
+        if world.reading_names:
             generator = torch.Generator().manual_seed(seed) if noise else None
-            standing = found.start(torch.from_numpy(path[-1:]))
-            result["readings"] = found.sense(standing, generator)[0].numpy()
+            standing = world.start(torch.from_numpy(path[-1:]))
+            result["readings"] = world.sense(standing, generator)[0].numpy()
     figure = picture(
-        Scene.of(task, place_shapes), path, stops, simulator=found, readings=result.get("readings"),
+        Scene.of(task, place_shapes), path, stops, simulator=world, readings=result.get("readings"),
         title=_title(place, simulator, controller, result), touching=touching,
     )  # fmt: skip
     with atomic_path(out) as partial:
@@ -208,7 +208,7 @@ def _title(
 
 def contacts_in_words(count: int) -> str:
     """Return how often a robot touched something, in words."""
-    return "no contact" if not count else f"{count} contact{'s' * (count > 1)} (x)"
+    return "no contact" if not count else f"{counted(count, 'contact')} (x)"
 
 
 def _place(
@@ -218,8 +218,8 @@ def _place(
     if not Path(place).is_dir():
         around = Place.of(place)
     elif simulator is None:
-        found = read_simulator(place)
-        return found, found.place if isinstance(found, InPlace) else None
+        own = read_simulator(place)
+        return own, own.place if isinstance(own, InPlace) else None
     else:
         other = read_simulator(place)
         if not isinstance(other, InPlace):
@@ -227,8 +227,8 @@ def _place(
         around = other.place
     if simulator is None:
         return None, around
-    found = read_simulator(simulator)
-    return (found.changed(place=around) if isinstance(found, InPlace) else found), around
+    named = read_simulator(simulator)
+    return (named.changed(place=around) if isinstance(named, InPlace) else named), around
 
 
 class _Unknown(Task):

@@ -234,12 +234,12 @@ class _Tried:
         self._robot.stop()
         part = int(np.abs(self._takes.twist(command)).argmax()) if self._takes.body else 0
         way = ("forward", "to its left", "to the left, counter-clockwise")[part]
-        verb = "turn" if part == 2 else "drive"
-        if self._ask(f"Did it {verb} {way}?"):
-            return Finding(f"command {name}", "good", f"a positive {name} makes it {verb} {way}")
+        motion = "turn" if part == 2 else "drive"
+        if self._ask(f"Did it {motion} {way}?"):
+            return Finding(f"command {name}", "good", f"a positive {name} makes it {motion} {way}")
         return Finding(
             f"command {name}", "wrong",
-            f"a positive {name} should make it {verb} {way}: turn its sign round in its program",
+            f"a positive {name} should make it {motion} {way}: turn its sign round in its program",
         )  # fmt: skip
 
     def dead_bands(self) -> list[Finding]:

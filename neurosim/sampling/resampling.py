@@ -213,8 +213,8 @@ class _Seen:
             slipped = 0.0
             if len(halves) == 2:
                 expected, change = slopes[k] * apart, (both[k][1] - both[k][0])[:, 1:]
-                doubt = (_READING / _SLIP) ** 2
-                slipped = float((expected * change).sum() / ((expected**2).sum() + doubt))
+                variance = (_READING / _SLIP) ** 2
+                slipped = float((expected * change).sum() / ((expected**2).sum() + variance))
             for _, each, share in halves:
                 each[:, 0] += before + slipped * share
             before += slipped

@@ -185,11 +185,11 @@ class Simulator:
 
         That is within the domain; a simulator that knows more of them may say more.
         """
-        found = np.asarray(np.isfinite(commands).all(-1))
+        supported = np.asarray(np.isfinite(commands).all(-1))
         for place, name in enumerate(self.command_names):
             low, high = _limits(self, name)
-            found &= (commands[..., place] >= low) & (commands[..., place] <= high)
-        return found
+            supported &= (commands[..., place] >= low) & (commands[..., place] <= high)
+        return supported
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         """Return the states [B, S] of robots that stand still at ``pose`` [B, 3].
@@ -342,8 +342,8 @@ def _taking_arrays(name: str, method: Callable[..., Tensor]) -> Callable[..., An
         rows += [options.pop(one) for one in arguments[len(rows) :] if one in options]
         pairs = zip(arguments, rows, strict=False)  # what is missing, Python says itself
         tensors = [_tensor(self, name, argument, one) for argument, one in pairs]
-        found = method(self, *tensors, *given[len(arguments) :], **options)
-        return found if isinstance(rows[0], Tensor) else found.detach().cpu().numpy()
+        result = method(self, *tensors, *given[len(arguments) :], **options)
+        return result if isinstance(rows[0], Tensor) else result.detach().cpu().numpy()
 
     return taking
 

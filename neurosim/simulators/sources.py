@@ -12,7 +12,7 @@ from neurosim.base.provenance import is_virtual
 from neurosim.simulators.base import FORMAT, VERSION
 
 #: What says of which robot a folder of samples, or a dataset, is.
-_ABOUT = {"sampling.json": ("neurosim-sampling", 2), "dataset.json": ("neurosim-dataset", 1)}
+_ABOUT = {"sampling.json": ("neurosim-sampling", 2), "dataset.json": ("neurosim-dataset", 2)}
 
 
 def sources(paths: Sequence[str | Path]) -> dict[str, Any]:

@@ -283,10 +283,10 @@ class _Drive:
         looks = None if looks is None else looks.of_session(1)
         cut = any(line.kind == "cut" for line in motor)
         if recording.is_tracked:
-            found = _by_camera(recording.poses().of_session(1).certain(), boundaries)
-            if found[0][0] is None:
+            tracked = _by_camera(recording.poses().of_session(1).certain(), boundaries)
+            if tracked[0][0] is None:
                 raise UserError(f"{recording.path}: the robot was not seen at its start")
-            return cls(sent, boundaries, cut, "camera", *found, looks)
+            return cls(sent, boundaries, cut, "camera", *tracked, looks)
         if looks is not None and np.isfinite(looks.pose).all(axis=1).any():
             return cls(sent, boundaries, cut, "counters", *_by_counters(looks, len(sent)), looks)
         nowhere: list[Pose] = [None] * len(boundaries)
@@ -389,12 +389,12 @@ def _reason(task: Task, judged: Judgement, stop: Stop | None, ended_early: bool)
 
 def _size_of(robot: Robot) -> dict[str, float]:
     """Return full speed (m/s) and wheel base (m), as far as a robot says what they are."""
-    found = {}
+    sizes = {}
     if isinstance(robot, WholeSpeeds):
-        found["full_speed"] = robot.full_speed * robot.speed_unit
+        sizes["full_speed"] = robot.full_speed * robot.speed_unit
     if isinstance(robot, Counters):
-        found["track"] = robot.geometry.wheel_base
-    return found
+        sizes["track"] = robot.geometry.wheel_base
+    return sizes
 
 
 def _check_driver(source: Mapping[str, str], recording: Recording) -> None:
@@ -416,8 +416,8 @@ def _check_same(plan: list[Command], sent: list[CommandLine], path: Path) -> Non
 
 
 def _pose_at(track: Track, time: float) -> Pose:
-    found = track.pose_at(time)
-    return None if found is None else [float(value) for value in found[0]]
+    sample = track.pose_at(time)
+    return None if sample is None else [float(value) for value in sample[0]]
 
 
 def _error(number: int, was: list[float], now: list[float] | None) -> dict[str, Any] | None:

@@ -177,8 +177,8 @@ function tell() {
     element(`${which}-swatch`).style.background = colour.swatch;
     text(`${which}-name`, colour.name);
     const found = colour.found ? `found as ${colour.found}` : "not found";
-    const sure = colour.sure === null ? "" : `, ${Math.round(100 * colour.sure)} % sure`;
-    text(`${which}-sure`, found + sure + (colour.doubt ? `: ${colour.doubt}` : ""));
+    const percent = colour.confidence === null ? "" : `, confidence ${Math.round(100 * colour.confidence)} %`;
+    text(`${which}-confidence`, found + percent + (colour.reason ? `: ${colour.reason}` : ""));
   }
   for (const what of ["markers", "calibration"]) {
     text(`${what}-file`, `${state.saved.includes(what) ? "saved in" : "goes to"} ${state.files[what]}`);

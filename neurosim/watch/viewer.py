@@ -191,16 +191,16 @@ class Viewer:
         pointed, learned = self._pointed.get(which), self._found(which)
         named = _hex(drawn_with(self._what)[place])
         if isinstance(self._what, Tag):
-            return {"name": "", "swatch": named, "found": None, "sure": None, "doubt": None}
+            return {"name": "", "swatch": named, "found": None, "confidence": None, "reason": None}
         colour = self._what[place]
         named = colour.name if colour.name.startswith("#") else named
-        sure = learned or pointed
+        best = learned or pointed
         return {
             "name": colour.name,
             "swatch": named if learned is None else learned.rgb,
             "found": None if learned is None else learned.rgb,
-            "sure": None if sure is None else round(sure.confidence, 2),
-            "doubt": None if learned is None else learned.as_dict()["doubt"],
+            "confidence": None if best is None else round(best.confidence, 2),
+            "reason": None if learned is None else learned.as_dict()["reason"],
         }
 
     def _found(self, which: str) -> Found | None:
@@ -311,13 +311,13 @@ class Viewer:
         if not distinguishable(*self._what):
             raise UserError("the two markers' colours are too much alike; set them first")
         return {
-            which: {**self._markers[which], "colour": colour.name, **self._told(which)}
+            which: {**self._markers[which], "colour": colour.name, **self._seen_as(which)}
             for which, colour in zip(("front", "rear"), self._what, strict=True)
         }
 
-    def _told(self, which: str) -> dict[str, Any]:
-        colour = self._found(which)
-        return {} if colour is None else {"rgb": colour.rgb, "sure": round(colour.confidence, 3)}
+    def _seen_as(self, which: str) -> dict[str, Any]:
+        seen = self._found(which)
+        return {} if seen is None else {"rgb": seen.rgb, "confidence": round(seen.confidence, 3)}
 
     def _find_camera(self) -> str:
         missing = [name for name in CORNERS if name not in self._corners]
@@ -336,8 +336,8 @@ class Viewer:
             f"{1000 * (camera.board_rms_m or 0.0):.1f} mm"
         )
         if self._lens is None:
-            sure = 1000 * camera.uncertainty["board_m"]
-            says += f", but the lens is not known: positions may be off by {sure:.0f} mm"
+            error = 1000 * camera.uncertainty["board_m"]
+            says += f", but the lens is not known: positions may be off by {error:.0f} mm"
         return f"{says}. Does the grid lie on the board?"
 
     def _start_afresh(self) -> None:

@@ -16,7 +16,8 @@ INKSCAPE = 'xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape"'
 def drawn(tmp_path, inside, size='width="100" height="100"'):
     path = tmp_path / "drawing.svg"
     path.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {INKSCAPE} {size}>{inside}</svg>')
-    return read_drawing(path)
+    place, drawn.notes = read_drawing(path)
+    return place
 
 
 #: 100 units are half a metre.
@@ -47,8 +48,28 @@ def test_every_part_by_hand(tmp_path):
     assert (place.lines[0].width, place.lines[0].closed) == (0.01, False)
     assert place.lights == ((0.0, 0.45), (0.05, 0.45))
     assert place.start == (0.0, -0.25, pytest.approx(math.pi / 2))
+    assert not drawn.notes
     place.write(tmp_path / "place.json")
     assert Place.read(tmp_path / "place.json") == place
+
+
+def test_additions_are_named(tmp_path):
+    """An open outline is closed, unless its ends meet; a line without a width has the usual one."""
+    place = drawn(
+        tmp_path,
+        SCALE
+        + '<path id="outline" d="M 0,0 H 200 V 200 H 0"/>'
+        + '<path id="line-1" d="M 20,20 H 180"/>'
+        + '<path id="line-2" d="M 40,40 H 80 V 80 L 40,40" stroke-width="2"/>'
+        + '<polyline id="obstacle" points="100,100 120,100 120,120"/>',
+    )
+    assert drawn.notes == [
+        "outline (outline) is open: its last point is joined to its first",
+        "line-1 (line) has no stroke width: 4 cm is used",
+        "obstacle (obstacle) is open: its last point is joined to its first",
+    ]
+    assert [(line.closed, line.width) for line in place.lines] == [(False, 0.04), (True, 0.01)]
+    assert (len(place.outline), len(place.walls)) == (4, 3)
 
 
 def test_layers_transforms_and_pages_of_a_known_size(tmp_path):

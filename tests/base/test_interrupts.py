@@ -284,7 +284,7 @@ def test_what_was_asked_is_not_forgotten_at_the_end(monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("asked", [False, True])
-def test_a_verb_that_says_why_it_ends_is_its_only_line_and_code(monkeypatch, capsys, asked):
+def test_a_command_that_says_why_it_ends_is_its_only_line_and_code(monkeypatch, capsys, asked):
     @main_module.cli.command("ends")
     def ends():
         if asked:

@@ -45,16 +45,16 @@ def recording(folder, options):
     return Recording.create(folder, {**about, "options": {"commands": 3, **options}})
 
 
-def made(verb, folder, options):
-    """Make what a verb resumes, begun with these options; return the verb's words."""
-    if verb == "record":
+def made(command, folder, options):
+    """Make what a command resumes, begun with these options; return the command's words."""
+    if command == "record":
         recording(folder / "r", options)
         return ["record", "r", "--resume"]
-    if verb == "record --guided":
+    if command == "record --guided":
         (folder / "r").mkdir()
         recording(folder / "r" / "round-01", options)
         return ["record", "r", "--resume"]
-    if verb == "sample":
+    if command == "sample":
         content = {"settings": {}, "seed": 0, "robot": {}, "options": options}
         write_json(folder / "s" / "sampling.json", "neurosim-sampling", 2, content)
         return ["sample", "s", "--resume"]
@@ -62,14 +62,14 @@ def made(verb, folder, options):
     return ["evolve", "sim", "-o", "c", "--resume"]
 
 
-@pytest.mark.parametrize("verb", ["record", "record --guided", "sample", "evolve"])
-def test_a_file_does_not_choose_what_is_driven(refused, precious, listener, tmp_path, verb):
+@pytest.mark.parametrize("command", ["record", "record --guided", "sample", "evolve"])
+def test_a_file_does_not_choose_what_is_driven(refused, precious, listener, tmp_path, command):
     port = listener.getsockname()[1]
     for url in (f"spy://loop://?file={precious}", f"socket://127.0.0.1:{port}"):
         folder = tmp_path / url.partition(":")[0]
         folder.mkdir()
-        option = "reality" if verb == "evolve" else "robot"
-        words = made(verb, folder, {option: "khepera", "port": url, "camera": "none"})
+        option = "reality" if command == "evolve" else "robot"
+        words = made(command, folder, {option: "khepera", "port": url, "camera": "none"})
         os.chdir(folder)
         said = refused(*words)
         assert f"started with --{option} khepera: give it and its options again" in said
@@ -146,20 +146,20 @@ def test_a_video_stands_in_its_recording(tmp_path, name):
 
 
 @links
-@pytest.mark.parametrize("verb", ["record", "record --guided", "sample"])
-def test_what_is_gone_on_with_holds_no_links(refused, precious, tmp_path, verb):
-    words = made(verb, tmp_path, {"robot": "virtual"})
+@pytest.mark.parametrize("command", ["record", "record --guided", "sample"])
+def test_what_is_gone_on_with_holds_no_links(refused, precious, tmp_path, command):
+    words = made(command, tmp_path, {"robot": "virtual"})
     folder = tmp_path / words[1]
-    if verb == "sample":
+    if command == "sample":
         about = json.loads((folder / "sampling.json").read_text())
         settings = {"angles": 180, "distances": 20, "first": 0.005, "step": 0.002, "repeats": 1}
         about |= {"settings": {**settings, "grid": 0, "held_out": 12, "duration": 1.0}}
         (folder / "sampling.json").write_text(json.dumps({**about, "options": {}}))
-    name = "sensors.csv" if verb == "sample" else "commands.csv"
-    inner = folder / "round-01" if verb == "record --guided" else folder
+    name = "sensors.csv" if command == "sample" else "commands.csv"
+    inner = folder / "round-01" if command == "record --guided" else folder
     (inner / name).unlink(missing_ok=True)
     (inner / name).symlink_to(precious)
-    if verb == "record --guided":
+    if command == "record --guided":
         words += ["--guided", "--commands", "60", "--round", "20", "--calibration", "c.json"]
     said = refused(*words)
     assert f"{name} is a link to {precious}" in said

@@ -74,7 +74,7 @@ TASKS.register("walk", Walk)
 TASKS.register("swim", Swim)
 
 
-def verb(begun=None):
+def command(begun=None):
     @click.command("go", cls=SettingsCommand, begun=begun)
     @click.argument("place", type=click.Path(path_type=Path))
     @choice_options("--task", TASKS, default="walk", help="What to do.", units={"reach": "cm"})
@@ -95,13 +95,13 @@ def verb(begun=None):
 
 
 def run(*words, begun=None):
-    done = CliRunner().invoke(verb(begun), [*words], catch_exceptions=False)
+    done = CliRunner().invoke(command(begun), [*words], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return json.loads(done.stdout)
 
 
 def help_of(*words):
-    return " ".join(CliRunner().invoke(verb(), [*words, "--help"]).stdout.split())
+    return " ".join(CliRunner().invoke(command(), [*words, "--help"]).stdout.split())
 
 
 def test_name_type_default_and_help_are_those_of_the_settings():
@@ -116,7 +116,7 @@ def test_name_type_default_and_help_are_those_of_the_settings():
     assert parameters(Swim)[0].help == "How deep, m."
 
 
-def test_the_verb_gets_what_was_given_and_nothing_else():
+def test_the_command_gets_what_was_given_and_nothing_else():
     assert run("here")["options"] == {}
     words = ["--steps", "4", "--side", "right", "--goals", "[[1, 2]]", "--names", "c,d,e"]
     options = run(*words, "here", "--reach", "30")["options"]
@@ -156,7 +156,7 @@ def test_only_the_options_of_what_is_chosen_are_there():
 )
 def test_what_does_not_go_together_is_said_in_a_sentence(words, message):
     with pytest.raises(UserError, match=f"^{message}$"):
-        CliRunner().invoke(verb(), ["here", *words], catch_exceptions=False)
+        CliRunner().invoke(command(), ["here", *words], catch_exceptions=False)
 
 
 @pytest.mark.parametrize(
@@ -165,7 +165,7 @@ def test_what_does_not_go_together_is_said_in_a_sentence(words, message):
 )
 def test_what_makes_no_sense_is_a_usage_error(words):
     place = ["here"] if words else []
-    assert CliRunner().invoke(verb(), [*place, *words]).exit_code == 2
+    assert CliRunner().invoke(command(), [*place, *words]).exit_code == 2
 
 
 def test_an_option_of_the_same_name_as_another_is_named_after_its_choice():

@@ -22,7 +22,7 @@ def block(language, place=0):
 
 
 def neurosim(*words):
-    """Run a verb; return its JSON and what it said on stderr, but for progress."""
+    """Run a command; return its JSON and what it said on stderr, but for progress."""
     done = CliRunner().invoke(cli, [*map(str, words), "--json"])
     assert done.exit_code == 0, f"{done.output}{done.exception!r}"
     lines = done.stderr.splitlines(keepends=True)
@@ -34,10 +34,10 @@ def test_the_pages_example_runs_from_log_to_report(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     exec(compile(block("python"), "own-data.md", "exec"), {})
     for line in block("sh").splitlines():
-        verb, *words = shlex.split(line)[1:]
-        result, said = neurosim(verb, *words, *(QUICK if verb == "train" else ()))
+        command, *words = shlex.split(line)[1:]
+        result, said = neurosim(command, *words, *(QUICK if command == "train" else ()))
         assert said == ""
-        if verb == "evaluate":
+        if command == "evaluate":
             errors = {
                 name: error["mean_absolute_error"] for name, error in result["errors"].items()
             }
@@ -114,32 +114,32 @@ def refused(refused):
         (
             "1.0,0.10",
             "one,0.10",
-            "line 12, field 'time': expected a finite number with a decimal point, found 'one'",
+            "line 12, field 'time': expected a number such as 0.25, found 'one'",
         ),
         (
             "1.0,0.10",
             ",0.10",
-            "line 12, field 'time': expected a finite number with a decimal point, found ''",
+            "line 12, field 'time': expected a number such as 0.25, found ''",
         ),
         (
             "1.0,0.10",
             "1.0,far",
-            "field 'x': expected a finite number with a decimal point or nothing, found 'far'",
+            "field 'x': expected a number such as 0.25 or nothing, found 'far'",
         ),
         (
             "1.0,0.10",
             "1.0,inf",
-            "field 'x': expected a finite number with a decimal point or nothing, found 'inf'",
+            "field 'x': expected a number such as 0.25 or nothing, found 'inf'",
         ),
         (
             "1.0,0.10",
             "1.0,1e308",
-            "field 'x': expected a finite number with a decimal point or nothing, found '1e308'",
+            "field 'x': expected a number such as 0.25 or nothing, found '1e308'",
         ),
         (
             ",0.2,0\n",
             ",nan,0\n",
-            "line 12, field 'v': expected a finite number with a decimal point, found 'nan'",
+            "line 12, field 'v': expected a number such as 0.25, found 'nan'",
         ),
         ("1.0,0.10", "1.0", "line 12: expected 6 fields (time, x, y, heading, v, w), found 5"),
         ("1.0,0.10", "1,0,0,10", "found 8; a number has a decimal point, not a comma"),
@@ -164,13 +164,13 @@ def test_what_is_wrong_in_a_log_is_named(refused, old, new, says):
         ("", "my.csv, line 1: is empty; expected a line with the names of the columns"),
         ("\n\n", "is empty"),
         ("time,x,y,heading,v,w\n", "holds the names of columns and no line of numbers"),
-        ("time,x,y,heading,v,w\n0,0,0,0,0,0\n", "holds 1 samples; a log needs two or more"),
+        ("time,x,y,heading,v,w\n0,0,0,0,0,0\n", "holds 1 sample; a log needs two or more"),
         (b"\xff\xfet\0i\0m\0e\0", "is not text; save it as CSV in UTF-8"),
         (b"PK\3\4\0\0time,x", "is not text; save it as CSV in UTF-8"),
         ("time,x,y,heading,v,w\n" + "0,,,,0,0\n1,,,,0,0\n", "no line has a pose"),
         (
             LOG.replace(",", ";").replace(".", ","),
-            "line 2, field 'time': expected a finite number with a decimal point",
+            "line 2, field 'time': expected a number such as 0.25",
         ),
     ],
 )

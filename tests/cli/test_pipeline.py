@@ -1,4 +1,4 @@
-"""From a robot that nobody has modelled to a trial, verb by verb."""
+"""From a robot that nobody has modelled to a trial, command by command."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Samples -> simulator -> network -> picture, through the command line's own verbs."""
+"""Samples -> simulator -> network -> picture, through the command line's own commands."""
 
 import json
 import math
@@ -25,7 +25,7 @@ from neurosim.trials.floor import OnFloor
 
 
 def call(*words):
-    """Run a verb; errors that a user can cause come out as they are."""
+    """Run a command; errors that a user can cause come out as they are."""
     done = CliRunner().invoke(cli, [str(word) for word in words], catch_exceptions=False)
     assert done.exit_code == 0, done.output
     return done

@@ -95,7 +95,7 @@ def test_a_simulator_that_knows_one_outcome_is_refused():
         check(plan((10.0, 10.0, 1.0)), motion_network(1))
 
 
-def test_the_verb_reads_folders(tmp_path):
+def test_the_command_reads_folders(tmp_path):
     plan((10.0, 10.0, 1.0), None, (-20.0, 30.0, 2.0)).write(tmp_path / "plan")
     (tmp_path / "simulator").mkdir()
     write_motion(motion_network(4), tmp_path / "simulator")

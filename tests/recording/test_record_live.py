@@ -243,7 +243,7 @@ def test_poses_that_cannot_be_finished_leave_a_whole_recording(tmp_path):
 def test_what_was_seen_live_and_is_doubted_is_looked_at_again_in_the_video(tmp_path, monkeypatch):
     def doubted(recording, session, model):
         seen = seen_live(recording, session, model)
-        grey = {which: one | {"doubt": "it is grey"} for which, one in seen.markers.items()}
+        grey = {which: one | {"reason": "it is grey"} for which, one in seen.markers.items()}
         return replace(seen, markers=grey)
 
     monkeypatch.setattr("neurosim.recording.record.seen_live", doubted)

@@ -7,7 +7,7 @@ import pytest
 from click.testing import CliRunner
 
 from neurosim.base.errors import UserError
-from neurosim.cli.track import track as verb
+from neurosim.cli.track import track as command
 from neurosim.lab import read_truth
 from neurosim.lab.khepera.camera import SCALE
 from neurosim.recording.commands import Command, FixedCommands
@@ -63,7 +63,7 @@ def test_its_poses_are_where_it_was(kept):
 @pytest.mark.slow
 def test_the_video_says_the_same_once_more(kept, tmp_path):
     shutil.copytree(kept.path, tmp_path / "again")
-    done = CliRunner().invoke(verb, [str(tmp_path / "again")])
+    done = CliRunner().invoke(command, [str(tmp_path / "again")])
     assert done.exit_code == 0, done.exception
     assert "tag 5 of APRILTAG_36h11" in done.stdout
     live, again = kept.poses().pose, Recording(tmp_path / "again").poses().pose
@@ -73,7 +73,7 @@ def test_the_video_says_the_same_once_more(kept, tmp_path):
 @pytest.mark.slow
 def test_another_tag_is_not_there(kept, tmp_path):
     shutil.copytree(kept.path, tmp_path / "again")
-    done = CliRunner().invoke(verb, [str(tmp_path / "again"), "--tag", "6"])
+    done = CliRunner().invoke(command, [str(tmp_path / "again"), "--tag", "6"])
     assert isinstance(done.exception, UserError)
     assert "tag 6 of APRILTAG_36h11 was not found in any frame" in str(done.exception)
     assert "of its dictionary 5 are in view: name one with --tag" in str(done.exception)

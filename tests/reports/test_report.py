@@ -149,7 +149,7 @@ def test_dataset_counts(whole):
         ["jump", "2", f"{2 / 159:.1%}"],
     ]
     assert "150 usable rows" in page.text
-    meta = files.read_json(whole[0][0] / "dataset.json", "neurosim-dataset", 1)
+    meta = files.read_json(whole[0][0] / "dataset.json", "neurosim-dataset", 2)
     random = meta["cutting"]["by_class"]["random"]
     assert page.table(["commands", "sent"])[1][1:4] == [
         str(random[key]) for key in ("sent", "cut", "completed")

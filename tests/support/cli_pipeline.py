@@ -29,7 +29,7 @@ def neurosim(*words, cwd, check=True) -> subprocess.CompletedProcess:
 
 @dataclass
 class Pipeline:
-    """Where everything stands, and what each verb printed with --json."""
+    """Where everything stands, and what each command printed with --json."""
 
     folder: Path
     printed: dict[str, dict]
@@ -40,7 +40,7 @@ class Pipeline:
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory) -> Pipeline:
-    """Sixty commands are no data to learn from, but every verb has its turn."""
+    """Sixty commands are no data to learn from, but every command has its turn."""
     folder = tmp_path_factory.mktemp("pipeline")
     steps = {
         "photographs": "lab photographs photographs --count 8",

@@ -48,12 +48,12 @@ main()
 def ended_by(
     signal: str, words, *, log: Path | str, count: int, word: str = "", cwd: Path
 ) -> subprocess.CompletedProcess:
-    """Run a verb that sends itself a signal once a log has so many rows, however fast it runs.
+    """Run a command that sends itself a signal once a log has so many rows, however fast it runs.
 
     Args:
         signal: its name, such as SIGKILL.
         words: of the command line.
-        log: path as the verb opens it.
+        log: path as the command opens it.
         count: of the rows after which the signal is sent.
         word: one of the values of a row that counts; any row by default.
         cwd: folder.

@@ -37,3 +37,6 @@ NOT_IN_MESSAGES = re.compile(
         )
     )
 )
+
+#: Names of variables and arguments that a noun replaces.
+NOT_NAMES = {"found", "verb", "dead_zone", "doubt"}

@@ -8,7 +8,7 @@ import pytest
 from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.cli.calibrate import calibrate as verb
+from neurosim.cli.calibrate import calibrate as command
 from tracking.camera.board import locate
 from tracking.camera.calibrate import (
     _lens_numbers,
@@ -290,7 +290,7 @@ def test_what_is_left_out_is_said_and_three_photographs_are_too_few(shared_data,
     cv2.line(image, (round(u) - 4, round(v) - 4), (round(u) + 3, round(v) + 3), (0, 0, 0), 5)
     cv2.imwrite(str(tmp_path / "smeared.png"), image)
     words = [str(tmp_path / "smeared.png"), *map(str, pictures[1:]), "-o", str(tmp_path / "c.json")]
-    done = CliRunner().invoke(verb, words)
+    done = CliRunner().invoke(command, words)
     assert done.exit_code == 0, done.exception
     first, second = done.stderr.splitlines()
     assert "smeared.png: the corner at " in first
@@ -340,11 +340,11 @@ def test_four_corners_need_the_size_of_the_board(tmp_path):
     cv2.imwrite(str(tmp_path / "board.png"), np.zeros((480, 640), np.uint8))
     corners = ["--corners", "50,50", "600,50", "600,400", "50,400"]
     words = [str(tmp_path / "board.png"), *corners, "-o", str(tmp_path / "c.json")]
-    done = CliRunner().invoke(verb, words)
+    done = CliRunner().invoke(command, words)
     assert isinstance(done.exception, UserError)
     assert "--corners needs the size of the board" in str(done.exception)
     assert not (tmp_path / "c.json").exists()
-    done = CliRunner().invoke(verb, [*words, "--board", "2.0x1.3"])
+    done = CliRunner().invoke(command, [*words, "--board", "2.0x1.3"])
     assert done.exit_code == 0, done.exception
 
 

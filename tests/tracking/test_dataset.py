@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from neurosim.base import se2
 from neurosim.base.errors import FileError, UserError
-from neurosim.cli.dataset import dataset as verb
+from neurosim.cli.dataset import dataset as command_line
 from tracking.datasets import dataset as dataset_module
 from tracking.datasets.dataset import MOTOR_INPUTS, Dataset, build, cutting, make
 from tracking.datasets.displacements import Settings, Track, fit_pose
@@ -213,10 +213,10 @@ def test_poses_of_what_may_not_be_the_robot_make_no_rows_unless_they_are_wanted(
     dataset = build([path], tmp_path / "out")
     assert dataset.table["command"].tolist() == [1, 3, 4]
     assert dataset.meta["left_out"]["doubtful"] == 1
-    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "all"), "--doubtful"])
+    done = CliRunner().invoke(command_line, [str(path), "-o", str(tmp_path / "all"), "--doubtful"])
     assert done.exit_code == 0, done.exception
     assert len(Dataset.read(tmp_path / "all")) == 4
-    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "b")])
+    done = CliRunner().invoke(command_line, [str(path), "-o", str(tmp_path / "b")])
     assert "1 doubtful" in done.stdout
 
 

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 from synthetic_robot import MotorLine
 
 from neurosim.base.files import flag, number, read_csv
-from neurosim.cli.track import track as verb
+from neurosim.cli.track import track as command
 from tracking.camera.video import Video
 from tracking.clock.motion import follows_commands
 from tracking.identity import doubtful
@@ -90,7 +90,7 @@ def test_an_identical_plate_alone_after_a_loss(shared_data, twin_from, back_at):
     assert (found & ~false)[back_at + 4 :].all()
 
 
-def test_a_twin_is_said_and_marked_by_the_verb(tmp_path):
+def test_a_twin_is_said_and_marked_by_the_command(tmp_path):
     rng, background = np.random.default_rng(0), scene.background((320, 240))
     path = tmp_path / "twin.avi"
     writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), FPS, (320, 240))
@@ -102,7 +102,7 @@ def test_a_twin_is_said_and_marked_by_the_verb(tmp_path):
             scene.robot(image, np.array([240.0, 180.0]), 1.0, body=(48, 18))
         writer.write(scene.finish(image, rng))
     writer.release()
-    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "poses")])
+    done = CliRunner().invoke(command, [str(path), "-o", str(tmp_path / "poses")])
     assert done.exit_code == 0, done.exception
     table = read_csv(tmp_path / "poses" / "poses.csv", {"doubtful": flag, "quality": number})
     found = np.array(table["quality"]) > 0

@@ -104,7 +104,7 @@ def test_a_pair_far_apart_for_its_size_is_doubted():
         scene.paint_disc(image, (u, 100.0), 8.0, colour, fade=False)
     front, rear = survey_of([scene.finish(image, np.random.default_rng(0))])
     assert max(front.confidence, rear.confidence) < CONFIDENT
-    assert front.as_dict()["doubt"] == APART
+    assert front.as_dict()["reason"] == APART
     told = warning({"front": front.as_dict(), "rear": rear.as_dict()})
     assert f"front pink and rear blue: {APART}" in told
 
@@ -134,7 +134,7 @@ def test_a_pair_that_never_moves_is_doubted():
 
 def test_the_session_that_is_least_sure_is_told():
     def markers(sure):
-        return {which: {"colour": "red", "rgb": "#ff0000", "sure": sure} for which in "ab"}
+        return {which: {"colour": "red", "rgb": "#ff0000", "confidence": sure} for which in "ab"}
 
     sessions = [{"markers": markers(0.9)}, {"left_out": "no"}, {"markers": markers(0.4)}]
     assert describe_markers(least_confident(sessions)).startswith(

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from neurosim.base.errors import UserError
 from neurosim.cli._common import COLOUR_NAMES
-from neurosim.cli.print_page import print_page as verb
+from neurosim.cli.print_page import print_page as command
 from tracking.camera.targets import Chessboard
 from tracking.markers.colours import NAMED, parse_colour
 from tracking.markers.markers import Picture
@@ -87,7 +87,7 @@ def test_a_tag_on_the_page_has_its_true_size_and_its_front_up(settings):
 @pytest.mark.slow
 def test_the_page_is_written_once_and_always_the_same(tmp_path):
     for name in ("a.svg", "b.svg", "a.pdf", "b.pdf"):
-        done = CliRunner().invoke(verb, [str(tmp_path / name), "--diameter", "50"])
+        done = CliRunner().invoke(command, [str(tmp_path / name), "--diameter", "50"])
         assert done.exit_code == 0, done.exception
         assert "two markers of 50 mm" in done.stdout
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()

@@ -11,7 +11,7 @@ from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, UserError
 from neurosim.base.files import number, read_csv
-from neurosim.cli.track import track as verb
+from neurosim.cli.track import track as command_line
 from tracking.camera.camera_model import CameraModel
 from tracking.camera.video import Video
 from tracking.datasets.recordings import DEFAULT_MARKERS, Recording, write_markers
@@ -273,10 +273,10 @@ def test_markers_as_watch_saves_them(recording, frames, tmp_path):
     write_markers(saved, {**DEFAULT_MARKERS, "height": HEIGHT})
     CAMERA.write(tmp_path / "calibration.json")
     words = [str(path), "--markers", str(saved), "-o"]
-    done = CliRunner().invoke(verb, [*words, str(tmp_path / "pixels")])
+    done = CliRunner().invoke(command_line, [*words, str(tmp_path / "pixels")])
     assert done.exit_code == 0, done.exception
     calibrated = [str(tmp_path / "m"), "--calibration", str(tmp_path / "calibration.json")]
-    done = CliRunner().invoke(verb, words + calibrated)
+    done = CliRunner().invoke(command_line, words + calibrated)
     assert done.exit_code == 0, done.exception
     table = read_csv(tmp_path / "m" / "poses.csv", {"x": number, "theta": number})
     x, _, theta = np.transpose([pose_at(i / FPS) for i in range(120, FRAMES)])
@@ -290,7 +290,7 @@ def test_markers_as_watch_saves_them(recording, frames, tmp_path):
     write_markers(saved, {**DEFAULT_MARKERS, **shifted})
     track(recording.path)
     own = recording.poses().pose
-    done = CliRunner().invoke(verb, [str(recording.path), "--markers", str(saved)])
+    done = CliRunner().invoke(command_line, [str(recording.path), "--markers", str(saved)])
     assert done.exit_code == 0, done.exception
     other = recording.poses().pose
     np.testing.assert_allclose(np.hypot(*(other - own)[:, :2].T), 0.05, atol=1e-4)
@@ -302,14 +302,14 @@ def test_markers_as_watch_saves_them(recording, frames, tmp_path):
 def test_options_that_do_nothing_for_a_video_file_are_refused(frames, tmp_path, words):
     write_video(tmp_path / "bare.avi", frames[:3])
     arguments = [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), *words]
-    done = CliRunner().invoke(verb, arguments)
+    done = CliRunner().invoke(command_line, arguments)
     assert isinstance(done.exception, UserError)
     assert words[0].strip("-") in str(done.exception)
     assert not (tmp_path / "out").exists()
 
 
 def test_a_height_is_no_option_of_a_recording(recording):
-    done = CliRunner().invoke(verb, [str(recording.path), "--height", "0.1"])
+    done = CliRunner().invoke(command_line, [str(recording.path), "--height", "0.1"])
     assert isinstance(done.exception, UserError)
     assert "--height is for video files" in str(done.exception)
 
@@ -331,11 +331,11 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     video = shared_data / "footage" / "field-static.mp4"
     arguments = [str(video), "-o", str(tmp_path / "out"), "--json"]
     clicks = ["--click", "422,178", "--click", "437,177"]
-    done = CliRunner().invoke(verb, arguments + clicks)
+    done = CliRunner().invoke(command_line, arguments + clicks)
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
     assert told["found"] == 1
-    assert told["markers"]["front"]["sure"] > 0.5
+    assert told["markers"]["front"]["confidence"] > 0.5
     poses = read_csv(tmp_path / "out" / "poses.csv", {"u": number, "v": number})
     assert np.std([poses["u"], poses["v"]], axis=1).max() < 0.1
     assert abs(np.mean(poses["u"]) - 428) < 2
@@ -354,7 +354,7 @@ def test_clicks_on_two_robots_take_no_third_pair(shared_data, tmp_path, clicks):
     video = shared_data / "footage" / "marker-pushed.avi"
     front, rear = clicks
     done = CliRunner().invoke(
-        verb, [str(video), "-o", str(tmp_path / "out"), "--click", front, "--click", rear]
+        command_line, [str(video), "-o", str(tmp_path / "out"), "--click", front, "--click", rear]
     )
     assert isinstance(done.exception, UserError)
     assert "at the clicks" in str(done.exception)
@@ -364,11 +364,11 @@ def test_clicks_on_two_robots_take_no_third_pair(shared_data, tmp_path, clicks):
 def test_a_recording_of_a_pair_in_doubt_has_no_poses_unless_they_are_wanted(recording, frames):
     still = [frames[70]] * 20 + list(frames[:60]) + [frames[70]] * (FRAMES - 80)
     write_video(recording.path / "video-002.mkv", still)
-    done = CliRunner().invoke(verb, [str(recording.path)])
+    done = CliRunner().invoke(command_line, [str(recording.path)])
     assert isinstance(done.exception, UserError)
     assert "the pair never moves" in str(done.exception)
     assert not (recording.path / "poses.csv").exists()
-    done = CliRunner().invoke(verb, [str(recording.path), "--doubtful"])
+    done = CliRunner().invoke(command_line, [str(recording.path), "--doubtful"])
     assert done.exit_code == 0, done.exception
     assert "the pair never moves" in done.stderr
     poses = recording.poses()
@@ -381,7 +381,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
     def told(colours, video="marker-pushed.avi", *more):
         out = tmp_path / f"{colours}-{video}"
         path = str(shared_data / "footage" / video)
-        done = CliRunner().invoke(verb, [path, "--colours", colours, "-o", str(out), *more])
+        done = CliRunner().invoke(command_line, [path, "--colours", colours, "-o", str(out), *more])
         markers = None
         if done.exit_code == 0:
             markers = json.loads((out / "tracking.json").read_text())["markers"]
@@ -389,7 +389,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
         return markers, done
 
     right, done = told("green,blue")
-    assert min(seen["sure"] for seen in right.values()) > 0.9
+    assert min(seen["confidence"] for seen in right.values()) > 0.9
     assert done.stderr.count("not sure") == 0
     # A ball and another robot's square, a pair that stands still, and what belongs to nobody.
     for colours, video in (
@@ -404,7 +404,7 @@ def test_names_alone_find_this_cameras_colours_and_wrong_names_are_doubted(share
         assert "--click U,V" in str(done.exception)
         assert not (tmp_path / f"{colours}-{video}").exists()
         wrong, done = told(colours, video, "--doubtful")
-        assert max(seen["sure"] for seen in wrong.values()) <= 0.5
+        assert max(seen["confidence"] for seen in wrong.values()) <= 0.5
         assert "may not be the robot's markers" in done.stderr
         assert "--click U,V" in done.stderr
     nothing, done = told("green,orange")
@@ -418,7 +418,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
     write_video(tmp_path / "late.avi", [empty] * 40 + list(frames[70:150]))
     summary = track_video(tmp_path / "late.avi", ("pink", "blue"))
     assert summary["found"] == pytest.approx(80 / 120, abs=0.04)
-    assert min(seen["sure"] for seen in summary["markers"].values()) > 0.9
+    assert min(seen["confidence"] for seen in summary["markers"].values()) > 0.9
 
 
 @pytest.mark.parametrize(
@@ -433,7 +433,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
 def test_clicks_that_will_not_do(tmp_path, frames, clicks, says):
     write_video(tmp_path / "bare.avi", frames[:3])
     done = CliRunner().invoke(
-        verb, [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), *clicks]
+        command_line, [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), *clicks]
     )
     assert done.exit_code == 1
     assert says in str(done.exception)
@@ -444,7 +444,7 @@ def test_clicks_that_will_not_do(tmp_path, frames, clicks, says):
 def test_a_click_is_two_numbers(tmp_path, frames, click):
     write_video(tmp_path / "bare.avi", frames[:3])
     words = [str(tmp_path / "bare.avi"), "-o", str(tmp_path / "out"), "--click", click]
-    done = CliRunner().invoke(verb, words)
+    done = CliRunner().invoke(command_line, words)
     assert done.exit_code == 2
     assert f"'{click}'" in done.stderr
     assert not (tmp_path / "out").exists()
@@ -465,7 +465,9 @@ def test_bare_video_that_will_not_do(tmp_path, frames):
     assert (tmp_path / "bare.avi").read_bytes() == before
     with pytest.raises(UserError, match="not a number"):
         track_video(tmp_path / "bare.avi", ("pink", "blue"), height=math.nan)
-    done = CliRunner().invoke(verb, [str(tmp_path / "absent.mp4"), "-o", str(tmp_path / "out")])
+    done = CliRunner().invoke(
+        command_line, [str(tmp_path / "absent.mp4"), "-o", str(tmp_path / "out")]
+    )
     assert "no recording or video file" in str(done.exception)
     assert not (tmp_path / "out").exists()
     assert sorted(Path(tmp_path).iterdir()) == [tmp_path / "bare.avi", tmp_path / "none.avi"]

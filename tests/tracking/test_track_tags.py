@@ -10,7 +10,7 @@ import tracking_scene as scene
 from click.testing import CliRunner
 
 from neurosim.base.errors import UserError
-from neurosim.cli.track import track as verb
+from neurosim.cli.track import track as command
 from tracking.camera.video import Video
 from tracking.datasets.recordings import write_markers
 from tracking.markers.tags import Tag
@@ -41,7 +41,7 @@ def video(tmp_path_factory):
 
 
 def run(*words):
-    return CliRunner().invoke(verb, [str(word) for word in words])
+    return CliRunner().invoke(command, [str(word) for word in words])
 
 
 def rows_of(folder):

@@ -10,7 +10,7 @@ import tracking_scene as scene
 from click.testing import CliRunner
 
 from neurosim.base.errors import FileError, UserError
-from neurosim.cli.track import track as verb
+from neurosim.cli.track import track as command
 from tracking.camera.video import Video
 
 SIZE, FRAMES = (160, 120), 60
@@ -72,11 +72,11 @@ def test_a_video_that_was_cut_short_is_not_tracked_as_a_shorter_one(tmp_path, fr
         there = sum(1 for _ in video)
         assert 0 < there < FRAMES - 10
         assert video.missing == FRAMES - there
-    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "out")])
+    done = CliRunner().invoke(command, [str(path), "-o", str(tmp_path / "out")])
     assert isinstance(done.exception, UserError)
     assert f"ends after {there} of {FRAMES} frames" in str(done.exception)
     assert not (tmp_path / "out").exists()
-    done = CliRunner().invoke(verb, [str(path), "-o", str(tmp_path / "out"), "--partial"])
+    done = CliRunner().invoke(command, [str(path), "-o", str(tmp_path / "out"), "--partial"])
     assert done.exit_code == 0, done.exception
     assert f"{there} frames" in done.stdout
 

@@ -143,12 +143,12 @@ def test_what_cannot_guard_is_refused(tmp_path):
 
 
 def test_the_options_are_there():
-    for verb, options in {
+    for command, options in {
         "record": ("--readings", "--guard-by", "--place "),
         "run": ("--guard-by",),
         "train": ("--sensors",),
     }.items():
-        said = CliRunner().invoke(cli, [verb, "--help"]).output
+        said = CliRunner().invoke(cli, [command, "--help"]).output
         assert all(option in said for option in options), said
     said = CliRunner().invoke(cli, ["evolve", "--task", "follow-line", "--help"]).output
     assert all(option in said for option in ("--laps", "--within", "--direction", "--place"))

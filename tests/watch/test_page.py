@@ -103,7 +103,7 @@ def chosen(mode):
 
 
 def test_a_student_sets_colours_and_corners_and_saves_them(tab, tmp_path):
-    """Begun with the wrong colours; ended with files that the other verbs take."""
+    """Begun with the wrong colours; ended with files that the other commands take."""
     with (
         Scene(tmp_path, ("green", "orange"), lens=True) as scene,
         PageServer(scene.viewer) as server,

@@ -196,8 +196,8 @@ def test_a_form_of_another_site_cannot_post(server):
 
 
 def test_what_cannot_be_is_said_in_a_sentence(server, tmp_path):
-    def say(verb, **asked):
-        status, _, body = ask(server, verb, "POST", asked)
+    def say(command, **asked):
+        status, _, body = ask(server, command, "POST", asked)
         assert status == 200
         return json.loads(body)
 

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import files, se2
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, UserError, counted
 from tracking.datasets import logs, suspicious
 from tracking.datasets.clocks import in_step
 from tracking.datasets.dataset import OUTPUTS, Dataset, make
@@ -248,7 +248,7 @@ def _commands(table: _Table, shape: str) -> list[str]:
     raise FileError(
         table.path,
         f"which columns are the command? found {table.found()}; name them, such as --columns "
-        "v=speed,w=omega",
+        "left=speed_l,right=speed_r of wheels, or v=speed,w=omega",
         line=table.header_line,
     )
 
@@ -266,7 +266,9 @@ def _logs(
     values = table.array(commands)
     poses = conventions.poses(table.array(LOG[1:], optional=True))
     if len(time) < 2:
-        raise FileError(table.path, f"holds {len(time)} samples; a log needs two or more")
+        raise FileError(
+            table.path, f"holds {counted(len(time), 'sample')}; a log needs two or more"
+        )
     still = np.diff(time, prepend=-np.inf) == 0
     if still.mean() > 0.5:
         table.refuse(still, "time", "the same time stands in two lines, and in most others, too")
@@ -483,7 +485,7 @@ class _Table:
         if (np.abs(values) <= _LARGEST).all():
             return values
         parse, nothing = (_optional, " or nothing") if optional else (_number, "")
-        expected = f"a finite number with a decimal point{nothing}"
+        expected = f"a number such as 0.25{nothing}"
         return np.array(files.parsed(self.path, self._fields[theirs], parse, expected))
 
     def texts(self, column: str) -> list[str]:

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from neurosim.base import files, formats
 from neurosim.base.commands import Commands
-from neurosim.base.errors import FileError, UserError
+from neurosim.base.errors import FileError, UserError, counted
 from neurosim.base.perimeter import Perimeter
 from neurosim.base.progress import track
 from neurosim.base.provenance import is_virtual, robot_kind
@@ -35,7 +35,7 @@ from tracking.datasets import within as within_commands
 from tracking.datasets.displacements import REASONS, Settings, displacements
 from tracking.datasets.recordings import Recording
 
-FORMAT, VERSION = "neurosim-dataset", 1
+FORMAT, VERSION = "neurosim-dataset", 2
 
 #: Inputs of a robot with two motors, and the outputs of any robot in the plane, with units.
 MOTOR_INPUTS = {"prev_left": "%", "prev_right": "%", "left": "%", "right": "%", "duration": "s"}
@@ -103,7 +103,7 @@ class Dataset:
         earlier = int(len(rows) * (1 - held_out) + 1e-9)
         if not 0 < earlier < len(rows):
             raise UserError(
-                f"the dataset has {len(rows)} row{'s' * (len(rows) != 1)}, too few to hold out "
+                f"the dataset has {counted(len(rows), 'row')}, too few to hold out "
                 f"{held_out:.0%} of them; record more commands"
             )
         return rows.part(slice(None, earlier)), rows.part(slice(earlier, None))
@@ -183,7 +183,7 @@ class Dataset:
         if not folder.is_dir():
             raise FileError(folder, "no such dataset; expected a folder with dataset.json")
         json_path, csv_path = folder / "dataset.json", folder / "dataset.csv"
-        meta = files.read_json(json_path, FORMAT, VERSION, formats.Dataset)
+        meta = files.read_json(json_path, FORMAT, VERSION, formats.Dataset, oldest=VERSION)
         inputs, outputs = (_names(json_path, field, meta[field]) for field in ("inputs", "outputs"))
         if outputs != tuple(OUTPUTS):
             raise FileError(json_path, f"expected {', '.join(OUTPUTS)}", field="outputs")

@@ -52,7 +52,7 @@ BY_HAND = "by-hand"
 #: A command lasts no longer, s.
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
-TRACKING_FORMAT = "neurosim-tracking"
+TRACKING_FORMAT, TRACKING_VERSION = "neurosim-tracking", 2
 
 #: What a line of commands.csv can be.
 KINDS = (
@@ -138,12 +138,12 @@ class Poses:
 
     def certain(self) -> Poses:
         """Return the same rows, as if the robot had not been found where that is doubtful."""
-        doubt = self.doubtful
+        doubtful = self.doubtful
         return replace(
             self,
-            pose=np.where(doubt[:, None], np.nan, self.pose),
-            quality=np.where(doubt, 0.0, self.quality),
-            doubtful=np.zeros_like(doubt),
+            pose=np.where(doubtful[:, None], np.nan, self.pose),
+            quality=np.where(doubtful, 0.0, self.quality),
+            doubtful=np.zeros_like(doubtful),
         )
 
 
@@ -414,7 +414,8 @@ class Recording:
         path = self.path / "tracking.json"
         if not path.exists():
             return []
-        sessions = read_json(path, TRACKING_FORMAT, VERSION, formats.Tracking)["sessions"]
+        about = read_json(path, TRACKING_FORMAT, TRACKING_VERSION, formats.Tracking, oldest=2)
+        sessions = about["sessions"]
         return [session for session in sessions if session.get("clock") is not None]
 
     def poses(self) -> Poses:

@@ -55,8 +55,8 @@ class Found:
             "rgb": self.rgb,
             "hue_deg": math.degrees(self.colour.hue) % 360,
             "chroma": self.chroma,
-            "sure": round(self.confidence, 3),
-            "doubt": self.reason if self.confidence < CONFIDENT else None,
+            "confidence": round(self.confidence, 3),
+            "reason": self.reason if self.confidence < CONFIDENT else None,
         }
 
 
@@ -124,7 +124,7 @@ def least_confident(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mappi
     every = [session["markers"] for session in sessions if "markers" in session]
 
     def confidence(markers: Mapping[str, Mapping[str, Any]]) -> float:
-        return min(seen.get("sure", 1.0) for seen in markers.values())
+        return min(seen.get("confidence", 1.0) for seen in markers.values())
 
     return min(every, key=confidence, default={})
 
@@ -138,7 +138,8 @@ def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:
             f", others in view: {others}" if others else ""
         )
     return ", ".join(
-        f"{where} {seen['colour']} is {seen['rgb']} here (confidence: {100 * seen['sure']:.0f} %)"
+        f"{where} {seen['colour']} is {seen['rgb']} here "
+        f"(confidence: {100 * seen['confidence']:.0f} %)"
         for where, seen in markers.items()
         if "rgb" in seen
     )
@@ -148,8 +149,8 @@ def warning(markers: Mapping[str, Mapping[str, Any]]) -> str | None:
     """Return what a person should know of colours of low confidence; None where there are none."""
     reasons: dict[str, list[str]] = {}
     for where, seen in markers.items():
-        if seen.get("doubt"):
-            reasons.setdefault(seen["doubt"], []).append(f"{where} {seen['colour']}")
+        if seen.get("reason"):
+            reasons.setdefault(seen["reason"], []).append(f"{where} {seen['colour']}")
     if not reasons:
         return None
     listed = "; ".join(f"{' and '.join(which)}: {reason}" for reason, which in reasons.items())

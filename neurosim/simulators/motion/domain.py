@@ -215,7 +215,7 @@ def _look_up(
     cells: NDArray,
 ) -> NDArray:
     """Return whether the cell that each of the commands [N, C] lies in was seen, [N]."""
-    found = np.empty(len(commands), np.bool_)
+    supported = np.empty(len(commands), np.bool_)
     for n in range(len(commands)):
         place, inside = 0, True
         for c in range(len(low)):
@@ -225,5 +225,5 @@ def _look_up(
             inside &= within
             at = at if within else 0.0
             place += step[c] * int(at if at < last[c] else last[c])
-        found[n] = inside & (cells[place] != 0)
-    return found
+        supported[n] = inside & (cells[place] != 0)
+    return supported

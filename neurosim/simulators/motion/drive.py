@@ -306,19 +306,19 @@ class DriveModel:
         The last is that after the speeds have settled; before it come :data:`PHASES` of each
         command that acts.
         """
-        found = []
+        pieces = []
         speed, push = under.speed, under.push
         *waiting, (_, own) = self._turns(under, commanded, time)
         for goal, span in waiting:
             end = self.approach(speed, goal, span, push)
             first = torch.where(span > LONG_WAIT, span / PHASES, 0.0)
             instants = [first * k for k in range(1, PHASES)]
-            found += self._ways(speed, push, goal, instants, span, end)
+            pieces += self._ways(speed, push, goal, instants, span, end)
             speed, push = self._come(speed, goal, span, push, end)
         end = self.approach(speed, commanded, own, push)
         settled = torch.minimum(own, end.settling.amax(-1).clamp(min=SHORTEST))
         instants = [settled * (k + 1) / PHASES for k in range(PHASES)]
-        return found + self._ways(speed, push, commanded, instants, own, end)
+        return pieces + self._ways(speed, push, commanded, instants, own, end)
 
     def _ways(
         self,
@@ -333,14 +333,14 @@ class DriveModel:
 
         The last is that until ``time`` [B], of which the approach is ``end``.
         """
-        found = []
+        pieces = []
         way, began = torch.zeros_like(goal), torch.zeros_like(time)
         missed = [self.approach(speed, goal, one, push).missed for one in instants]
         for until, lost in zip((*instants, time), (*missed, end.missed), strict=True):
             ways = goal * until.unsqueeze(-1) - lost
-            found.append(motion_features(ways - way, until - began, self.turning))
+            pieces.append(motion_features(ways - way, until - began, self.turning))
             way, began = ways, until
-        return found
+        return pieces
 
     def phases(self, under: Underway, commanded: Tensor, time: Tensor) -> tuple[Tensor, Tensor]:
         """Return the displacement [B, 3] while the speeds change, and the twist of what follows.

@@ -772,10 +772,10 @@ def _in(dtype: torch.dtype, thing: Any) -> Any:
         return thing.to(dtype) if thing.is_floating_point() else thing
     if not type(thing).__module__.startswith("neurosim.") or not hasattr(thing, "__dict__"):
         return thing
-    found = copy(thing)
+    converted = copy(thing)
     for name, value in vars(thing).items():
-        object.__setattr__(found, name, _in(dtype, value))
-    return found
+        object.__setattr__(converted, name, _in(dtype, value))
+    return converted
 
 
 def _of_member(outputs: Tensor, member: Tensor | int, central: bool) -> Tensor:

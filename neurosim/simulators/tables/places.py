@@ -51,20 +51,20 @@ def random_arena(
     scale = radius / _RADIUS
     room = 2.0 * radius + scale * _SPARE
     outline = _outline(rng, scale)
-    found = Place(outline)
+    arena = Place(outline)
     for _ in range(rng.integers(MOST[0] + 1)):
-        place = _free(rng, found, room + OBSTACLE, lambda at: at[None])
+        place = _free(rng, arena, room + OBSTACLE, lambda at: at[None])
         if place is not None:
             obstacle = (float(place[0, 0]), float(place[0, 1]), OBSTACLE)
-            found = Place(outline, found.walls, (*found.obstacles, obstacle))
+            arena = Place(outline, arena.walls, (*arena.obstacles, obstacle))
     for _ in range(rng.integers(inner + 1)):
         turn, length = rng.uniform(0.0, 2.0 * math.pi), scale * rng.uniform(*LENGTHS)
         along = np.linspace(0.0, length, 21)[:, None] * (math.cos(turn), math.sin(turn))
-        line = _free(rng, found, room, lambda at, along=along: at + along)  # type: ignore[misc]
+        line = _free(rng, arena, room, lambda at, along=along: at + along)  # type: ignore[misc]
         if line is not None:
             (x1, y1), (x2, y2) = line[[0, -1]].tolist()
-            found = Place(outline, (*found.walls, (x1, y1, x2, y2)), found.obstacles)
-    return found
+            arena = Place(outline, (*arena.walls, (x1, y1, x2, y2)), arena.obstacles)
+    return arena
 
 
 def _outline(rng: np.random.Generator, scale: float) -> tuple[Any, ...]:
@@ -92,9 +92,9 @@ def _free(
     """Return points [N, 2] of something with so much room around it, m; None: none was found."""
     x1, y1, x2, y2 = arena.bounds
     for _ in range(_TRIES):
-        found = points(rng.uniform((x1, y1), (x2, y2)))
-        if (arena.clearance(found) > room).all():
-            return found
+        shape = points(rng.uniform((x1, y1), (x2, y2)))
+        if (arena.clearance(shape) > room).all():
+            return shape
     return None
 
 
@@ -137,11 +137,11 @@ class ManyArenas(Simulator):
 
     def touching(self, poses: NDArray[np.float64]) -> NDArray[np.bool_]:
         """Return whether a robot at poses [..., 3] touches a wall or an obstacle, [...]."""
-        where, found = _place_of(poses), np.zeros(poses.shape[:-1], np.bool_)
+        where, touching = _place_of(poses), np.zeros(poses.shape[:-1], np.bool_)
         for place in np.unique(where):
             here = where == place
-            found[here] = self.places[place].touching(_moved(poses[here], -place))
-        return found
+            touching[here] = self.places[place].touching(_moved(poses[here], -place))
+        return touching
 
     def start(self, pose: Tensor, generator: torch.Generator | None = None) -> Tensor:
         return self.own.start(pose, generator)
@@ -153,22 +153,22 @@ class ManyArenas(Simulator):
         generator: torch.Generator | None = None,
         z: Tensor | None = None,
     ) -> Tensor:
-        found = torch.empty_like(state)
+        moved = torch.empty_like(state)
         for here, local, place in self._split(state):
             given = None if z is None else z[here]
             after = self.places[place].step(local, command[here], generator, given)
             after[:, 0] += PITCH * place
-            found[here] = after
-        return found
+            moved[here] = after
+        return moved
 
     def sense(
         self, state: Tensor, generator: torch.Generator | None = None, z: Tensor | None = None
     ) -> Tensor:
-        found = torch.empty(len(state), len(self.reading_names), dtype=torch.float64)
+        readings = torch.empty(len(state), len(self.reading_names), dtype=torch.float64)
         for here, local, place in self._split(state):
             given = None if z is None else z[here]
-            found[here] = self.places[place].sense(local, generator, given).to(found)
-        return found
+            readings[here] = self.places[place].sense(local, generator, given).to(readings)
+        return readings
 
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts, where the tables have them."""
@@ -179,13 +179,13 @@ class ManyArenas(Simulator):
     def _split(self, state: Tensor) -> list[tuple[Tensor, Tensor, int]]:
         """Return rows, their states as the arena has them, and the arena, of each arena."""
         where = torch.from_numpy(_place_of(state[:, :3].numpy()))
-        found = []
+        parts = []
         for place in where.unique().tolist():
             here = where == place
             local = state[here].clone()
             local[:, 0] -= PITCH * place
-            found.append((here, local, place))
-        return found
+            parts.append((here, local, place))
+        return parts
 
 
 class _Rollouts:
@@ -235,6 +235,6 @@ def _place_of(poses: NDArray[np.float64]) -> NDArray[np.int64]:
 
 def _moved(poses: NDArray[np.float64], places: NDArray[np.int64] | int) -> NDArray[np.float64]:
     """Return poses [..., 3] so many arenas further on."""
-    found = np.array(poses, np.float64)
-    found[..., 0] += PITCH * np.asarray(places)
-    return found
+    moved = np.array(poses, np.float64)
+    moved[..., 0] += PITCH * np.asarray(places)
+    return moved

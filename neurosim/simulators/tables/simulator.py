@@ -476,8 +476,8 @@ class TableSimulator(Simulator):
             "place": self.place.to_json(),
             **self.meta,
         }
-        found = {name: value for name, value in tensors.items() if value is not None}
-        files.write_tensors(folder / "tables.safetensors", found)
+        given = {name: value for name, value in tensors.items() if value is not None}
+        files.write_tensors(folder / "tables.safetensors", given)
         files.write_json(folder / "simulator.json", FORMAT, VERSION, content)
 
     @classmethod
@@ -503,7 +503,7 @@ class TableSimulator(Simulator):
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
         # Compiled loops would be compiled anew for numbers of another kind.
-        found = {
+        arrays = {
             name: np.asarray(tensor, np.float64)
             for name, tensor in files.read_tensors(tables, shapes).items()
         }
@@ -511,15 +511,15 @@ class TableSimulator(Simulator):
         try:
             return cls(
                 SensorTable(
-                    found["sensor_mean"],
-                    found.get("sensor_spread"),
+                    arrays["sensor_mean"],
+                    arrays.get("sensor_spread"),
                     about["first_distance"],
                     about["distance_step"],
                 ),
                 MotorTable(
-                    found["motor_levels"],
-                    found["motor_twist"],
-                    found.get("motor_spread"),
+                    arrays["motor_levels"],
+                    arrays["motor_twist"],
+                    arrays.get("motor_spread"),
                     motors["resolution"],
                 ),
                 Place.from_json(path, content["place"]),

@@ -392,9 +392,9 @@ class CombinedTrainer:
             judged = [self._composed(*one[:3], self._windows) for one in judged]
             count = float(self._windows.weight.sum())
         allowed = "process" not in self._settings.without
-        found = [_fraction(*one, allowed, count) for one in judged]
-        losses = torch.tensor([max(loss, 1e-30) for _, loss in found])
-        fractions = torch.tensor([fraction for fraction, _ in found], dtype=torch.float64)
+        fitted = [_fraction(*one, allowed, count) for one in judged]
+        losses = torch.tensor([max(loss, 1e-30) for _, loss in fitted])
+        fractions = torch.tensor([fraction for fraction, _ in fitted], dtype=torch.float64)
         return fractions, float(losses.log().mean())
 
     def _composed(

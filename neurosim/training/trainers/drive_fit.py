@@ -131,7 +131,7 @@ class Actuators(NamedTuple):
 
 
 @njit(error_model="numpy", cache=True)
-def _distances(a, turning, before, commanded, time, follows, row, until, found, within):
+def _distances(a, turning, before, commanded, time, follows, row, until, features, within):
     """Write what the twists of pieces of commands are linear in, see :meth:`DriveModel.pieces`.
 
     Args:
@@ -143,7 +143,7 @@ def _distances(a, turning, before, commanded, time, follows, row, until, found, 
         follows: whether a row's command followed that of the row before it, [N].
         row: of each instant within a command the row, [L], ascending.
         until: and the time since it began, [L] s.
-        found: [_PIECES, K, N], zeros, written.
+        features: [_PIECES, K, N], zeros, written.
         within: [_PIECES, K, L], zeros, written: of the commands until these instants.
     """
     count = commanded.shape[1]
@@ -157,11 +157,11 @@ def _distances(a, turning, before, commanded, time, follows, row, until, found, 
         while k < len(row) and row[k] == i:
             _cut(a, turning, begins, goals, until[k], law, way, reached, within[:, :, k])
             k += 1
-        _cut(a, turning, begins, goals, time[i], law, way, reached, found[:, :, i])
+        _cut(a, turning, begins, goals, time[i], law, way, reached, features[:, :, i])
 
 
 @njit(error_model="numpy", cache=True)
-def _cut(a, turning, begins, goals, time, law, way, reached, found):
+def _cut(a, turning, begins, goals, time, law, way, reached, features):
     """Cut a command into pieces of constant twist.
 
     Args:
@@ -173,7 +173,7 @@ def _cut(a, turning, begins, goals, time, law, way, reached, found):
         law: [C, _LAW] scratch.
         way: [C] scratch.
         reached: [2 C], written: speeds and pushes at the end.
-        found: [_PIECES, K], written, see :func:`motion_features`.
+        features: [_PIECES, K], written, see :func:`motion_features`.
     """
     count, begin = len(begins), 0.0
     for c in range(count):
@@ -197,10 +197,10 @@ def _cut(a, turning, begins, goals, time, law, way, reached, found):
             for c in range(count):
                 left, missed = _follow(law[c], end)
                 gone = goals[own, c] * end - missed
-                found[first + k, c], way[c] = gone - way[c], gone
+                features[first + k, c], way[c] = gone - way[c], gone
                 if end == span:
                     reached[c], reached[count + c] = _come(law[c], span, left)
-            products_and_losses(turning, end - last, count, found[first + k])
+            products_and_losses(turning, end - last, count, features[first + k])
             last = end
 
 
@@ -288,7 +288,7 @@ class Motion:
             none = torch.zeros(0, dtype=x.dtype)
             within = Within(none.long(), none, none)
         count = terms_of(len(columns.driven))
-        found = [
+        features = [
             torch.zeros(len(actuators.lag), _PIECES, count, rows, dtype=x.dtype)
             for rows in (len(x), len(within.row))
         ]
@@ -296,9 +296,9 @@ class Motion:
         times = x[:, columns.duration] * self.longest, self.follows
         parts = [part.numpy() for part in (*given, *times, within.row, within.time.to(x))]
         turning = actuators.turning(self.turning)
-        for p, own in enumerate(zip(*(part.numpy() for part in found), strict=True)):
+        for p, own in enumerate(zip(*(part.numpy() for part in features), strict=True)):
             _distances(actuators.one(p), turning, *parts, *own)
-        return found[0], found[1]
+        return features[0], features[1]
 
     def fitted(self, actuators: Actuators) -> tuple[Tensor, list[Errors]]:
         """Return the best kinematics of each model, and the errors that they leave."""
@@ -412,12 +412,12 @@ def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
     if band is not None:
         return Fit.of(rows, band, _searched(searched, band, *limits), True)
     band = _dead_bands(searched, roughly)
-    found = _searched(searched, band, *limits)
+    best = _searched(searched, band, *limits)
     # With the laws known better, slow commands say more.
-    again = _dead_bands(searched, found)
+    again = _dead_bands(searched, best)
     if not torch.equal(again, band):
-        band, found = again, _again(searched, again, found, *limits)
-    return Fit.of(rows, band, found, True)
+        band, best = again, _again(searched, again, best, *limits)
+    return Fit.of(rows, band, best, True)
 
 
 def _roughly(rows: Rows, lowest: Tensor, highest: Tensor) -> Tensor:
@@ -474,8 +474,8 @@ def _dead_bands(rows: Rows, laws: Tensor) -> Tensor:
             new = [size for size in tried if size not in costs]
             if new:
                 bands = torch.where(group, torch.tensor(new, dtype=band.dtype)[:, None], band)
-                found = _costs(rows, laws.repeat(len(new), 1, 1), bands)
-                costs.update(zip(new, found.tolist(), strict=True))
+                losses = _costs(rows, laws.repeat(len(new), 1, 1), bands)
+                costs.update(zip(new, losses.tolist(), strict=True))
             best = min(tried, key=costs.__getitem__)
             if stride == 1:
                 break
@@ -501,8 +501,8 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
     def best_of(starts: list[Tensor], longest_delay: float) -> tuple[Tensor, float]:
         limit = highest.clone()
         limit[_DELAY] = longest_delay
-        found = [_refined(rows, band, start, lowest, limit) for start in starts]
-        return min(found, key=lambda one: one[1])
+        refined = [_refined(rows, band, start, lowest, limit) for start in starts]
+        return min(refined, key=lambda one: one[1])
 
     def starts(longest_delay: float) -> list[Tensor]:
         # Of each rate the best, as no step leads from a rate that never limits to one that does.
@@ -513,12 +513,12 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
                 of_rates.setdefault(rate, coarse[number])
         return list(of_rates.values())[:_STARTS]
 
-    found, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
-    if found[_DELAY, 0] > 0.0:
-        at_once, cost = best_of([*starts(0.0)[:1], found], 0.0)
+    best, least = best_of(starts(_HIGHEST[_DELAY]), _HIGHEST[_DELAY])
+    if best[_DELAY, 0] > 0.0:
+        at_once, cost = best_of([*starts(0.0)[:1], best], 0.0)
         if cost < least + rows.belief:
-            found = at_once
-    return found
+            best = at_once
+    return best
 
 
 def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
@@ -529,13 +529,13 @@ def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
         weights: of the rows, [M, N].
     """
     limits = [_of_each(values, fit.laws.shape[1]) for values in (_LOWEST, _HIGHEST)]
-    found = []
+    drives = []
     for rows in map(fit.rows.weighted, weights):
         laws = fit.laws
         if fit.searched:
             laws = _again(rows.first(_ROWS), fit.band, laws, *limits)
-        found.append(Fit.of(rows, fit.band, laws, fit.searched).drive)
-    return found
+        drives.append(Fit.of(rows, fit.band, laws, fit.searched).drive)
+    return drives
 
 
 def _again(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
@@ -605,10 +605,10 @@ def _refined(
             tried = laws.clone()
             tried[varied] = here + unit * step.clamp(-_LONGEST, _LONGEST)
             tried = torch.maximum(torch.minimum(tried, highest), lowest)
-            found = errors(tried[None])
-            reached = float(_cost(tried[None], found))
+            left_over = errors(tried[None])
+            reached = float(_cost(tried[None], left_over))
             if reached < cost:
-                laws, now, cost = tried, found, reached
+                laws, now, cost = tried, left_over, reached
                 damping = max(_LESS * damping, _FREEST)
             else:
                 damping *= _MORE

@@ -117,29 +117,29 @@ def learn_process(
             torch.full((functions,), -0.7, dtype=x.dtype),
         ]
     )
-    found = start.clone()
-    optimiser = torch.optim.LBFGS([found], max_iter=_STEPS, line_search_fn="strong_wolfe")
+    logs = start.clone()
+    optimiser = torch.optim.LBFGS([logs], max_iter=_STEPS, line_search_fn="strong_wolfe")
 
     def loss() -> float:
-        value, found.grad = unlikelihood(found, own, values, trust, spread)
+        value, logs.grad = unlikelihood(logs, own, values, trust, spread)
         return value
 
     optimiser.step(loss)
-    least, result = loss(), _bounded(found, inputs)
+    least, result = loss(), _bounded(logs, inputs)
     lengths = result[:inputs].exp() * spread
     power, noise = (2.0 * result[inputs:]).exp().view(2, functions) * size.square()
     process = Process(choose_centres(x, elsewhere, lengths, centres), lengths, power, noise)
     return process, least
 
 
-def _bounded(found: Tensor, inputs: int) -> Tensor:
-    lowest = torch.full_like(found, -_MOST)
+def _bounded(logs: Tensor, inputs: int) -> Tensor:
+    lowest = torch.full_like(logs, -_MOST)
     lowest[:inputs] = _LEAST
-    return torch.maximum(found, lowest).clamp(max=_MOST)
+    return torch.maximum(logs, lowest).clamp(max=_MOST)
 
 
 def unlikelihood(
-    found: Tensor, x: Tensor, y: Tensor, trust: Tensor, spread: Tensor
+    logs: Tensor, x: Tensor, y: Tensor, trust: Tensor, spread: Tensor
 ) -> tuple[float, Tensor]:
     """Return minus the log-likelihood of rows, with the pull to what is usual, and its gradient.
 
@@ -154,7 +154,7 @@ def unlikelihood(
         spread: of the inputs, [J].
     """
     inputs, functions = x.shape[1], y.shape[1]
-    bounded = _bounded(found, inputs)
+    bounded = _bounded(logs, inputs)
     lengths = bounded[:inputs].exp() * spread
     power, noise = (2.0 * bounded[inputs:]).exp().view(2, functions)
     shared = covariance(x, x, lengths)
@@ -163,10 +163,10 @@ def unlikelihood(
     diagonal.add_(_JITTER * power[:, None] + (noise / trust).T + 1e-9)
     triangle = torch.linalg.cholesky(matrix)
     solved = torch.cholesky_solve(y.T.unsqueeze(2), triangle)
-    off = found[:inputs] - _USUAL
+    off = logs[:inputs] - _USUAL
     value = 0.5 * (y.T.unsqueeze(2) * solved).sum()
     value = value + triangle.diagonal(dim1=1, dim2=2).log().sum() + _PULL * off.square().sum()
-    value = value + _PULL / 2.0 * found[inputs : inputs + functions].square().sum()
+    value = value + _PULL / 2.0 * logs[inputs : inputs + functions].square().sum()
     # By each covariance, [F, N, N]; then by what it is made of.
     slope = 0.5 * (torch.cholesky_inverse(triangle) - solved @ solved.mT)
     own = slope.diagonal(dim1=1, dim2=2)
@@ -175,9 +175,9 @@ def unlikelihood(
     by_pairs = shared * torch.einsum("f,fnm->nm", power, slope)
     ahead = 2.0 * (by_pairs.sum(1) @ x.square() - (x * (by_pairs @ x)).sum(0))
     gradient = torch.cat([ahead / lengths.square(), 2.0 * of_power, 2.0 * of_noise])
-    gradient = torch.where(bounded == found, gradient, 0.0)
+    gradient = torch.where(bounded == logs, gradient, 0.0)
     gradient[:inputs] += 2.0 * _PULL * off
-    gradient[inputs : inputs + functions] += _PULL * found[inputs : inputs + functions]
+    gradient[inputs : inputs + functions] += _PULL * logs[inputs : inputs + functions]
     return float(value), gradient
 
 

@@ -70,7 +70,7 @@ def windows_of(time: Tensor, joined: Tensor) -> Windows:
     """
     end = np.concatenate([[0.0], np.cumsum(time.numpy())])
     breaks = np.append(np.flatnonzero(~joined.numpy()), len(time))
-    found = []
+    windows = []
     for kind, length in enumerate(LENGTHS):
         for start, stop in pairwise(breaks):
             last = -np.inf
@@ -88,9 +88,9 @@ def windows_of(time: Tensor, joined: Tensor) -> Windows:
                 if nearest != kind:
                     continue
                 own = min(begin - last, lasts) / LENGTHS[-1] / len(LENGTHS)
-                found.append((first, until, kind, min(own, 1.0)))
+                windows.append((first, until, kind, min(own, 1.0)))
                 last = begin
-    first_, end_, kind_, weight = np.array(found).reshape(-1, 4).T
+    first_, end_, kind_, weight = np.array(windows).reshape(-1, 4).T
     whole = [torch.tensor(each.astype(np.int64)) for each in (first_, end_, kind_)]
     return Windows(*whole, torch.tensor(weight))
 
