@@ -139,9 +139,14 @@ def test_only_the_options_of_what_is_chosen_are_there():
     assert "--reach cm Sizes, cm. [default: 25] [0.01<=x<=100000]" in shown
     assert "--span LOW..HIGH Both ends. [default: 0.5..3] [0.001<=x<=100000]" in shown
     assert "--goals JSON X and y of each. [default: [[0.5, 0.0]]]" in shown
-    assert "--depth" not in shown
-    assert "--depth" in other
-    assert "--side" not in other
+    # The others are named, without their explanations.
+    assert "How deep" not in shown
+    assert "How deep, m." in other
+    assert "Which one" not in other
+    assert shown.endswith(
+        "More options, with --help after these: --task swim --depth, --slow, --task-log"
+    )
+    assert "--task walk --pace, --side, --goals, --span, --reach, --width, --names" in other
     assert "--task NAME What to do: swim, walk. [default: walk]" in shown
     assert "thing" not in shown
 
