@@ -1,11 +1,12 @@
 # make demo: the whole pipeline in the virtual lab.  make test: the tests.
 # make test-fast: those that are not marked slow.
 # make test-extras: the peers that benchmarks measure beside ours, and the libraries of examples/.
-# make dist: a wheel, which needs no clone.  make docs: the site, in site/.
+# make dist: a wheel, which needs no clone, and the versions it is tested with.  make docs: the site, in site/.
 # Each sets up by itself; nothing but Python 3.11 or newer and make is needed.
 
 PYTHON ?= python3
 BIN := .venv/bin
+INSTALL = $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
 
 .PHONY: demo test test-fast test-extras dist docs format clean
 
@@ -28,6 +29,7 @@ test-extras: .venv/installed-extras
 dist: .venv/installed-dev
 	rm -rf dist
 	$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist .
+	cp constraints.txt dist
 
 docs: .venv/installed-dev
 	$(BIN)/python docs/make_site.py
@@ -41,16 +43,16 @@ format: .venv/installed-dev
 	  { echo "neurosim needs Python 3.11 or newer; name one with make PYTHON=python3.12" >&2; exit 1; }
 	$(PYTHON) -m venv .venv
 
-.venv/installed: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e .
+.venv/installed: pyproject.toml constraints.txt | .venv/bin/python
+	$(INSTALL) -e .
 	touch $@
 
-.venv/installed-dev: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev]'
+.venv/installed-dev: pyproject.toml constraints.txt | .venv/bin/python
+	$(INSTALL) -e '.[dev]'
 	touch $@ .venv/installed
 
-.venv/installed-extras: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -e '.[dev,bench,examples,onnx,ray]'
+.venv/installed-extras: pyproject.toml constraints.txt | .venv/bin/python
+	$(INSTALL) -e '.[dev,bench,examples,onnx,ray]'
 	touch $@ .venv/installed-dev .venv/installed
 
 clean:

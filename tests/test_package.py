@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 import yaml
+from packaging.requirements import Requirement
 
 ROOT = Path(__file__).resolve().parents[1]
 HOSTED = sorted((ROOT / ".github").rglob("*.yml"))
@@ -73,6 +74,30 @@ def test_forms_for_issues_have_what_a_host_asks_for():
         assert all(one["attributes"]["label"] for one in form["body"])
 
 
+@pytest.mark.skipif(not (ROOT / "pyproject.toml").exists(), reason="needs the source folder")
+def test_torch_is_a_range_and_what_is_installed_is_pinned():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    given = {one.name: one for one in map(Requirement, project["dependencies"])}
+    lines = (ROOT / "constraints.txt").read_text().splitlines()
+    pins = [Requirement(one) for line in lines if (one := line.partition("#")[0].strip())]
+    assert [pin.name for pin in pins] == ["torch"]
+    for pin in pins:
+        (exactly,) = pin.specifier
+        assert exactly.operator == "=="
+        assert given[pin.name].specifier.contains(exactly.version)
+        assert not any(one.operator == "==" for one in given[pin.name].specifier)
+    installing = 0
+    for path in (ROOT / "Makefile", ROOT / "docs" / "pipeline.md", *HOSTED):
+        for line in re.findall("pip install.*", path.read_text(encoding="utf-8")):
+            if "pyusb" not in line:
+                assert "constraints.txt" in line, f"{path}: {line}"
+                installing += path.name == "Makefile"
+    assert installing == 1
+    # Every other line of the Makefile that installs goes through that one.
+    recipes = re.findall(r"^\t\$\(INSTALL\) -e", (ROOT / "Makefile").read_text(), re.MULTILINE)
+    assert len(recipes) == 3
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(
     not (ROOT / "pyproject.toml").exists() or importlib.util.find_spec("setuptools") is None,
@@ -101,7 +126,10 @@ def test_a_wheel_installs_and_runs_elsewhere(tmp_path):
     assert "neurosim/templates/robot/driver.py.txt" in names
     assert not any(name.startswith(("tests/", "benchmarks/")) for name in names)
     target = tmp_path / "elsewhere"
-    subprocess.run([*pip, "install", "--no-deps", "--target", str(target), str(wheel)], check=True)
+    pins = ["-c", str(ROOT / "constraints.txt")]
+    subprocess.run(
+        [*pip, "install", *pins, "--no-deps", "--target", str(target), str(wheel)], check=True
+    )
     done = subprocess.run(
         [sys.executable, "-m", "neurosim", "lab", "photographs", "p", "--count", "3"],
         cwd=tmp_path,
