@@ -119,7 +119,7 @@ def joystick(rng, seconds, model, held=(2, 8), dt=0.05):
     rows = Chains.of(x, y, joined, CommandFeatures.of(NAMES), 1.0)
     features, _, row, _ = rows.driven(actuators_of(model).one(0))
     pose, poses = np.zeros(3), [np.zeros(3)]
-    for twist in (features @ model.twists).numpy():
+    for twist in (features @ model.kinematics).numpy():
         pose = se2.compose(pose, se2.exp(twist))
         poses.append(pose)
     ends = np.append(np.searchsorted(row.numpy(), np.arange(count)), len(row))

@@ -33,6 +33,7 @@ from neurosim.simulators.motion.drive import (
     PHASES,
     SHORTEST,
     DriveModel,
+    features_of,
     terms_of,
 )
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
@@ -212,7 +213,8 @@ def products_and_losses(turning, time, count, terms):
         turning: as in DriveModel, [C].
         time: that the distances took, s.
         count: C.
-        terms: [K], distances of actuators first; written from there on.
+        terms: [K], distances of actuators first; written from there on. Without the last C there
+            are no losses.
     """
     place, turned, inverse = count, 0.0, 1.0 / max(time, 1e-9)
     for c in range(count):
@@ -220,7 +222,7 @@ def products_and_losses(turning, time, count, terms):
         for d in range(c, count):
             terms[place] = terms[c] * terms[d] * inverse
             place += 1
-    for c in range(count):
+    for c in range(len(terms) - place):
         terms[place + c] = terms[c] * abs(turned) * inverse
 
 
@@ -287,9 +289,9 @@ class Motion:
         if within is None:
             none = torch.zeros(0, dtype=x.dtype)
             within = Within(none.long(), none, none)
-        count = terms_of(len(columns.driven))
+        terms = searched_terms(self)
         features = [
-            torch.zeros(len(actuators.lag), _PIECES, count, rows, dtype=x.dtype)
+            torch.zeros(len(actuators.lag), _PIECES, terms, rows, dtype=x.dtype)
             for rows in (len(x), len(within.row))
         ]
         given = x[:, list(columns.before)], x[:, list(columns.driven)]
@@ -385,9 +387,15 @@ class Fit(NamedTuple):
         """Return the fit of rows with given laws and dead bands."""
         actuators = Actuators.of(laws.unsqueeze(0), band)
         parts = (torch.from_numpy(part) for part in actuators.one(0)[3:])
-        linear, twists = len(band), rows.fitted(actuators)[0][0]
-        drive = DriveModel(*parts, twists[:-linear], rows.turning, twists[-linear:])
+        kinematics, twists = features_of(len(band)), rows.fitted(actuators)[0][0]
+        losses = None if rows.turning is None else twists[kinematics:]
+        drive = DriveModel(*parts, twists[:kinematics], rows.turning, losses)
         return cls(drive, rows, band, laws, searched, actuators)
+
+
+def searched_terms(rows: Rows) -> int:
+    """Return how many numbers the twists of the drive models of rows are linear in."""
+    return (features_of if rows.turning is None else terms_of)(len(rows.columns.driven))
 
 
 def fit_drive(rows: Rows, laws: bool = True, band: Tensor | None = None) -> Fit:
@@ -640,11 +648,12 @@ def _off(laws: Tensor) -> tuple[Tensor, Tensor]:
 
 def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]:
     """Return the best kinematics [P, F, 3], and the errors that they leave."""
-    x, y, within, linear = motion.x, motion.y, motion.within, len(motion.columns.driven)
+    x, y, within = motion.x, motion.y, motion.within
     pieces, parts = motion.distances(actuators)
+    product = torch.arange(pieces.shape[2]) >= len(motion.columns.driven)
     turn = y[:, 2]
     weight = torch.ones_like(turn) if motion.weight is None else motion.weight
-    rate, turns_left = _regression(pieces.sum(1), turn, linear, weight)
+    rate, turns_left = _regression(pieces.sum(1), turn, product, weight)
     turns = (rate[:, None, None] @ pieces).squeeze(2)  # [P, pieces, N]
     turns[:, -1] = turn - turns[:, :-1].sum(1)
     heading = turns.cumsum(1) - turns / 2.0 - turn / 2.0
@@ -654,7 +663,7 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
     moved = se2.mid_turn(y)
     both = torch.cat([torch.cat([ahead, aside], 2), torch.cat([-aside, ahead], 2)], 1)
     twice = torch.cat([weight, weight])
-    speeds, shifts_left = _regression(both, moved[:, :2].T.flatten(), linear, twice)
+    speeds, shifts_left = _regression(both, moved[:, :2].T.flatten(), product.repeat(2), twice)
     kinematics = torch.stack([*speeds.chunk(2, 1), rate], dim=2)
     errors = [turns_left, shifts_left]
     if within is not None and len(within.row):
@@ -674,17 +683,16 @@ def _fitted(actuators: Actuators, motion: Motion) -> tuple[Tensor, list[Errors]]
 
 
 def _regression(
-    features: Tensor, target: Tensor, linear: int, weight: Tensor
+    features: Tensor, target: Tensor, product: Tensor, weight: Tensor
 ) -> tuple[Tensor, Errors]:
-    """Return the weights [P, k K] of regressions with Huber's loss, and the errors that they leave.
+    """Return the weights [P, F] of regressions with Huber's loss, and the errors that they leave.
 
     Args:
-        features: [P, k K, N]: k times speeds, products and losses.
+        features: [P, F, N]: of speeds, products and losses.
         target: [N].
-        linear: how many of K are linear.
+        product: which of them are not of speeds alone, [F].
         weight: what each row counts, [N].
     """
-    product = torch.arange(features.shape[1]) % terms_of(linear) >= linear
     shares, pull = weight.expand(len(features), -1), torch.zeros_like(features[..., 0])
     # By a product alone a target would be of the size that it has, or less.
     power = features.square().mean(2).sqrt().clamp(min=1e-9)

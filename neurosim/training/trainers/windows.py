@@ -17,7 +17,7 @@ from numba import njit
 from torch import Tensor
 
 from neurosim.base.se2 import tensors as se2
-from neurosim.simulators.motion.drive import Underway, terms_of
+from neurosim.simulators.motion.drive import Underway
 from neurosim.simulators.motion.kernels import _LAW, _come, _follow, _law, _speed
 from neurosim.simulators.motion.noise import CommandFeatures
 from neurosim.training.base import Within
@@ -29,6 +29,7 @@ from neurosim.training.trainers.drive_fit import (
     Fit,
     outside,
     products_and_losses,
+    searched_terms,
 )
 
 #: How long windows last, s, and how many begin within the length of one.
@@ -285,7 +286,7 @@ class Chains:
         time, count = self.time.numpy(), self.commanded.shape[1]
         # Each row, and each command that begins to act in one, may leave a shorter piece.
         most = int((time / PIECE).sum()) + 3 * len(time) + 8
-        features = np.zeros((most, terms_of(count)))
+        features = np.zeros((most, searched_terms(self)))
         lasts, row, states = (
             np.zeros(most),
             np.zeros(most, np.int64),
@@ -354,8 +355,8 @@ class Chains:
 
         way, heading = until(by_row(features)), until(self.y[:, 2])
         turn = heading[end] - heading[first]
-        linear = self.commanded.shape[1]
-        rate, turns_left = _regression(way[end] - way[first], turn, windows, linear)
+        product = torch.arange(width) >= self.commanded.shape[1]
+        rate, turns_left = _regression(way[end] - way[first], turn, windows, product)
         # What the turn of a row was, by the model, less or more what it missed.
         turns = features @ rate
         missed = self.y[:, 2] - by_row(turns)
@@ -377,7 +378,7 @@ class Chains:
         both = torch.cat([torch.cat([x, -y], 1), torch.cat([y, x], 1)])
         twice = Windows(*(torch.cat([part, part]) for part in windows))
         twice = twice._replace(kind=torch.cat([kind, kind + len(LENGTHS)]))
-        speeds, shifts_left = _regression(both, moved.T.flatten(), twice, linear)
+        speeds, shifts_left = _regression(both, moved.T.flatten(), twice, product.repeat(2))
         return torch.stack([*speeds.view(2, width), rate], dim=1), turns_left + shifts_left
 
 
@@ -385,18 +386,17 @@ def _regression(
     features: Tensor,
     target: Tensor,
     windows: Windows,
-    linear: int,
+    product: Tensor,
 ) -> tuple[Tensor, list[Errors]]:
     """Return weights by Student's t, and the errors that they leave of each kind.
 
     Args:
-        features: [W, k F]: k times linear features and products.
+        features: [W, F]: of speeds, products and losses.
         target: [W].
         windows: their kinds and weights.
-        linear: how many of F are linear.
+        product: which of them are not of speeds alone, [F].
     """
     features = features.T.contiguous()  # what stands beside each other is summed fastest
-    product = (torch.arange(len(features)) % terms_of(linear) >= linear).to(target)
     kinds = [torch.nonzero(windows.kind == k).squeeze(1) for k in windows.kind.unique()]
     size = torch.ones_like(target)
     for kind in kinds:
