@@ -11,7 +11,7 @@ from neurosim.training.base import TrainingData
 from neurosim.training.coverage import central_ranks
 from neurosim.training.error_size import row_weights
 from neurosim.training.trainers.combined import CombinedSettings, CombinedTrainer
-from neurosim.training.trainers.drive_fit import Motion, fit_drive, fit_drives
+from neurosim.training.trainers.drive_fit import Motion, fit_again, fit_drive
 from neurosim.training.trainers.gaussian_process import Process, learn_process
 
 NAMES = ("prev_left", "prev_right", "left", "right", "duration")
@@ -268,9 +268,9 @@ def test_laws_that_are_left_out_do_not_come_back_in_members():
     columns, longest = CommandFeatures.of(NAMES), float(data.input_scale[4])
     motion = Motion(data.scaled_inputs, data.y, data.follows, columns, longest, data.within)
     fit = fit_drive(motion, laws=False)
-    (member,) = fit_drives(fit, torch.linspace(0.5, 1.5, 60, dtype=torch.float64)[None])
-    assert torch.equal(member.lag, fit.drive.lag)
-    assert not torch.equal(member.kinematics, fit.drive.kinematics)
+    (again,) = fit_again(fit, torch.linspace(0.5, 1.5, 60, dtype=torch.float64)[None])
+    assert torch.equal(again.drive.lag, fit.drive.lag)
+    assert not torch.equal(again.drive.kinematics, fit.drive.kinematics)
 
 
 def test_robots_that_it_cannot_drive_are_refused():

@@ -529,21 +529,21 @@ def _searched(rows: Rows, band: Tensor, lowest: Tensor, highest: Tensor) -> Tens
     return best
 
 
-def fit_drives(fit: Fit, weights: Tensor) -> list[DriveModel]:
-    """Return the drive models of the same rows with other weights.
+def fit_again(fit: Fit, weights: Tensor) -> list[Fit]:
+    """Return the fits of the same rows with other weights.
 
     Args:
         fit: of the rows: where the search begins.
         weights: of the rows, [M, N].
     """
     limits = [_of_each(values, fit.laws.shape[1]) for values in (_LOWEST, _HIGHEST)]
-    drives = []
+    fits = []
     for rows in map(fit.rows.weighted, weights):
         laws = fit.laws
         if fit.searched:
             laws = _again(rows.first(_ROWS), fit.band, laws, *limits)
-        drives.append(Fit.of(rows, fit.band, laws, fit.searched).drive)
-    return drives
+        fits.append(Fit.of(rows, fit.band, laws, fit.searched))
+    return fits
 
 
 def _again(rows: Rows, band: Tensor, laws: Tensor, lowest: Tensor, highest: Tensor) -> Tensor:
