@@ -234,7 +234,7 @@ def _check_who_drives(**ways: bool) -> None:
         both = " and ".join(f"--{name.replace('_', '-')}" for name in chosen)
         raise UserError(f"{both} do not go together: choose who drives")
     meant_for_others = {
-        "by_hand": ("commands", "durations", "straight", "stopped", "round", "resume"),
+        "by_hand": ("commands", "durations", "straight", "stopped", "round"),
         "by_network": ("durations", "straight", "stopped", "max_speed", "round", "resume"),
     }
     for way in chosen:

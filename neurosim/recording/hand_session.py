@@ -40,12 +40,11 @@ class HandSession(Session):
     driven back inside, or carried: what happens until its next command is no data.
     """
 
-    go_on = "on the board and record into a new folder"
-
     def __init__(self, recording: Recording, session: int, robot: Robot, hand: Hand, *others: Any):
         super().__init__(recording, session, robot, hand, *others)
         self._hand = hand
-        self._number = 0
+        numbers = recording.commands()["command"].dropna()
+        self._number = 0 if numbers.empty else int(numbers.max()) + 1
         #: Whether nobody drives; whether the levers were let go since the guard stopped the robot.
         self._alone, self._released = True, True
         #: Where the robot went when the guard stopped it, [2] in its frame; None: it is inside.

@@ -77,10 +77,10 @@ def record(
     if calibration is not None:
         _check_calibration(Path(calibration), camera, settings.markers)
     _check_guard(settings, robot, camera, live and calibration is not None)
-    if resume and isinstance(source, SeeingSource | Hand):
+    if resume and isinstance(source, SeeingSource):
         raise UserError(
-            "a recording in closed loop or by hand cannot be resumed: start a new one; neurosim "
-            "dataset takes several recordings"
+            "a recording in closed loop cannot be resumed: start a new one; neurosim dataset takes "
+            "several recordings"
         )
     if isinstance(source, SeeingSource):
         _check_source(source, robot, camera if live else None, calibration)

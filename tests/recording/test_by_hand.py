@@ -116,14 +116,16 @@ class Robot:
 BEFORE = 1.5
 
 
-def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), **robot):
+def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), resume=False, **own):
+    folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), resume=False, **robot
+):
     """Drive by levers that stand at ``wishes``, (s, levers) from the beginning, until ``end``.
 
     Between the moments of ``silent`` nobody says where they are.
     """
     clock = Clock()
     hand = Hand(80.0, now=clock.now)
-    robot = Robot(clock, **robot)
+    robot = Robot(clock, **own)
 
     def tell():
         past = clock.now() - BEFORE
@@ -136,8 +138,12 @@ def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), **
     # Every pose is seen, 100 times a second.
     clock.each = lambda: (robot.move(), robot.path.append((clock.time, *robot.pose)))
     said = []
-    made = record(folder, Rig(robot), hand, RecordSettings(guard=Guard(at_line)), say=said.append)
+    made = record(folder, Rig(robot), hand, guarded(at_line), resume=resume, say=said.append)
     return made, robot, hand, said
+
+
+def guarded(at_line):
+    return RecordSettings(guard=Guard(at_line))
 
 
 def motor(recording):
@@ -323,7 +329,27 @@ def test_a_recording_that_was_interrupted_has_what_was_driven(tmp_path, monkeypa
     assert recording.meta["complete"] is False
     dataset = build([recording.path], tmp_path / "d")
     assert len(dataset) > 20
-    with pytest.raises(UserError, match="cannot be resumed"):
-        record(recording.path, Rig(robots[-1]), Hand(), RecordSettings(), resume=True)
     with pytest.raises(UserError, match="was driven by hand, where no command is held"):
         build([recording.path], tmp_path / "held", windows=False)
+
+
+def test_a_recording_that_was_interrupted_is_resumed(tmp_path, monkeypatch):
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(Hand, "end", interrupt)
+        drive(tmp_path / "r", wandering(4.0), 4.0)
+    with pytest.raises(UserError, match=r"max_speed \(80.0, now 50.0\)"):
+        record(tmp_path / "r", Rig(Robot(Clock())), Hand(), guarded("return"), resume=True)
+    begun = (tmp_path / "r" / "commands.csv").read_text()
+    recording, *_ = drive(tmp_path / "r", wandering(4.0), 4.0, resume=True)
+    assert (tmp_path / "r" / "commands.csv").read_text().startswith(begun)
+    assert recording.sessions == 2
+    assert recording.meta["complete"] is True
+    sent = [line for line in motor(recording) if line.kind == "command"]
+    assert [line.command for line in sent] == list(range(len(sent)))
+    assert {line.session for line in sent} == {1, 2}
+    with pytest.raises(UserError, match="is complete"):
+        drive(tmp_path / "r", wandering(4.0), 4.0, resume=True)
+
+
+def interrupt(self):
+    raise KeyboardInterrupt

@@ -253,7 +253,7 @@ def test_what_a_robot_lacks_is_said_before_anything_moves(tmp_path):
 def test_a_low_battery_ends_it_and_it_is_begun_anew(tmp_path):
     with pytest.raises(BatteryLow, match="at its start and begin again"):
         drive(tmp_path / "r", Robot(volts=6.0), Source(5))
-    with pytest.raises(UserError, match="in closed loop or by hand cannot be resumed"):
+    with pytest.raises(UserError, match="in closed loop cannot be resumed"):
         drive(tmp_path / "r", Robot(), Source(5), resume=True)
 
 
