@@ -117,8 +117,6 @@ BEFORE = 1.5
 
 
 def drive(folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), resume=False, **own):
-    folder, wishes, end, *, at_line="return", heartbeat=0.1, silent=(), resume=False, **robot
-):
     """Drive by levers that stand at ``wishes``, (s, levers) from the beginning, until ``end``.
 
     Between the moments of ``silent`` nobody says where they are.
