@@ -66,12 +66,9 @@ class Line(Checked):
     def __post_init__(self) -> None:
         object.__setattr__(self, "points", _rows(self.points))
         super().__post_init__()
-        least = 3 if self.closed else 2
+        least, kind = (3, "a closed") if self.closed else (2, "an open")
         if len(self.points) < least:
-            raise UserError(
-                f"a {'closed' if self.closed else 'open'} line needs at least {least} points, "
-                f"found {len(self.points)}"
-            )
+            raise UserError(f"{kind} line needs at least {least} points, found {len(self.points)}")
 
     @cached_property
     def loop(self) -> ClosedLine:
@@ -230,7 +227,7 @@ class Place(Checked):
         for line in self.lines:
             shapes += line.shapes()
         for wall in self.walls:
-            shapes.append({"polygon": _sides(wall)[:, :2].tolist(), "forbidden": True})
+            shapes.append({"polygon": strip(wall)[:, :2].tolist(), "forbidden": True})
         shapes += ({"circle": list(one), "forbidden": True} for one in self.obstacles)
         return [*shapes, *({"circle": [*light, _LIGHT]} for light in self.lights)]
 
@@ -244,7 +241,7 @@ class Place(Checked):
         x, y = outline[:, 0], outline[:, 1]
         if (x * np.roll(y, -1) - y * np.roll(x, -1)).sum() < 0:
             outline = outline[:, [2, 3, 0, 1]]
-        return np.concatenate([outline, *map(_sides, self.walls)])
+        return np.concatenate([outline, *map(strip, self.walls)])
 
     @cached_property
     def cylinders(self) -> NDArray[np.float64]:
@@ -364,6 +361,12 @@ class Place(Checked):
             if math.dist((x1, y1), (x2, y2)) <= _SAME:
                 after = (index + 1) % len(self.outline)
                 raise UserError(f"corners {index} and {after} of the outline are the same")
+        crossed = np.argwhere(_crossings(self._outline))
+        if len(crossed):
+            one, other = crossed[0].tolist()
+            raise UserError(
+                f"the outline crosses itself: the sides after its corners {one} and {other}"
+            )
         for index, wall in enumerate(self.walls):
             if math.dist(wall[:2], wall[2:]) <= _SAME:
                 raise UserError(f"wall {index} has no length")
@@ -433,6 +436,18 @@ def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:
         raise SettingError(field, str(error)) from None
 
 
+def _crossings(lines: NDArray) -> NDArray[np.bool_]:
+    """Return which of straight lines [N, 4] cross each other, [N, N]; ends that touch do not."""
+    along = (lines[:, 2:] - lines[:, :2])[:, None]
+
+    def side(points: NDArray) -> NDArray:
+        off = points - lines[:, None, :2]
+        return along[..., 0] * off[..., 1] - along[..., 1] * off[..., 0]
+
+    apart = side(lines[:, :2]) * side(lines[:, 2:]) < 0
+    return np.asarray(apart & apart.T)
+
+
 def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
     """Return what a mapping has of the fields of a dataclass.
 
@@ -454,10 +469,10 @@ def _rows(rows: Any) -> Any:
         return tuple(rows)
 
 
-def _sides(wall: Wall) -> NDArray[np.float64]:
-    """Return the four sides [4, 4] of a board, which have what is free on their left."""
-    one, other = np.array(wall).reshape(2, 2)
+def strip(line: ArrayLike, width: float = THICKNESS) -> NDArray[np.float64]:
+    """Return the sides [4, 4] of a straight piece x1, y1, x2, y2; what is free is on their left."""
+    one, other = np.reshape(line, (2, 2))
     along = other - one
-    aside = 0.5 * THICKNESS * np.array([-along[1], along[0]]) / np.linalg.norm(along)
+    aside = 0.5 * width * np.array([-along[1], along[0]]) / np.linalg.norm(along)
     corners = np.array([one + aside, other + aside, other - aside, one - aside])
     return np.hstack([corners, np.roll(corners, -1, axis=0)])

@@ -310,6 +310,7 @@ def _page(
         sought(settings.markers),
         camera=model,
         board=settings.board,
+        place=settings.place,
         label="recording",
         seen_by="tracker" if tracked else "nobody" if camera is None else "camera",
         hand=hand,

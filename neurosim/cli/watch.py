@@ -1,4 +1,4 @@
-"""``neurosim watch``: what the camera sees, on a page; colours and board set by clicking."""
+"""``neurosim watch``: what the camera sees, on a page; colours, board and place set by clicking."""
 
 from __future__ import annotations
 
@@ -47,6 +47,12 @@ from neurosim.cli._types import PATH, SIZE, Option, ranged
     help="Where the page saves the calibration; markers.json is written next to it.",
 )
 @click.option(
+    "--place",
+    type=PATH,
+    help="A place's .json file, shown over the picture if it exists. The page draws on it and "
+    "saves it there.  [default: place.json next to the calibration]",
+)
+@click.option(
     "--film",
     type=PATH,
     help="Also write the camera's pictures to a new .avi file, for neurosim track.",
@@ -61,6 +67,7 @@ def watch(
     tag: int | None,
     calibration: Path | None,
     out: Path,
+    place: Path | None,
     film: Path | None,
     port: int,
     open_browser: bool,
@@ -69,9 +76,11 @@ def watch(
 ) -> None:
     """Show the camera's picture and the tracked robot on a page in the browser.
 
-    On the page, one click sets a marker's colour and four clicks set the board's corners. The page
-    works on this computer only.
+    On the page, one click sets a marker's colour, four clicks set the board's corners, and clicks
+    draw a place: walls, obstacles, lines, lights and the start. The page works on this computer
+    only.
     """
+    from neurosim.base.place import Place
     from neurosim.recording.markers import marker_settings
     from neurosim.watch import PageServer, Viewer
     from tracking.camera.camera_model import CameraModel
@@ -85,6 +94,8 @@ def watch(
     known = marker_settings(markers, tag=tag)
     what = sought(known)
     model = None if calibration is None else CameraModel.read(calibration)
+    if place is not None and place.suffix != ".json":
+        raise UserError(f"{place}: the file of a place ends in .json")
 
     def geometry(model: CameraModel | None) -> Geometry:
         if model is None or not model.has_board:
@@ -107,6 +118,8 @@ def watch(
             look_for=lambda what, model: tracker.look_for(what, geometry(model)),
             calibration_file=out,
             markers_file=out.with_name("markers.json"),
+            place_file=place or out.with_name("place.json"),
+            place=None if place is None or not place.exists() else Place.read(place),
             label="virtual lab" if camera == "lab" else f"camera {camera}",
         )
         tracker = LiveTracker(

@@ -9,7 +9,8 @@ const TRAIL = 150;
 
 let state = null; // what the server said last
 let picture = null; // the newest picture, as a bitmap
-let mode = null; // what the next click sets: front, rear, or a corner
+let drawing = { number: 0, free: [], solid: [], clicks: [] }; // the place, as lines of pixels
+let mode = null; // what the next click sets: front, rear, a corner, or a part of the place
 let cross = null; // where the cross is, in pixels of the picture
 let trail = [];
 
@@ -30,6 +31,7 @@ async function follow() {
         remember();
       }
       after = state.number;
+      if (drawing.number !== state.drawn) drawing = await (await fetch("drawing")).json();
       draw();
       tell();
       if (state.ended) return;
@@ -61,6 +63,10 @@ function draw() {
   const unit = canvas.width / 640;
   pen.lineJoin = "round";
   for (const line of state.grid) path(line, "rgba(0, 114, 178, .55)", unit);
+  for (const line of drawing.free) path(line, "#00e0d0", 1.5 * unit);
+  for (const line of drawing.solid) path(line, "#ff7a1a", 2 * unit);
+  path(drawing.clicks, "#ffd400", 1.5 * unit);
+  for (const [u, v] of drawing.clicks) plus(u, v, 5 * unit, "#ffd400", 1.5 * unit);
   for (const [name, [u, v]] of Object.entries(state.corners)) {
     plus(u, v, 7 * unit, name === mode ? "#ffd400" : "#00a0ff", 2 * unit);
   }
@@ -180,7 +186,7 @@ function tell() {
     const percent = colour.confidence === null ? "" : `, confidence ${Math.round(100 * colour.confidence)} %`;
     text(`${which}-confidence`, found + percent + (colour.reason ? `: ${colour.reason}` : ""));
   }
-  for (const what of ["markers", "calibration"]) {
+  for (const what of ["markers", "calibration", "place"]) {
     text(`${what}-file`, `${state.saved.includes(what) ? "saved in" : "goes to"} ${state.files[what]}`);
   }
   for (const button of document.querySelectorAll("[data-mode]")) {
@@ -259,11 +265,12 @@ async function take(u, v) {
       trail = [];
       choose(which === "front" ? "rear" : null);
     }
-  } else if (mode) {
+  } else if (CORNERS.includes(mode)) {
     if (await send("corner", { corner: mode, u, v })) {
       choose(CORNERS.find((name) => !(name in state.corners)) ?? null);
     }
-  } else if (state && state.settable) say("choose first what to set: a marker or a corner");
+  } else if (mode) await send("draw", { part: mode, u, v, width: lineWidth() });
+  else if (state && state.settable) say("choose first what to set: a marker, a corner or a part of the place");
 }
 
 function placeOf(event) {
@@ -279,12 +286,15 @@ for (const button of document.querySelectorAll("[data-mode]")) {
 for (const button of document.querySelectorAll("[data-save]")) {
   button.addEventListener("click", () => send("save", { what: button.dataset.save }));
 }
+const read = (name) => Number(element(name).value.trim().replace(",", "."));
+const lineWidth = () => read("line-width") || 0; // JSON has no NaN
+element("finish").addEventListener("click", () => send("finish", { width: lineWidth() }));
+element("undo").addEventListener("click", () => send("undo", {}));
 element("clear").addEventListener("click", async () => {
   if (await send("clear", {})) choose(CORNERS[0]);
 });
 element("board").addEventListener("submit", async (event) => {
   event.preventDefault();
-  const read = (name) => Number(element(name).value.trim().replace(",", "."));
   const height = element("height").value.trim() === "" ? null : read("height");
   if ([read("length"), read("width"), height ?? 1].some((value) => !(value > 0))) {
     say("length and width are numbers of metres, such as 2.76; so is the height, if known", true);

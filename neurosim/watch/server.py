@@ -25,6 +25,7 @@ from importlib.resources import files
 from typing import Any
 
 from neurosim.base.errors import UserError
+from neurosim.watch.sketch import PARTS
 from neurosim.watch.viewer import CORNERS, Viewer
 
 HOST = "127.0.0.1"
@@ -253,6 +254,8 @@ class _Handler(BaseHTTPRequestHandler):
             picture, state = self.viewer.picture(after, PATIENCE)
             told = json.dumps(state, separators=(",", ":"), ensure_ascii=True)
             return picture, "image/jpeg", {"Neurosim-State": told}
+        if what == "drawing":
+            return *_json(self.viewer.drawing()), {}
         raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
 
     def _post(self, what: str) -> tuple[bytes, str, dict[str, str]]:
@@ -275,8 +278,15 @@ class _Handler(BaseHTTPRequestHandler):
         elif what == "board":
             height = None if asked.get("height") is None else _number(asked, "height")
             says = viewer.set_board(_number(asked, "length"), _number(asked, "width"), height)
+        elif what == "draw":
+            part = _one_of(asked, "part", tuple(PARTS))
+            says = viewer.draw(part, *_place(asked), _number(asked, "width"))
+        elif what == "finish":
+            says = viewer.finish(_number(asked, "width"))
+        elif what == "undo":
+            says = viewer.undo()
         elif what == "save":
-            name = _one_of(asked, "what", ("calibration", "markers"))
+            name = _one_of(asked, "what", ("calibration", "markers", "place"))
             says = viewer.save(name, replace=asked.get("replace") is True)
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")

@@ -1,4 +1,4 @@
-"""What the page shows, and what is set on it: two colours and four corners."""
+"""What the page shows, and what is set on it: two colours, four corners and a place."""
 
 from __future__ import annotations
 
@@ -6,16 +6,21 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from neurosim.base.errors import UserError
+from neurosim.base.perimeter import Board
+from neurosim.base.place import Place, strip
 from neurosim.recording.by_hand import Hand
+from neurosim.watch.sketch import Sketch
 from tracking.camera.board import camera_over_board, corner_points
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import write_markers
@@ -36,6 +41,8 @@ CORNERS = {
 }
 #: Lines of the grid that is drawn over the board are this far apart, m.
 GRID = 0.5
+#: What is drawn lies no farther outside the board, m.
+MARGIN = 0.05
 #: The robot is lost if it was not seen for so long, s; and so is the camera without a picture.
 LOST_AFTER, STALE_AFTER = 0.5, 2.0
 JPEG_QUALITY = 85
@@ -56,6 +63,8 @@ class Viewer:
             page; None for a page on which nothing can be set.
         calibration_file: where the calibration is saved.
         markers_file: where the markers are saved.
+        place_file: where the place is saved.
+        place: shown over the picture, and drawn on; by default the board alone.
         label: the camera's name, for the page's heading.
         seen_by: who sees the robot: the ``tracker``, only the ``camera``, or ``nobody``.
         hand: by which a person drives the robot on the page, or None.
@@ -72,6 +81,8 @@ class Viewer:
         look_for: LookFor | None = None,
         calibration_file: Path = Path("calibration.json"),
         markers_file: Path = Path("markers.json"),
+        place_file: Path = Path("place.json"),
+        place: Place | None = None,
         label: str = "camera",
         seen_by: Literal["tracker", "camera", "nobody"] = "tracker",
         hand: Hand | None = None,
@@ -81,12 +92,17 @@ class Viewer:
         self._what = what
         self._lens = camera
         self._camera = camera if camera is not None and camera.has_board else None
-        self._board = {"length": float(board["length"]), "width": float(board["width"])}
+        if place is None:
+            place = Place(board=Board(board["length"], board["width"], line_width=0.0))
+        on = board if place.board is None else asdict(place.board)
+        self._board = {"length": float(on["length"]), "width": float(on["width"])}
+        self._sketch, self._drawn = Sketch(place), 1
         self._height: float | None = None
         self._corners: dict[str, tuple[float, float]] = {}
         self._pointed: dict[str, Pointed] = {}
         self._look_for = look_for
-        self._files = {"calibration": Path(calibration_file), "markers": Path(markers_file)}
+        files = {"calibration": calibration_file, "markers": markers_file, "place": place_file}
+        self._files = {what: Path(path) for what, path in files.items()}
         self._saved: set[str] = set()
         self._label, self._seen_by = label, seen_by
         self.hand = hand
@@ -182,6 +198,7 @@ class Viewer:
             "calibrated": self._camera is not None,
             "lens": self._lens is not None,
             "grid": self._grid(),
+            "drawn": self._drawn,
             "files": {what: str(path) for what, path in self._files.items()},
             "saved": sorted(self._saved),
         }
@@ -218,18 +235,44 @@ class Viewer:
 
     def _grid(self) -> list[list[list[float]]]:
         """Return lines over the board as pixels: its edges and lines every half metre."""
-        if self._camera is None:
-            return []
         x, y = self._board["length"] / 2, self._board["width"] / 2
         lines = [
             *(((-x, b), (x, b)) for b in (-y, y, *_between(y))),
             *(((a, -y), (a, y)) for a in (-x, x, *_between(x))),
         ]
-        share = np.linspace(0, 1, 13)[:, None]
-        points = [np.array(a) * (1 - share) + np.array(b) * share for a, b in lines]
-        flat = np.concatenate(points)
+        return self._pixels(lines)
+
+    def drawing(self) -> dict[str, Any]:
+        """Return the place as the page draws it.
+
+        Returns:
+            ``number``: ``drawn`` in the state of the same moment; ``free``, ``solid``: lines
+            [L][N][2] as pixels; ``clicks``: [N][2], those on the part that is not finished.
+        """
+        with self._change:
+            place, clicks = self._sketch.place, self._sketch.points
+            free, solid = (
+                [_outline_of(one) for one in place.shapes() if ("forbidden" in one) == is_solid]
+                for is_solid in (False, True)
+            )
+            if place.start is not None:
+                free.append(_arrow(*place.start))
+            return {
+                "number": self._drawn,
+                "free": self._pixels(free),
+                "solid": self._pixels(solid),
+                "clicks": [pixel for [pixel] in self._pixels([[click] for click in clicks])],
+            }
+
+    def _pixels(self, lines: Sequence[ArrayLike]) -> list[list[list[float]]]:
+        """Return lines through points [N, 2] on the floor (m) as pixels: a lens bends them."""
+        if self._camera is None or not lines:
+            return []
+        fine = [_finer(np.asarray(line, float)) for line in lines]
+        flat = np.concatenate(fine)
         pixels = self._camera.to_pixels(np.column_stack([flat, np.zeros(len(flat))]))
-        return np.round(pixels, 1).reshape(len(lines), -1, 2).tolist()
+        ends = np.cumsum([len(line) for line in fine])[:-1]
+        return [np.round(line, 1).tolist() for line in np.split(pixels, ends)]
 
     # From the page
 
@@ -281,10 +324,51 @@ class Viewer:
         with self._change:
             self._board = {"length": length, "width": width}
             self._height = height
+            self._sketch.set_board(length, width)
+            self._drawn += 1
         return self._find_camera()
 
+    def draw(self, part: str, u: float, v: float, width: float) -> str:
+        """Take a click on a pixel for a part of the place; see :meth:`Sketch.click`.
+
+        Raises:
+            UserError: if no calibration says where that is, or it is outside the board.
+        """
+        with self._change:
+            return self._sketched(self._sketch.click(part, self._on_floor(u, v), width))
+
+    def finish(self, width: float) -> str:
+        """End a part of any number of clicks; see :meth:`Sketch.finish`."""
+        with self._change:
+            return self._sketched(self._sketch.finish(width))
+
+    def undo(self) -> str:
+        """Forget the last click on the place, or the last part; see :meth:`Sketch.undo`."""
+        with self._change:
+            return self._sketched(self._sketch.undo())
+
+    def _sketched(self, says: str) -> str:
+        self._drawn += 1
+        self._saved.discard("place")
+        return says
+
+    def _on_floor(self, u: float, v: float) -> tuple[float, float]:
+        """Return where on the floor a pixel is, m."""
+        if self._camera is None:
+            raise UserError(
+                "no calibration says where on the floor that is: click on the four corners of the "
+                "board first, or start with --calibration"
+            )
+        x, y = (round(float(one), 4) for one in self._camera.to_board([[u, v]])[0])
+        off = max(abs(x) - self._board["length"] / 2, abs(y) - self._board["width"] / 2)
+        if not off <= MARGIN:
+            raise UserError(
+                f"that is {100 * off:.0f} cm outside the board; click on the floor of the board"
+            )
+        return x, y
+
     def save(self, what: str, *, replace: bool = False) -> str:
-        """Write calibration.json or markers.json; return what to say.
+        """Write calibration.json, markers.json or place.json; return what to say.
 
         Raises:
             UserError: if there is nothing to save, or a file that was there before.
@@ -292,17 +376,19 @@ class Viewer:
         path = self._files[what]
         if what == "calibration" and self._camera is None:
             raise UserError("click on the four corners of the board first")
+        if what == "place" and self._sketch.points:
+            raise UserError(f"finish the {self._sketch.part} first, or undo its clicks")
         if path.exists() and what not in self._saved and not replace:
             raise UserError(f"{path} exists already; replace it?")
         if what == "calibration":
             self._camera.write(path)
-            then = f"--calibration {path}"
-        else:
+        elif what == "markers":
             write_markers(path, {**self._markers, **self._named()})
-            then = f"--markers {path}"
+        else:
+            self._sketch.place.write(path)
         with self._change:
             self._saved.add(what)
-        return f"{path} is written; record with {then}"
+        return f"{path} is written; record with --{what} {path}"
 
     def _named(self) -> dict[str, Any]:
         """Return front and rear with their colours, as markers.json has them; nothing of a tag."""
@@ -343,6 +429,7 @@ class Viewer:
     def _start_afresh(self) -> None:
         with self._change:
             self._found_at = None
+            self._drawn += 1
             what, camera = self._what, self._camera
         if self._look_for is not None:
             self._look_for(what, camera)
@@ -356,6 +443,36 @@ class Viewer:
 
 def _pixel(point: NDArray) -> list[float]:
     return [round(float(value), 2) for value in point]
+
+
+def _finer(line: NDArray) -> NDArray:
+    """Return a line [N, 2] with points between its ends and corners; one of many has enough."""
+    if len(line) > 12:
+        return line
+    share = np.linspace(0, 1, 13)[1:, None]
+    return np.concatenate([line[:1], *(a + share * (b - a) for a, b in pairwise(line))])
+
+
+def _outline_of(shape: Mapping[str, Any]) -> NDArray:
+    """Return the closed line [N, 2] around a shape of a place, m."""
+    if "circle" in shape:
+        x, y, radius = shape["circle"]
+        angles = np.linspace(0, 2 * np.pi, 37)
+        return np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)])
+    corners = np.array(shape["polygon"], float)
+    if "width" in shape:
+        corners = strip(corners.ravel(), shape["width"])[:, :2]
+    return np.concatenate([corners, corners[:1]])
+
+
+def _arrow(x: float, y: float, heading: float, length: float = 0.1) -> NDArray:
+    """Return an arrow [5, 2] from a pose (m, rad) ahead."""
+    ahead = length * np.array([math.cos(heading), math.sin(heading)])
+    side = np.array([-ahead[1], ahead[0]])
+    foot = np.array([x, y])
+    tip = foot + ahead
+    barbs = foot + 0.7 * ahead + 0.2 * np.array([side, -side])
+    return np.array([foot, tip, barbs[0], tip, barbs[1]])
 
 
 def _between(half: float) -> list[float]:

@@ -2,13 +2,18 @@
 
 import threading
 import time
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from devtools import browser_tab
 from patience import wait_until
 
+from neurosim.base.perimeter import Board
+from neurosim.base.place import Line, Place
+from neurosim.cli.main import cli
 from neurosim.lab import CameraParams
 from neurosim.lab.camera.camera import RoofCamera
 from neurosim.lab.nxt.params import BOARD
@@ -20,25 +25,33 @@ from tracking.markers.colours import parse_colour
 from tracking.markers.tracker import Geometry
 from tracking.poses import marker_geometry
 
-POSE = np.array([0.62, -0.31, 0.8])
+POSE, BARE = np.array([0.62, -0.31, 0.8]), Place()
 
 
 class Scene:
     """A robot that stands still under the lab's camera, at ten pictures a second."""
 
-    def __init__(self, folder: Path, colours=("pink", "blue"), *, lens=False):
-        self.camera = RoofCamera(CameraParams(size=(640, 480)), 3)
+    def __init__(
+        self, folder: Path, colours=("pink", "blue"), *, lens=False, around=BARE, place=None
+    ):
+        self.camera = RoofCamera(CameraParams(size=(640, 480)), 3, around=around)
         optics = self.camera.optics
-        known = CameraModel(self.camera.size, optics.matrix, optics.distortion) if lens else None
+        lens_of = (self.camera.size, optics.matrix, optics.distortion)
+        known = CameraModel(*lens_of) if lens else None
+        if place is not None:
+            known = CameraModel(*lens_of, optics.rotation, optics.translation)
+        board = asdict(around.board) if around.board else DEFAULT_BOARD
         self.viewer = Viewer(
             self.camera.size,
             DEFAULT_MARKERS,
             tuple(parse_colour(colour) for colour in colours),
             camera=known,
-            board=DEFAULT_BOARD,
+            board=board,
             look_for=self.look_for,
             calibration_file=folder / "calibration.json",
             markers_file=folder / "markers.json",
+            place_file=folder / "place.json",
+            place=place,
         )
         self.tracker = LiveTracker(
             tuple(parse_colour(colour) for colour in colours),
@@ -226,3 +239,145 @@ def test_another_sites_page_gets_nothing(tab, tmp_path, monkeypatch):
         tab.open(server.url)
         wait_until(lambda: answered, "its own page")
     tab.complaints.clear()
+
+
+#: As the lab's camera sees it; its box is four walls.
+BOX = ((0.30, -0.30), (0.45, -0.20), (0.39, -0.11), (0.24, -0.21))
+DRAWN = Place(
+    outline=(
+        (-0.55, -0.40), (0.55, -0.40), (0.55, 0.40), (0.10, 0.40), (0.10, 0.20), (-0.55, 0.20)
+    ),
+    walls=((-0.20, -0.30, 0.05, -0.10), *((*BOX[i], *BOX[(i + 1) % 4]) for i in range(4))),
+    obstacles=((0.30, 0.10, 0.08),),
+    lines=(
+        Line(((-0.45, -0.30), (-0.45, 0.05), (-0.25, 0.10)), 0.03, closed=False),
+        Line(((0.0, -0.3), (0.15, -0.3), (0.1, -0.2)), 0.02),
+    ),
+    lights=((0.45, 0.32),),
+    board=Board(1.3, 1.0, line_inset=0.06, line_width=0.02),
+    start=(-0.30, -0.05, -2.0),
+)  # fmt: skip
+
+
+def set_corners(tab, scene, board):
+    tab.click_on("button[data-mode='top left']")
+    for corner, x, y in (
+        ("top left", -1, 1), ("top right", 1, 1), ("bottom right", 1, -1), ("bottom left", -1, -1)
+    ):  # fmt: skip
+        tab.until(chosen(corner))
+        click_picture(tab, scene.pixel(x * board.length / 2, y * board.width / 2, 0.0))
+    tab.until(f"{SAYS}.includes('above the board')")
+
+
+def draw(tab, scene, part, *points, says, width=None):
+    """Choose a part and click on points of the floor; the last click is answered with words."""
+    tab.click_on(f"button[data-mode='{part}']")
+    tab.until(chosen(part))
+    if width is not None:
+        tab.run(f"document.getElementById('line-width').value = '{width}'")
+    for place, point in enumerate(points):
+        click_picture(tab, scene.pixel(*point, 0.0))
+        last = place == len(points) - 1
+        tab.until(f"!setting && {SAYS}.includes('{says if last else 'next: '}')")
+    tab.click_on(f"button[data-mode='{part}']")  # no longer chosen
+
+
+def test_a_place_drawn_by_clicks_is_the_place_that_the_camera_sees(tab, tmp_path):
+    """Every part, by a lens that is known and corners that are clicked; wrong clicks are undone."""
+    with Scene(tmp_path, lens=True, around=DRAWN) as scene, PageServer(scene.viewer) as server:
+        scene.pose = None
+        tab.open(server.url)
+        tab.until(f"{STATUS}.includes('not found yet')")
+        draw(tab, scene, "wall", (0.0, 0.0), says="no calibration says where on the floor")
+        assert tab.run("drawing.solid.length") == 0
+        set_corners(tab, scene, DRAWN.board)
+        # Wrong clicks.
+        draw(tab, scene, "light", (0.0, 0.57), says="7 cm outside the board")
+        tab.click_on("#finish")
+        tab.until(f"{SAYS}.startsWith('there is nothing to finish')")
+        tab.click_on("#undo")
+        tab.until(f"{SAYS} === 'there is nothing to undo'")
+        draw(tab, scene, "outline", *DRAWN.outline[:2], says="or finish")
+        tab.click_on("#finish")
+        tab.until(f"{SAYS} === 'an outline has at least 3 corners'")
+        draw(tab, scene, "light", (0.0, 0.0), says="finish the outline first")
+        tab.click_on("button[data-save=place]")
+        tab.until(f"{SAYS}.includes('finish the outline first')")
+        tab.until("drawing.clicks.length === 2")
+        # A corner too many is undone, and the outline goes on.
+        draw(tab, scene, "outline", (0.2, 0.1), says="or finish")
+        tab.click_on("#undo")
+        tab.until(f"{SAYS} === 'the last click on the outline is undone'")
+        draw(tab, scene, "outline", *DRAWN.outline[2:], says="or finish")
+        tab.click_on("#finish")
+        tab.until(f"{SAYS}.includes('the outline is drawn')")
+        x1, y1, x2, y2 = DRAWN.walls[0]
+        draw(tab, scene, "wall", (x1, y1), (x2, y2), says="the wall is drawn")
+        draw(
+            tab, scene, "cylinder", (-0.08, -0.15), (-0.08, 0.0), says="obstacle 0 overlaps a wall"
+        )
+        tab.click_on("#undo")  # the middle
+        tab.until("!drawing.clicks.length")
+        x, y, radius = DRAWN.obstacles[0]
+        draw(tab, scene, "cylinder", (x, y), (x, y - radius), says="the cylinder is drawn")
+        draw(tab, scene, "box", *BOX[:2], BOX[2], says="the box is drawn")
+        for line, part in zip(DRAWN.lines, ("line", "closed line"), strict=True):
+            draw(tab, scene, part, *line.points, says="or finish", width="0")
+            tab.click_on("#finish")
+            tab.until(f"{SAYS}.startsWith('type the width')")
+            tab.run(f"document.getElementById('line-width').value = '{line.width}'")
+            tab.click_on("#finish")
+            tab.until(f"{SAYS}.includes('the {part} is drawn')")
+        draw(tab, scene, "light", *DRAWN.lights, says="the light is drawn")
+        draw(tab, scene, "light", (0.0, -0.35), says="the light is drawn")
+        tab.click_on("#undo")
+        tab.until(f"{SAYS} === 'the last part is undone'")
+        x, y, theta = DRAWN.start
+        ahead = (x + 0.2 * np.cos(theta), y + 0.2 * np.sin(theta))
+        draw(tab, scene, "start", (x, y), ahead, says="the start is drawn")
+        draw(tab, scene, "perimeter", (0.2, 0.44), says="the perimeter is drawn", width="0,02")
+        # What is drawn over the picture lies where the lab's camera sees it.
+        tab.until(f"drawing.solid.length === {len(DRAWN.walls) + 1}")
+        ring = np.array(tab.run("drawing.solid.at(-1)"))
+        x, y, radius = DRAWN.obstacles[0]
+        assert ring[0] == pytest.approx(scene.pixel(x + radius, y, 0.0), abs=1.5)
+        assert np.ptp(ring[:, 1]) == pytest.approx(
+            np.ptp([scene.pixel(x, y + side, 0.0)[1] for side in (-radius, radius)]), abs=2
+        )
+        (tmp_path / "place.json").write_text("mine")
+        tab.click_on("button[data-save=place]")
+        tab.until(f"{SAYS}.includes('exists already')")
+        assert (tmp_path / "place.json").read_text() == "mine"
+        tab.click_on("#says button")
+        tab.until(f"{SAYS}.includes('place.json is written')")
+        assert tab.complaints == []
+    found = Place.read(tmp_path / "place.json")
+    assert (found.board.length, found.board.width) == (1.3, 1.0)
+    # The browser rounds a click down to a pixel of the screen, here 2.5 mm.
+    for name in ("outline", "walls", "obstacles", "lights"):
+        assert np.array(getattr(found, name)) == pytest.approx(
+            np.array(getattr(DRAWN, name)), abs=0.004
+        )
+    for line, true in zip(found.lines, DRAWN.lines, strict=True):
+        assert np.array(line.points) == pytest.approx(np.array(true.points), abs=0.004)
+        assert (line.width, line.closed) == (true.width, true.closed)
+    assert found.board.line_inset == pytest.approx(0.06, abs=0.004)
+    assert found.board.line_width == 0.02
+    assert found.start[:2] == pytest.approx(DRAWN.start[:2], abs=0.004)
+    assert found.start[2] == pytest.approx(DRAWN.start[2], abs=0.03)
+    words = ["view", str(tmp_path / "place.json"), "-o", str(tmp_path / "place.png")]
+    done = CliRunner().invoke(cli, words)
+    assert done.exit_code == 0, done.output
+    # It is shown when it is given again, and goes on from there.
+    (tmp_path / "again").mkdir()
+    with (
+        Scene(tmp_path / "again", around=DRAWN, place=found) as scene,
+        PageServer(scene.viewer) as server,
+    ):
+        tab.open(server.url)
+        tab.until(f"drawing.solid.length === {len(DRAWN.walls) + 1}")
+        draw(tab, scene, "light", (0.0, -0.35), says="the light is drawn")
+        tab.click_on("button[data-save=place]")
+        tab.until(f"{SAYS}.includes('place.json is written')")
+        assert Place.read(tmp_path / "again" / "place.json").lights[:1] == found.lights
+    tab.complaints.clear()  # the browser's word on the servers that went away

@@ -180,6 +180,9 @@ def test_two_runs_have_two_secrets(viewer):
         ("corner", {"corner": {}, "u": 1, "v": 1}, 400),
         ("board", {"length": None, "width": 1}, 400),
         ("save", {"what": "/etc/passwd"}, 400),
+        ("draw", {"part": "house", "u": 1, "v": 1, "width": 0.02}, 400),
+        ("draw", {"part": "wall", "u": 1, "v": 1}, 400),
+        ("finish", {}, 400),
         ("colour", {"which": "front", "u": "x" * 5000}, 413),
     ],
 )
@@ -220,7 +223,7 @@ def test_nothing_can_be_set_where_nothing_may_be(tmp_path):
     viewer = make_viewer(tmp_path, settable=False)
     with PageServer(viewer) as server:
         assert ask(server, "picture")[0] == 200
-        for what in ("colour", "corner", "board", "clear", "save"):
+        for what in ("colour", "corner", "board", "clear", "save", "draw", "finish", "undo"):
             reply = json.loads(ask(server, what, "POST", {"which": "front", "u": 50, "v": 50})[2])
             assert "recorded" in reply["error"]
 

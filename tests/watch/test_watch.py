@@ -141,6 +141,8 @@ def test_what_cannot_be_watched(video, tmp_path, monkeypatch, capsys):
     assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--calibration", "c.json")
     (tmp_path / "m.json").write_text('{"format": "neurosim-markers", "version": 1, "front": {}}')
     assert "m.json" in refused(monkeypatch, capsys, "--camera", video, "--markers", "m.json")
+    assert "ends in .json" in refused(monkeypatch, capsys, "--camera", video, "--place", "arena")
+    assert "c.json" in refused(monkeypatch, capsys, "--camera", video, "--place", "c.json")
 
 
 def test_a_port_that_is_taken(video, tmp_path, monkeypatch, capsys):
