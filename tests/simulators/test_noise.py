@@ -109,6 +109,15 @@ def covariance(noise, columns, x, mean):
 
 
 @settings(max_examples=20, deadline=None)
+@given(SEEDS, st.floats(0.1, 10.0))
+def test_larger_noise_has_a_larger_covariance(seed, factor):
+    noise, columns = noise_model(seed), CommandFeatures.of(NAMES)
+    x, mean = normal(seed, 4, 5).clamp(-1, 1), 0.3 * normal(seed + 1, 4, 3)
+    larger = covariance(noise.times(factor), columns, x, mean)
+    assert torch.allclose(larger, factor**2 * covariance(noise, columns, x, mean))
+
+
+@settings(max_examples=20, deadline=None)
 @given(SEEDS, st.floats(-6.0, 6.0))
 def test_the_covariance_is_positive_definite_whatever_the_numbers(seed, size):
     noise, columns = noise_model(seed, size), CommandFeatures.of(NAMES)

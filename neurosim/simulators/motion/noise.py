@@ -31,8 +31,9 @@ far and how much of a turn).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import ClassVar
 
 import torch
@@ -99,6 +100,12 @@ class NoiseModel:
     def tensors(self) -> dict[str, Tensor]:
         """Return the numbers by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
+
+    def times(self, factor: float) -> NoiseModel:
+        """Return noise that is larger by a factor."""
+        scale = self.log_scale.clone()
+        scale[:, 0] += math.log(factor)
+        return replace(self, log_scale=scale, sources=factor * self.sources)
 
     def draw(self, rows: int, steps: int, generator: torch.Generator) -> Tensor:
         """Return the draws [rows, steps, DRAWS] of trajectories, for :func:`disturb`."""

@@ -54,6 +54,8 @@ NOISE_PART = 0.03
 #: With no more rows than this, what a drive model leaves of its own rows is much less than what it
 #: will leave of others.
 FEW = 250
+#: Models of halves err more than that of all rows, whose noise is this much of theirs.
+OF_HALVES = 0.88
 #: With no more rows than this, their laws are searched for anew in halves: the first search is the
 #: larger part of what is left open (24 rows: 80 % intervals of the turn hold 84 %, else 69).
 SCARCE = 50
@@ -488,7 +490,8 @@ class CombinedTrainer:
             unseen: outputs of the process [N, 3] that has not seen a row.
         """
         rows, whole = self._rows, len(self._data.x)
-        if whole <= FEW:
+        few = whole <= FEW
+        if few:
             some = slice(whole)
             mean = self._of_other_half(unseen[some])
         else:
@@ -496,7 +499,8 @@ class CombinedTrainer:
             mean = simulator.from_outputs(unseen[some], rows.x[some])
         # Noise of the parts of a command is the same noise again.
         weight = torch.where(rows.weight < 1.0, NOISE_PART, 1.0).to(rows.weight)[some]
-        return fit_noise(self._columns, rows.x[some], mean, rows.y[some], weight)
+        noise = fit_noise(self._columns, rows.x[some], mean, rows.y[some], weight)
+        return noise.times(OF_HALVES) if few else noise
 
     def _random_weights(self, members: int, generator: torch.Generator) -> Tensor:
         """Return random weights of rows with a mean of about 1, [M, N] (Rubin 1981).
