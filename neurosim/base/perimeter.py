@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from neurosim.base.declared import Checked, Coordinate, Metres, MetresOrNone
 from neurosim.base.se2 import compiled as se2
+from neurosim.base.threads import WORTH_SHARING, on_cores
 
 #: What ended a drive, by code from 1; 0: nothing. Words that follow "the robot".
 ENDS = (
@@ -32,8 +33,10 @@ LINE, EDGE, UNSEEN = 1, 2, 3
 STOPPING = 0.25
 #: Error of a distance that was only commanded, as a fraction of it.
 DOUBT = 0.15
-#: Sensors are checked at least this often along a path, m.
+#: Sensors are checked at the beginning of a path and at least this often along it, m.
 SPACING = 0.01
+#: And at least as often as a line is wide, but no more often than this, m.
+CLOSEST = 0.001
 #: A robot drives no longer arc than this in one interval, m; see :meth:`Perimeter.ends`.
 LONGEST_ARC = 1.5
 
@@ -138,8 +141,6 @@ class Perimeter(Checked):
         if running is None:
             running = np.ones(len(after), np.bool_)
 
-        from neurosim.base.threads import WORTH_SHARING, on_cores  # imports torch
-
         def part(first: int, last: int) -> None:
             _ends(first, last, before, poses, seconds, running, half, line, sensors, margin, codes)
 
@@ -176,6 +177,7 @@ def _ends(
         reach = max(reach, math.hypot(sensors[i, 0], sensors[i, 1]))
     inner, outer = line[0] + 0.5 * line[1], line[0] - 0.5 * line[1]
     marked = line[1] > 0.0
+    spacing = min(SPACING, max(line[1], CLOSEST)) if marked else SPACING
     for k in range(first, last):
         if not running[k]:
             continue
@@ -193,18 +195,16 @@ def _ends(
         near = reach + inner
         if margin == margin:
             near = max(near, margin + (1.0 + DOUBT) * way)
-        count = max(math.ceil((length + reach * abs(turn)) / SPACING), 1)
-        n, room = 0, _inside(x, y, half) - near
-        while n < count:
-            n += max(int(room / length * count), 1) if room < length else count
-            if n > count:
-                break
+        count = max(math.ceil((length + reach * abs(turn)) / spacing), 1)
+        n, room = 0, 0.0
+        while n <= count:
             fraction = n / count
             off_x, off_y = se2.arc(dx, dy, turn, fraction)
             to_x, to_y, theta = x + off_x, y + off_y, heading + fraction * turn
             here = _inside(to_x, to_y, half)
             room = here - near
             if room > 0.0:
+                n += max(int(room / length * count), 1) if room < length else count + 1
                 continue
             cos, sin = math.cos(theta), math.sin(theta)
             code = 0
@@ -214,7 +214,7 @@ def _ends(
                 depth = _inside(sx, sy, half)
                 if depth < 0.0 or (marked and outer <= depth <= inner):
                     code = LINE
-            if code == 0 and margin == margin:
+            if code == 0 and n > 0 and margin == margin:
                 off_x, off_y = se2.arc(dx, dy, turn, fraction + ahead)
                 there = _inside(x + off_x, y + off_y, half)
                 if there - DOUBT * way < margin and there < here - 1e-4:
@@ -223,3 +223,4 @@ def _ends(
                 codes[k] = code
                 poses[k, 0], poses[k, 1], poses[k, 2] = to_x, to_y, theta
                 break
+            n += 1

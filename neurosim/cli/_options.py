@@ -10,8 +10,9 @@ from __future__ import annotations
 import inspect
 import re
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, is_dataclass, replace
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal, Protocol, Union, get_args, get_origin
@@ -67,18 +68,25 @@ class Parameter:
     help: str
 
 
-def parameters(source: Any) -> list[Parameter]:
+def parameters(source: Any) -> Sequence[Parameter]:
     """Return the parameters of a class or function that an option can stand for.
 
     Those of other types (a clock, a generator, another settings class) are left out. Of a settings
     object they are those of its class, with its values as defaults.
     """
-    made = source if is_dataclass(source) and not isinstance(source, type) else None
-    source = source if made is None else type(source)
+    if is_dataclass(source) and not isinstance(source, type):
+        made = source
+        return [replace(each, default=getattr(made, each.name)) for each in parameters(type(made))]
+    return _declared(source) if isinstance(source, Hashable) else ()
+
+
+@cache
+def _declared(source: Any) -> tuple[Parameter, ...]:
+    """Return the parameters of a class or function; a command asks for each several times."""
     try:
         signature = inspect.signature(source)
     except (TypeError, ValueError):
-        return []
+        return ()
     annotations, helps = hints_of(source), documented(source)
     result = []
     for name, each in signature.parameters.items():
@@ -88,9 +96,8 @@ def parameters(source: Any) -> list[Parameter]:
         kind = _kind(hint, each.default)
         if kind is not None:
             default = _default(source, name, each.default)
-            default = default if made is None else getattr(made, name)
             result.append(Parameter(name, kind, hint, default, helps.get(name, "")))
-    return result
+    return tuple(result)
 
 
 def _owners(source: Callable[..., Any]) -> list[Any]:

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from msgspec import Meta
@@ -29,9 +29,11 @@ from neurosim.lab.khepera.rig import START
 from neurosim.recording.settings import Rig
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.registry import ROBOTS
-from neurosim.simulators.base import InPlace, Simulator
-from neurosim.tasks.base import Task
 from tracking.camera.cameras import open_camera
+
+if TYPE_CHECKING:  # PyTorch, which they import, takes seconds
+    from neurosim.simulators.base import Simulator
+    from neurosim.tasks.base import Task
 
 #: Width or height of a frame, pixels.
 Side = Annotated[int, Meta(ge=120, le=8192)]
@@ -67,6 +69,8 @@ class Setup(Checked):
 
 def place_of(robot: str, task: Task, simulator: Simulator | None) -> Place | None:
     """Return the place for a virtual robot: its task's, or, for the Khepera, its simulator's."""
+    from neurosim.simulators.base import InPlace
+
     if task.place is None and robot == "virtual-khepera" and isinstance(simulator, InPlace):
         return simulator.place
     return task.place

@@ -1,7 +1,7 @@
 """Where the guard ends a drive: hand-worked places, and against a slow, plain version."""
 
 import math
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from itertools import groupby
 
 import numpy as np
@@ -70,7 +70,7 @@ def test_on_its_way_back_inside_a_robot_is_let_go():
 def slowly(perimeter, before, after, duration):
     """Return whether a drive ends, checked every tenth of a millimetre."""
     displacement = se2.between(np.array(before), np.array(after))
-    fractions = np.linspace(0, 1, 5001)[1:]
+    fractions = np.linspace(0, 1, 5001)
     poses = se2.compose(np.array(before), se2.arc(displacement, fractions))
     half = np.array([perimeter.board.length, perimeter.board.width]) / 2
     inset, width = perimeter.board.line_inset, perimeter.board.line_width
@@ -98,8 +98,27 @@ def test_no_line_is_passed_over(before, displacement):
     moved = se2.between(np.array(before), after)
     way = float(se2.arc_length(moved)) + math.hypot(*SENSORS[0]) * abs(moved[2])
     longest = max((len(list(run)) for on, run in groupby(ends) if on), default=0)
-    if longest / len(ends) * way > 1.01 * SPACING:
+    if longest / len(ends) * way > 1.01 * SPACING or ends[0]:
         assert code == LINE
+
+
+def test_a_sensor_that_begins_beyond_the_edge_is_not_passed_over():
+    """The right sensor is 1 mm beyond, and inside again after 6 of 63 mm."""
+    perimeter = Perimeter(BOARD, SENSORS, margin=None)
+    before = (0.0, -0.42578125, -1.75)
+    after = se2.compose(np.array(before), np.array([0.0, -0.0625, 0.0]))
+    code, pose = end(perimeter, before, after)
+    assert code == LINE
+    assert pose == pytest.approx(before)
+
+
+@pytest.mark.parametrize("width", [0.002, 0.005, 0.02])
+@pytest.mark.parametrize("start", np.linspace(0.8, 0.81, 6))
+def test_a_narrow_line_is_not_passed_over(width, start):
+    perimeter = Perimeter(replace(BOARD, line_width=width), ((0.0, 0.0),), margin=None)
+    code, pose = end(perimeter, (start, 0, 0), (0.99, 0, 0))
+    assert code == LINE
+    assert pose[0] == pytest.approx(0.9, abs=width / 2 + 1e-9)
 
 
 def test_a_description_makes_the_same_perimeter_again():
