@@ -34,7 +34,7 @@ def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: i
         part(0, count)
         return
     edges = [count * n // parts for n in range(parts + 1)]
-    if not kernel.overloads:
+    if not getattr(kernel, "overloads", True):  # with NUMBA_DISABLE_JIT it is a plain function
         part(0, 0)
     others = [_threads().submit(part, *ends) for ends in pairwise(edges[1:])]
     part(0, edges[1])

@@ -36,6 +36,13 @@ def test_a_kernel_is_compiled_in_the_calling_thread(monkeypatch):
     assert sorted(calls[1:])[1][:2] == (1, 2)
 
 
+def test_a_kernel_that_numba_leaves_alone_is_shared_out_too(monkeypatch):
+    monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
+    parts = []
+    on_cores(len, lambda first, last: parts.append((first, last)), 2)
+    assert sorted(parts) == [(0, 1), (1, 2)]
+
+
 def test_an_error_in_another_thread_is_raised(monkeypatch):
     monkeypatch.setattr(numba, "get_num_threads", lambda: 2)
 
