@@ -347,6 +347,13 @@ def check_name(path: str | Path) -> str:
     return str(path)
 
 
+def _instead(path: Path) -> str:
+    """Return the end of a message on a missing file: what its folder has, if that is known."""
+    kinds = ("trial", "recording", "dataset", "simulator", "controller")
+    kind = next((one for one in kinds if (path.parent / f"{one}.json").is_file()), None)
+    return "" if kind is None or path.suffix != ".json" else f", but {path.parent} is a {kind}"
+
+
 def check_file(path: str | Path, expected: str, *, most: int | None = None) -> None:
     """Make sure that a file can be read to its end: a pipe may wait for ever, a device has none.
 
@@ -362,7 +369,7 @@ def check_file(path: str | Path, expected: str, *, most: int | None = None) -> N
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
-        raise FileError(path, f"no such file; expected {expected}") from None
+        raise FileError(path, f"no such file; expected {expected}{_instead(path)}") from None
     except OSError as error:
         raise FileError(path, f"cannot be read ({error.strerror}); expected {expected}") from None
     if stat.S_ISDIR(status.st_mode):

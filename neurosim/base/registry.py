@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
 from importlib import import_module
 from importlib.metadata import EntryPoint, entry_points
@@ -65,8 +65,12 @@ class Registry:
         """Return whether the name is of one of ours."""
         return name in self._own
 
-    def get(self, name: str) -> Any:
+    def get(self, name: str, others: Sequence[str] = ()) -> Any:
         """Return what has this name.
+
+        Args:
+            name: the name.
+            others: names of anything else that could be chosen, for the message.
 
         Raises:
             UserError: if nothing has, or its package cannot be imported.
@@ -78,9 +82,9 @@ class Registry:
             return attrgetter(attribute)(import_module(module))
         point = self._points().get(name)
         if point is None:
-            names = ", ".join(self.names())
-            others = f"choose from {names}" if names else "none is registered"
-            raise UserError(f"there is no {self.what} {name!r}; {others}")
+            names = ", ".join([*others, *self.names()])
+            choices = f"choose from {names}" if names else "none is registered"
+            raise UserError(f"there is no {self.what} {name!r}; {choices}")
         try:
             return point.load()
         except Exception as error:

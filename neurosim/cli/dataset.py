@@ -133,8 +133,8 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "--windows/--held",
     default=None,
     help=(
-        "Learn from windows of the log with all their commands, or only from commands that were "
-        "held.  [default: windows where few commands were held]"
+        "Learn from windows of the log, in which commands may change, or only from commands that "
+        "were held.  [default: windows where few commands were held]"
     ),
 )
 @_seconds("longest-gap", 0.5, "leave out pieces with no sample or pose for longer, s.")

@@ -26,7 +26,13 @@ if TYPE_CHECKING:
 @click.command("plan-check")
 @click.argument("controller", type=PATH)
 @click.argument("simulator", type=PATH)
-@click.option("--draws", type=ranged(Count), default=4096, show_default=True)
+@click.option(
+    "--draws",
+    type=ranged(Count),
+    default=4096,
+    show_default=True,
+    help="Random samples for estimating the probability.",
+)
 @placing_option
 @at_line_option
 @click.option(

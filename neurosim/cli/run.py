@@ -101,12 +101,12 @@ def run(
     from neurosim.trials.trial import run_trial
     from tracking.track import track
 
+    saved = read_controller(controller)
     if calibration is None and camera.get("camera") != "none":
         raise UserError(
             "the robot's position is unknown: give --calibration (camera), or --camera none "
             "(wheel counters)"
         )
-    saved = read_controller(controller)
     again = _replanning(saved, replan, simulator, replanning)
     if again is not None and again[0].perimeter is not None:
         by, known = guard.get("by", "both"), again[0].perimeter

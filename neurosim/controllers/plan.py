@@ -29,9 +29,9 @@ class Plan(Controller):
         slots: Commands in a plan, null ones included.
         max_speed: Largest motor speed, percent of full speed.
         durations: Shortest and longest command, s.
-        names: Numbers of a command; those of the simulator.
-        units: Their units.
-        limits: least and greatest of each; by default the largest speed, both ways.
+        names: Names of a command's numbers; by default those of the simulator.
+        units: Units of a command's numbers.
+        limits: Least and greatest value of each number; by default -max_speed and max_speed.
     """
 
     kind: ClassVar[str] = "plan"

@@ -64,8 +64,9 @@ class EvolveSettings(Checked):
             in the plan; False: where it is, as we read the paper.
         samples: Random samples that each individual of a generation is tried in; 0: only the
             simulator's expected motion.
-        objective: The maximised number: fitness, probability, progress or steady. See
-            :mod:`neurosim.loop.objectives`.
+        objective: The number that evolution maximises: fitness; probability, of completing the
+            task; progress, towards its end; or steady, fitness minus a loss for paths that differ
+            from sample to sample. See :mod:`neurosim.loop.objectives`.
         robust: how to make the result robust, or None.
         placing: Error in placing the robot, for random samples: standard deviations of its position
             (x and y) and of its heading, m and rad.

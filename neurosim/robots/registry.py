@@ -12,7 +12,7 @@ from neurosim.robots.base import Robot
 #: By the name that ``--robot`` takes: a function that takes the options as keywords and returns a
 #: robot that is not connected yet.
 ROBOTS = Registry(
-    "driver of a robot",
+    "robot",
     "neurosim.robots",
     {
         "nxt": "neurosim.robots.nxt.driver:NXT",

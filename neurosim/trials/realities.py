@@ -44,7 +44,7 @@ class _Named:
         """
         if name in ROBOTS.names() and name not in REALITIES.names():
             return ROBOTS.get(name)
-        return REALITIES.get(name)
+        return REALITIES.get(name, ROBOTS.names())
 
 
 #: What ``--reality`` takes.

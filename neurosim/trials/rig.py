@@ -167,7 +167,7 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
 
     Args:
         setup: the rest.
-        lab_seed: Seed
+        lab_seed: Which of the virtual lab's robots.
         baud: Speed of its serial line; by default the robot's own, 9600.
     """
     camera = None
@@ -323,7 +323,7 @@ class Rigs:
         Raises:
             UserError: if nothing has this name.
         """
-        return _VIRTUAL[name] if name in _VIRTUAL else ROBOTS.get(name)
+        return _VIRTUAL[name] if name in _VIRTUAL else ROBOTS.get(name, list(_VIRTUAL))
 
 
 RIGS = Rigs()

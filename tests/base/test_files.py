@@ -1,6 +1,7 @@
 import json
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -377,6 +378,15 @@ def test_what_is_no_file_is_not_waited_for(tmp_path, read):
             read(tmp_path / name)
     with pytest.raises(FileError, match="is a pipe or a device"):
         read("/dev/zero")
+
+
+def test_a_folder_of_another_kind_is_named(tmp_path):
+    (tmp_path / "simulator.json").write_text("{}")
+    end = f"expected a b file, JSON in UTF-8, but {tmp_path} is a simulator"
+    with pytest.raises(FileError, match=f"dataset.json: no such file; {re.escape(end)}$"):
+        files.read_json(tmp_path / "dataset.json", "b", 1)
+    with pytest.raises(FileError, match=r"expected a CSV file$"):
+        files.check_file(tmp_path / "rows.csv", "a CSV file")
 
 
 def test_a_file_that_is_too_large_is_refused_before_it_is_read(tmp_path):

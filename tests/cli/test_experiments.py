@@ -199,7 +199,7 @@ def test_an_interrupted_recording_is_continued_and_tracked_in_place(tmp_path):
         ("[record]\nresume = true", "'record.resume': is set by the pipeline"),
         ("[record]\nlive = true\nno-live = true", "'record.live': is the same as no-live"),
         ("[record]\ncamera-size = [640]", "'record.camera-size': '640': expected WIDTHxHEIGHT"),
-        ('[record]\nrobot = "thymioo"', "'record': there is no driver of a robot 'thymioo'"),
+        ('[record]\nrobot = "thymioo"', "'record': there is no robot 'thymioo'"),
         ("[trian]", "'trian': there is no command 'trian', and a table of another name needs the "
          "key command; did you mean train"),
         ('[a]\ncommand = "evolv"', "'a.command': there is no command 'evolv'; did you mean evolve"),

@@ -197,7 +197,7 @@ def test_files_that_are_none(refused, text, says):
         ),
         (
             ("--longest-gap", 0.05),
-            "samples are 0.1 s apart, and no more than 0.05 s may be missing",
+            "samples are 0.1 s apart, more than --longest-gap 0.05",
         ),
         (("--rows",), "field 'duration': there is no such column; found time"),
         (("my.csv",), "my.csv is named twice"),

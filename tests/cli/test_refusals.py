@@ -50,6 +50,20 @@ def edit(path, old, new, count=1):
 # Robots
 
 
+def test_a_name_that_is_misspelt_is_answered_with_all_names(refused):
+    said = refused("record", "r", "--robot", "NXT")
+    assert "there is no robot 'NXT'; choose from virtual, virtual-khepera, " in said
+    assert " nxt, khepera, " in said
+    said = refused("evolve", "s", "-o", "p", "--reality", "robo", "--robot-generations", "2")
+    assert "there is no reality 'robo'; choose from " in said
+    assert "virtual-walker" in said
+    assert " khepera, " in said
+
+
+def test_a_missing_controller_is_named_before_a_missing_calibration(refused):
+    assert "nothing: no such controller" in refused("run", "nothing", "-o", "trial")
+
+
 def test_no_brick_is_found(refused, monkeypatch):
     import usb.core
 

@@ -44,7 +44,7 @@ def test_a_driver_of_a_script(monkeypatch):
     monkeypatch.setattr(ROBOTS, "_registered", {})
     ROBOTS.register("mine", Turtle)
     assert open_robot("mine", speed=2).speed == 2
-    with pytest.raises(UserError, match="taken by neurosim's own driver of a robot"):
+    with pytest.raises(UserError, match="taken by neurosim's own robot"):
         ROBOTS.register("nxt", Turtle)
 
 
@@ -61,7 +61,7 @@ def test_ours():
 def test_what_can_be_wrong(others):
     with pytest.raises(
         UserError,
-        match="no driver of a robot 'roomba'; choose from nxt, khepera, lines, thymio, r",
+        match="no robot 'roomba'; choose from nxt, khepera, lines, thymio, r",
     ):
         robot_factory("roomba")
     with pytest.raises(UserError, match=r"'broken' \(no_such_package.robot:Robot\)"):

@@ -105,6 +105,8 @@ def test_nothing_is_recorded_over(recording, tmp_path):
         Recording.create(recording.path, {})
     with pytest.raises(FileError, match="no such recording"):
         Recording(tmp_path / "other")
+    with pytest.raises(FileError, match="is a CSV file; neurosim dataset --from csv reads it"):
+        Recording(tmp_path / "log.csv")
 
 
 @pytest.mark.parametrize(

@@ -86,12 +86,12 @@ class OpenCVCamera(Camera):
         self._capture = cv2.VideoCapture(check_name(source) if isinstance(source, str) else source)
         if not self._capture.isOpened():
             what = (
-                "is the program that sends it running, and is it in the same network?"
+                "start the program that sends it, in the same network"
                 if _is_url(source)
-                else "is it plugged in and not in use elsewhere?"
+                else "plug it in, close other programs that use it"
             )
             raise UserError(
-                f"camera {source!r} cannot be opened: {what} Name another with --camera"
+                f"camera {source!r} cannot be opened: {what}, or name another with --camera"
             )
         if size:
             self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, size[0])

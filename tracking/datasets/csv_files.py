@@ -302,8 +302,8 @@ def _explain(
     apart = float(np.median(np.diff(log.time)))
     if apart > settings.longest_gap:
         raise UserError(
-            f"{path}: samples are {apart:g} s apart, and no more than {settings.longest_gap:g} s "
-            "may be missing: is --time right? If so, give a longer --longest-gap"
+            f"{path}: samples are {apart:g} s apart, more than --longest-gap "
+            f"{settings.longest_gap:g}: check --time, or give a longer --longest-gap"
         )
     if left_out["too short"] > sum(left_out.values()) / 2:
         raise UserError(

@@ -189,6 +189,8 @@ class Recording:
             FileError: if the folder has no recording.json that this version reads.
         """
         self.path = Path(path)
+        if self.path.suffix.lower() == ".csv":
+            raise FileError(self.path, "is a CSV file; neurosim dataset --from csv reads it")
         if not self.path.is_dir():
             raise FileError(self.path, "no such recording; expected a folder made by record")
         self.meta = read_json(self.path / "recording.json", FORMAT, VERSION, formats.Recording)

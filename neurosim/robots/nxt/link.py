@@ -347,7 +347,7 @@ def _open_usb() -> nxt.brick.Brick:
             ) from None
         raise RobotError(f"the brick on USB cannot be opened: {error}") from None
     if brick is None:
-        raise RobotError(f"no brick found on USB; is it plugged in and on? {_WAYS}")
+        raise RobotError(f"no brick found on USB: plug it in and switch it on; {_WAYS}")
     return brick
 
 

@@ -90,19 +90,20 @@ class CombinedSettings(Checked):
     Attributes:
         members: Simulators in the ensemble; 1: no ensemble.
         noise: Fit a noise model.
-        dead_band: scaled inputs that are smaller count as zero, one number an input; found from
-            the data if not given.
-        centres: Units of the Gaussian process at first. They are doubled for as long as that
-            lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows each.
-        most_centres: The largest number of these units.
-        part_weight: weight of a part of a command, relative to a whole command.
-        most_parts: poses within commands that are learned from.
-        noise_rows: rows that the noise is learned from.
-        whole_commands: learn from whole commands alone, not from parts of them.
-        without: mechanisms that are left out, to measure their effect: ``laws`` (all of a drive
-            model but its kinematics), ``dead_band``, ``swing`` (an input of the process for the
-            change of direction), ``process``, ``row_weights``, ``drive_members`` (members differ in
-            the process alone).
+        dead_band: Dead band of each input, as a fraction of its largest value; by default it is
+            estimated from the data.
+        centres: Kernel centres of the Gaussian process at the start. They are doubled for as long
+            as that lessens the errors of held-out rows, and there are :data:`ROWS_PER_CENTRE` rows
+            each.
+        most_centres: Largest number of kernel centres.
+        part_weight: Weight of a part of a command, relative to a whole command.
+        most_parts: Largest number of poses within commands that are used.
+        noise_rows: Largest number of rows from which the noise is learned.
+        whole_commands: Learn from whole commands alone, not from parts of them.
+        without: Parts of the trainer to leave out, to measure their effect: ``laws`` (lag, delay
+            and other parameters of the actuators), ``dead_band``, ``swing`` (how a caster turns
+            when the direction changes), ``process`` (the Gaussian process), ``row_weights`` (rows
+            with larger errors count less), ``drive_members`` (a drive model for each member).
     """
 
     members: Annotated[int, Meta(ge=1, le=1000)] = 8
