@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from khepera_data import made_up
 from numba import njit
+from PIL import Image
 from plain_words import NOT_AGAIN
 
 import neurosim as ns
@@ -230,6 +231,15 @@ def test_words_that_do_not_come_back(page):
     text = re.sub(r"^#.*$|\]\([^)]*\)", "", text, flags=re.M)
     hits = [hit.group() for hit in NOT_AGAIN.finditer(" ".join(text.split()))]
     assert not hits
+
+
+def test_the_readme_begins_with_a_small_moving_picture():
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    found = re.search(r"^!\[.+\]\((.+)\)$", readme, re.MULTILINE)
+    assert readme[: found.start()].count("\n") < 12
+    assert (ROOT / found[1]).stat().st_size < 2e6
+    with Image.open(ROOT / found[1]) as picture:
+        assert picture.n_frames > 50
 
 
 def test_pages_are_linked_from_the_index_and_the_index_from_the_readme():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -234,15 +235,16 @@ def write_film(
     others = [one for one in (simulator, controller) if one is not None]
     only = "--video shows the drive of a trial"
     _, scene, shown = filmed_trial([folder, *others], seed, only)
-    ground, place, scale = _ground(scene, shown)
+    moving = frames(scene, shown)
+    first = next(moving)
     fps = (len(shown.times) - 1) / shown.times[-1]
-    size = (ground.shape[1], ground.shape[0])
+    size = (first.shape[1], first.shape[0])
     with atomic_path(out) as partial:
         writer = cv2.VideoWriter(check_name(partial), cv2.VideoWriter.fourcc(*"mp4v"), fps, size)
         if not writer.isOpened():
             raise UserError(f"{out}: OpenCV cannot write this video here")
-        for number in range(len(shown.times)):
-            writer.write(_frame(ground, shown, number, place, scale))
+        for frame in chain([first], moving):
+            writer.write(frame)
         writer.release()
     return {
         "frames": len(shown.times),
@@ -271,6 +273,13 @@ def filmed_trial(folders: Sequence[str | Path], seed: int, only: str) -> tuple[T
     if shown is None:
         raise UserError(f"{folders[0]}: nothing saw the robot, so there is no drive to show")
     return trial, Scene.of(trial.task, artefacts.place_of(trial), trial.board), shown
+
+
+def frames(scene: Scene, film: Film) -> Iterator[NDArray[np.uint8]]:
+    """Give the frames (H, W, 3) of a trial's film, BGR."""
+    ground, place, scale = _ground(scene, film)
+    for number in range(len(film.times)):
+        yield _frame(ground, film, number, place, scale)
 
 
 def _ground(scene: Scene, film: Film) -> tuple[NDArray[np.uint8], NDArray, float]:
