@@ -68,7 +68,7 @@ def measure(name: str, words: Sequence[str], root: Path = ROOT, out: Path = FIGU
     with contextlib.redirect_stdout(printed), contextlib.chdir(root):
         runpy.run_path(str(script), run_name="__main__")
     about["code"] = {path: digest(root / path) for path in loaded(root, script)}
-    about["found"] = json.loads(printed.getvalue())
+    about["result"] = json.loads(printed.getvalue())
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / f"{name}.json", json.dumps(about, indent=1) + "\n")
 
@@ -125,7 +125,7 @@ class Template(string.Formatter):
             if name not in self.used:
                 path = self._folder / f"{name}.json"
                 self.used[name] = json.loads(path.read_text(encoding="utf-8"))
-            value = self.used[name]["found"]
+            value = self.used[name]["result"]
             for key in keys:
                 value = value[int(key) if isinstance(value, list) else key]
         except (OSError, LookupError, TypeError, ValueError) as error:

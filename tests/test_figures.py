@@ -45,7 +45,7 @@ def test_a_benchmark_is_measured_written_into_a_page_and_grows_old(repository, t
     out = tmp_path / "figures"
     figures.measure("one", ["benchmarks/b.py", "--count", "3"], repository, out)
     measured = json.loads((out / "one.json").read_text())
-    assert measured["found"] == {"rows": [{"name": "a", "error": pytest.approx(0.03702)}], "0.5": 2}
+    assert measured["result"] == {"rows": [{"name": "a", "error": pytest.approx(0.03702)}], "0.5": 2}
     assert measured["command"] == "python benchmarks/b.py --count 3"
     assert re.fullmatch("[0-9a-f]{10}", measured["commit"])
     assert re.fullmatch(r"20\d\d-\d\d-\d\d", measured["date"])
@@ -72,7 +72,7 @@ def test_a_benchmark_is_measured_written_into_a_page_and_grows_old(repository, t
 
 @pytest.mark.parametrize("field", ["two[x]", "one[rows][1]", "one[none]", "one[rows][a]"])
 def test_a_figure_that_was_not_measured(field, tmp_path):
-    (tmp_path / "one.json").write_text(json.dumps({"found": {"rows": [1]}}))
+    (tmp_path / "one.json").write_text(json.dumps({"result": {"rows": [1]}}))
     (tmp_path / "one.md").write_text(f"{{{field}}}")
     with pytest.raises(SystemExit, match=re.escape(f"there is no figure {field}")):
         figures.written(PAGE, tmp_path)
