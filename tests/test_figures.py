@@ -45,7 +45,8 @@ def test_a_benchmark_is_measured_written_into_a_page_and_grows_old(repository, t
     out = tmp_path / "figures"
     figures.measure("one", ["benchmarks/b.py", "--count", "3"], repository, out)
     measured = json.loads((out / "one.json").read_text())
-    assert measured["result"] == {"rows": [{"name": "a", "error": pytest.approx(0.03702)}], "0.5": 2}
+    rows = [{"name": "a", "error": pytest.approx(0.03702)}]
+    assert measured["result"] == {"rows": rows, "0.5": 2}
     assert measured["command"] == "python benchmarks/b.py --count 3"
     assert re.fullmatch("[0-9a-f]{10}", measured["commit"])
     assert re.fullmatch(r"20\d\d-\d\d-\d\d", measured["date"])
