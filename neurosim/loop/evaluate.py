@@ -51,7 +51,7 @@ class Evaluator:
         placing: how exactly the robot is put down where a trial starts at a mark: standard
             deviations in x and y (m) and in heading (rad); for random samples alone.
         rollouts: what drives them: the simulator's own compiled ones, or step by step.
-        workers: who judges the parts of a population.
+        workers: who judges the parts of a population; None: this process.
     """
 
     def __init__(
@@ -147,7 +147,11 @@ class Evaluator:
         """
         how = objective, tuple(hints), unsupported
         cut = (genes[part] for part in self._parts(len(genes), len(draws)))
-        parts, told = zip(*self.workers(self, cut, draws, how), strict=True)
+        if self.workers is None:
+            judged: Iterator[Any] = (self.merit_of(part, draws, *how) for part in cut)
+        else:
+            judged = self.workers(self, cut, draws, how)
+        parts, told = zip(*judged, strict=True)
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
         columns = [np.concatenate(part) for part in zip(*told, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))

@@ -30,8 +30,8 @@ Name = Literal["local", "ray"]
 Workers = Callable[[Any, Iterable[NDArray], Any, tuple[Any, ...]], Iterator[Any]]
 
 
-def workers_named(name: Name) -> Workers:
-    """Return workers.
+def workers_named(name: Name) -> Workers | None:
+    """Return workers; None: this process.
 
     Args:
         name: local, this process; or ray, those of the Ray cluster that ``RAY_ADDRESS`` names or
@@ -41,17 +41,10 @@ def workers_named(name: Name) -> Workers:
         UserError: if there are none of this name, or Ray is not installed or cannot be reached.
     """
     if name == "local":
-        return local
+        return None
     if name == "ray":
         return Ray()
     raise UserError(f"there are no workers {name!r}; choose local or ray")
-
-
-def local(
-    evaluator: Any, parts: Iterable[NDArray], draws: Any, how: tuple[Any, ...]
-) -> Iterator[Any]:
-    """Judge parts one after the other, in this process."""
-    return (evaluator.merit_of(part, draws, *how) for part in parts)
 
 
 class Ray:
@@ -89,7 +82,7 @@ class Ray:
             if name.startswith(PLUGIN):  # a worker could not import it
                 ray.cloudpickle.register_pickle_by_value(module)
         alone = copy(evaluator)
-        alone.workers = local
+        alone.workers = None
         # As bytes: arrays that Ray shares between workers cannot be written to.
         job = ray.put(ray.cloudpickle.dumps((alone, draws, how)))
         most = 2 * max(int(ray.cluster_resources().get("CPU", 1)), 1)
