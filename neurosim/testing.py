@@ -356,7 +356,7 @@ def check_controller(controller: Controller) -> None:
     _shape("first(count, generator)", first, (_ROWS, count))
     _require(torch.equal(first, again), "first() must draw from the generator alone")
     _json("settings()", controller.settings())
-    if controller.blind:
+    if controller.open_loop:
         _check_blind(controller, first.numpy())
     else:
         _check_seeing(controller, first)

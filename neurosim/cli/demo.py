@@ -118,7 +118,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
         words = ["evolve", simulator, "--task", "nine-rectangles", "--robust", "-o", controller]
         yield [*words, *seeded]
     yield ["plan-check", controller, simulator]
-    # Once as it is, blind, and once planned again after every command from where the robot is seen.
+    # Once in open loop, and once replanned after every command from where the robot is seen.
     trials = {out / "trial": [], out / "replanned": ["--replan"]}
     for trial, how in trials.items():
         if not (trial / "trial.json").exists():

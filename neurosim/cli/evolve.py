@@ -63,7 +63,7 @@ def _default_controller(chosen: Chosen) -> str:
 def _is_blind(chosen: Chosen) -> bool:
     from neurosim.controllers import CONTROLLERS
 
-    return bool(getattr(CONTROLLERS.get(chosen["controller"]), "blind", False))
+    return bool(getattr(CONTROLLERS.get(chosen["controller"]), "open_loop", False))
 
 
 def _defaults(chosen: Chosen) -> Any:
@@ -247,7 +247,7 @@ def evolve(
     if real_generations:
         evolution = {"runs": 1, **evolution}
     how = default_settings(family, made, optimiser=optimiser, **evolution)
-    breeding = GeneticSettings() if preset == "paper" and family.blind else how.genetic
+    breeding = GeneticSettings() if preset == "paper" and family.open_loop else how.genetic
     if breeding.parents and "population" in genetic and "parents" not in genetic:
         genetic["parents"] = max(genetic["population"] // 5, 1)
     how = replace(

@@ -42,7 +42,7 @@ class Controller(Checked):
             is asked again after every step of the trial.
         genes: how many an individual has.
         memory: how many numbers it carries from step to step.
-        blind: whether all its commands are known beforehand, see :meth:`commands`.
+        open_loop: whether all its commands are known beforehand, see :meth:`commands`.
         unit: of the commands.
         gene_range: where searches that need bounds look for each gene.
 
@@ -62,7 +62,7 @@ class Controller(Checked):
     outputs: tuple[str, ...] = WHEELS
     genes: int = 0
     memory: int = 0
-    blind: bool = False
+    open_loop: bool = False
     unit: str = "%"
     gene_range: tuple[float, float] = (-3.0, 3.0)
 
@@ -85,7 +85,7 @@ class Controller(Checked):
         raise NotImplementedError
 
     def commands(self, genes: NDArray, rest: float) -> tuple[NDArray, NDArray]:
-        """Return all commands of a blind controller.
+        """Return all commands of an open-loop controller.
 
         Args:
             genes: [P, genes].

@@ -35,7 +35,7 @@ class Plan(Controller):
     """
 
     kind: ClassVar[str] = "plan"
-    blind = True
+    open_loop = True
     gene_range = (0.0, 1.0)
 
     slots: Count = 10
@@ -118,7 +118,7 @@ class FixedPlan(Controller):
     """
 
     kind: ClassVar[str] = "plan"
-    blind = True
+    open_loop = True
     genes = 0
 
     slots: tuple[Command | None, ...]
@@ -143,7 +143,7 @@ class FixedPlan(Controller):
 
 
 def commands_of(controller: Controller, genes: NDArray[np.float64]) -> list[Command | None]:
-    """Return the commands of an individual [G] of a blind controller, None for a null one."""
+    """Return the commands of an individual [G] of an open-loop controller, None for a null one."""
     commands, active = controller.commands(genes[None], 0.0)
     pairs = zip(commands[0].tolist(), active[0], strict=True)
     return [tuple(command) if given else None for command, given in pairs]

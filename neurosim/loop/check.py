@@ -116,7 +116,7 @@ def check(
     task = make_task(controller.task if task is None else task)
     check_uncertain(simulator)
     evaluator = Evaluator(simulator, task, controller.controller, placing=placing)
-    if controller.controller.blind and not extrapolate:
+    if controller.controller.open_loop and not extrapolate:
         commands, given = controller.controller.commands(controller.genes[None], 0.0)
         with uninterrupted():
             check_commands(simulator, commands[given], "the commands")
@@ -126,7 +126,7 @@ def check(
     samples = evaluator.rollouts.draw(starts, seed, None if drawn else placing)
     judged, trajectory = evaluator.judge(controller.genes[None], samples)
     success = judged.success[0]
-    after, spread, turn = _spread(trajectory, controller.controller.blind)
+    after, spread, turn = _spread(trajectory, controller.controller.open_loop)
     return Check(
         probability=float(success.mean()),
         interval=wilson(int(success.sum()), draws),
@@ -161,13 +161,13 @@ def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
 
 
 def _spread(
-    trajectory: Trajectory, blind: bool
+    trajectory: Trajectory, open_loop: bool
 ) -> tuple[tuple[int, ...], tuple[float, ...], tuple[float, ...]]:
     """Return after which commands, and 95 % radius and standard deviation of the heading then."""
     assert trajectory.poses is not None
     poses = trajectory.poses[0, :, 1:]
     after = np.arange(poses.shape[1])
-    if not blind:
+    if not open_loop:
         after = np.unique(np.linspace(0, poses.shape[1] - 1, _TIMES + 1).round().astype(int)[1:])
         poses = poses[:, after]
     away = np.linalg.norm(poses[..., :2] - poses[..., :2].mean(axis=0), axis=-1)

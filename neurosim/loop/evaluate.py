@@ -186,7 +186,7 @@ class Evaluator:
         assert isinstance(durations, np.ndarray)
         if active is None:
             active = np.ones(shape, np.bool_)
-        if self.controller.blind:  # the same in all samples
+        if self.controller.open_loop:  # the same in all samples
             commands, durations, active = commands[:, 0], durations[:, 0], active[:, 0]
         if commands.shape[-1] < len(self.simulator.command_names):
             commands = np.concatenate([commands, durations[..., None]], axis=-1)
@@ -197,7 +197,7 @@ class Evaluator:
     def _parts(self, individuals: int, samples: int) -> Iterator[slice]:
         """Cut individuals into parts whose trajectories are driven at once."""
         at_once, steps = SEEING_AT_ONCE, self.episode.steps
-        if self.controller.blind:
+        if self.controller.open_loop:
             at_once, steps = POSES_AT_ONCE, self.steps
         batch = max(at_once // (samples * (steps + 1)), 1)
         return (slice(first, first + batch) for first in range(0, individuals, batch))
@@ -285,7 +285,7 @@ def check_readings(simulator: Simulator, task: Task) -> None:
 def _check_columns(simulator: Simulator, controller: Controller) -> None:
     """Refuse a controller whose outputs are not the simulator's commands."""
     wanted, given = tuple(simulator.command_names), tuple(controller.outputs)
-    if not controller.blind:
+    if not controller.open_loop:
         wanted = tuple(name for name in wanted if name != "duration")
     if wanted != given:
         raise UserError(

@@ -332,7 +332,7 @@ def _check_reach(evaluator: Evaluator) -> None:
         UserError: saying which command, and what the simulator knows.
     """
     controller = evaluator.controller
-    if not controller.blind:
+    if not controller.open_loop:
         return
     genes = np.stack([np.zeros(controller.genes), np.ones(controller.genes)])
     commands, active = controller.commands(genes, 0.0)
@@ -345,7 +345,7 @@ def path_of(trajectory: Any, run: int, evaluator: Evaluator) -> tuple[NDArray, N
     Those of a plan are where its given commands begin and end.
     """
     poses = trajectory.poses[run, 0]
-    if evaluator.controller.blind:
+    if evaluator.controller.open_loop:
         slots = len(poses) - 1 - (evaluator.episode.rest > 0)
         given = np.flatnonzero(trajectory.active[run, 0, :slots]) + 1
         return poses[[0, *given]], poses[-1]
@@ -487,7 +487,7 @@ def evolve(
 
         def written(interrupted: bool) -> list[SavedController]:
             controllers = results(interrupted)
-            if controller.blind and not controllers[0].given:
+            if controller.open_loop and not controllers[0].given:
                 if interrupted:
                     raise UserError("no plan has a command yet; continue with --resume")
                 checkpoint.remove()

@@ -204,7 +204,7 @@ def new_optimiser(
     Raises:
         UserError: if there is no such optimiser.
     """
-    genetic, blind = settings.genetic, controller.blind
+    genetic, open_loop = settings.genetic, controller.open_loop
     shape = settings.runs, genetic.population, controller.genes
     if first is None and controller.kind == "plan":
         first = np.random.default_rng([seed, 0x91A4]).random(shape)
@@ -218,7 +218,7 @@ def new_optimiser(
         (seed,),
         genetic,
         float(max(first.std(axis=1).mean(), 0.05)),
-        controller.gene_range if blind else None,
+        controller.gene_range if open_loop else None,
         given=first,
     )
     return make_optimiser(settings.optimiser, space)

@@ -112,7 +112,7 @@ def default_settings(controller: Controller, task: Task, **changes: Any) -> Evol
     Controllers that see are evolved as by Lund and Miglino 1996, in trials drawn anew for every
     generation, from random starts where the task has them; else for graded progress.
     """
-    if controller.blind:
+    if controller.open_loop:
         return replace(EvolveSettings(runs=10), **changes)
     steady = task.trial_starts > 1
     settings = EvolveSettings(

@@ -72,7 +72,7 @@ def read_dataset(folder: str | Path) -> Dataset:
 class _Given(Controller):
     """Commands that are given as they are, in a simulator's own columns."""
 
-    kind, blind = "commands", True
+    kind, open_loop = "commands", True
 
     def __init__(self, commands: NDArray[np.float64], names: tuple[str, ...]):
         self._commands, self.outputs = commands, names

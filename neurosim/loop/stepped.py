@@ -46,8 +46,8 @@ class SteppedRollouts:
     def run(self, genes: NDArray[np.float64], draws: Draws, *, reuse: bool = False) -> Trajectory:
         trial = _Trial(self._simulator, self._episode, len(genes), draws, self._reads)
         with torch.no_grad():
-            if self._controller.blind:
-                return trial.blind(*self._controller.commands(genes, self._episode.rest))
+            if self._controller.open_loop:
+                return trial.open_loop(*self._controller.commands(genes, self._episode.rest))
             return trial.seeing(self._controller, torch.from_numpy(np.ascontiguousarray(genes)))
 
 
@@ -100,7 +100,7 @@ class _Trial:
         self._state = after
         self._poses.append(after[:, :3])
 
-    def blind(self, commands: NDArray, active: NDArray) -> Trajectory:
+    def open_loop(self, commands: NDArray, active: NDArray) -> Trajectory:
         """Drive commands [P, T, 3]; those that are not active leave the robot as it is."""
         count, steps, _ = commands.shape
         samples = self._shape[1]

@@ -36,7 +36,7 @@ class Pilot(NamedTuple):
     A controller is open-loop, its commands known beforehand, or a network.
     """
 
-    blind: bool  #: whether it is open-loop
+    open_loop: bool  #: whether it is open-loop
     commands: np.ndarray  #: [P, T, C] of open-loop ones
     given: np.ndarray  #: [P, T] bool; a command that is not given leaves the robot as it is
     length: int  #: steps of a trial, the stop at its end included
@@ -58,7 +58,7 @@ def open_loop(commands: np.ndarray, given: np.ndarray, reads: int) -> Pilot:
     """Return the pilot of open-loop controllers; arguments as in :class:`Pilot`."""
     none = np.empty(0, np.int64)
     return Pilot(
-        blind=True,
+        open_loop=True,
         commands=np.ascontiguousarray(commands, np.float64),
         given=np.ascontiguousarray(given, np.bool_),
         length=given.shape[1],
@@ -90,7 +90,7 @@ def closed_loop(net: NetworkArrays, source: np.ndarray, episode: Episode, reads:
     x, y, heading = goals.reshape(-1, 3).T
     length = episode.steps + (episode.rest > 0)
     return Pilot(
-        blind=False,
+        open_loop=False,
         commands=np.empty((0, 0, 0)),
         given=np.empty((0, 0), np.bool_),
         length=length,

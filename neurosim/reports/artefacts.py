@@ -153,7 +153,7 @@ class Artefacts:
             or self.datasets
             or any(trial.by_command for trial in self.trials)
             or any(one.learned for one in self.simulators)
-            or any(one.content.controller.blind for one in self.controllers)
+            or any(one.content.controller.open_loop for one in self.controllers)
         )
 
     @property

@@ -331,7 +331,7 @@ def _paths(artefacts: Artefacts) -> list[Picture]:
             continue
         words = f"{one.name}: the path that the simulator expects"
         scene = Scene.of(one.task, artefacts.place_of(one))
-        paths = Paths(predicted["poses"], one.content.controller.blind, predicted.get("rest"))
+        paths = Paths(predicted["poses"], one.content.controller.open_loop, predicted.get("rest"))
         svg = course(scene, paths, words, f"p{place}").svg
         pictures.append(Picture(svg, f"{words}; no trial was given to compare it with."))
     return pictures

@@ -185,7 +185,7 @@ def _samples(
     poses = trajectory.poses[0]
     if np.ptp(poses, axis=0).max() < 1e-6:
         return []  # this simulator has no noise
-    if saved.controller.blind:
+    if saved.controller.open_loop:
         commands, active = saved.controller.commands(saved.genes[None], 0.0)
         ends = np.concatenate([[0.0], np.cumsum(commands[0][active[0], -1])])
         places = [0, *(np.flatnonzero(active[0]) + 1)]

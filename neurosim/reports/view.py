@@ -317,7 +317,7 @@ def _path(
     """
     assert trajectory.poses is not None
     poses = trajectory.poses[0, 0]
-    if not saved.controller.blind:
+    if not saved.controller.open_loop:
         return poses, None
     commands, active = saved.controller.commands(saved.genes[None], 0.0)
     given = commands[0][active[0]]

@@ -321,9 +321,9 @@ class Simulator:
         What they compute is held to :meth:`step` by a test, for the same samples.
         """
         outputs = tuple(controller.outputs)
-        timed = outputs if controller.blind else (*outputs, "duration")
+        timed = outputs if controller.open_loop else (*outputs, "duration")
         fits = self.command_names == timed or self.command_names == outputs
-        drives = controller.blind or controller.arrays() is not None
+        drives = controller.open_loop or controller.arrays() is not None
         if not fits or not drives or not self._runs_compiled:
             return None
         return CompiledRollouts(self, controller, episode)

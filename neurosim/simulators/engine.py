@@ -185,7 +185,7 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
                         for i in range(len(seen)):
                             readings[p, n + r, k - pilot.reads, i] = seen[i]
             given = True
-            if pilot.blind:
+            if pilot.open_loop:
                 given = pilot.given[p, k]
                 for c in range(pilot.commands.shape[2]):
                     command[c] = pilot.commands[p, k, c]
@@ -267,7 +267,7 @@ class CompiledRollouts:
         )
         self._reads = reads
         self._net: Pilot | None = None
-        if not controller.blind:
+        if not controller.open_loop:
             sources = input_sources(controller.inputs, names)
             self._net = closed_loop(controller.arrays(), sources, episode, reads)
         self._kept: dict[str, NDArray] = {}
@@ -301,16 +301,16 @@ class CompiledRollouts:
         begun = began(self._simulator, draws)[None]
         noise = _as_steps(draws.noise, self._simulator, samples, pilot.length)
         together = 1
-        if pilot.blind:  # one plan is shared out among the cores
+        if pilot.open_loop:  # one plan is shared out among the cores
             together = -(-samples // get_num_threads()) if len(genes) == 1 else samples
-        columns = 0 if pilot.blind else len(pilot.scale)
+        columns = 0 if pilot.open_loop else len(pilot.scale)
         poses, driven, readings = self._buffers(len(genes), samples, pilot.length, columns, reuse)
         ends = np.empty((len(genes), *begun.shape[1:]))
         genes = np.ascontiguousarray(genes, np.float64)
         written = poses, driven, readings, ends
         _on_cores(self._model, self._works, pilot, genes, begun, noise, together, *written)
         read = readings if self._reads else None
-        if pilot.blind:
+        if pilot.open_loop:
             trajectory = planned(poses, commands, active, rest)
             return replace(trajectory, readings=read)
         return stepped(poses, driven, read, self._episode)

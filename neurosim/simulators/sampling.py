@@ -96,7 +96,7 @@ def _generator(seed: np.uint64) -> torch.Generator:
 
 def trial_steps(controller: Any, episode: Episode) -> int:
     """Return how many steps a trial of a controller has, the stop at its end included."""
-    if controller.blind:
+    if controller.open_loop:
         genes = np.zeros((1, controller.genes))
         return controller.commands(genes, episode.rest)[0].shape[1]
     return episode.steps + (episode.rest > 0)

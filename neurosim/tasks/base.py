@@ -132,7 +132,7 @@ class Task(Checked):
         longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
         fitness_unit: of the fitness, if it has one.
         replanned: whether a plan is to be planned again after every command where nothing else is
-            said, because no blind one does the task.
+            said, because no open-loop one does the task.
         scored_by: which parts of a trajectory the score needs: ``poses``, ``commands``,
             ``readings``.
 

@@ -38,8 +38,8 @@ from tracking.camera.cameras import Camera
 
 
 def plan_of(saved: SavedController) -> list[Command]:
-    """Return the commands of a blind controller, without null ones; none of one that sees."""
-    if not saved.controller.blind:
+    """Return the commands of an open-loop controller but for null ones; none of any other."""
+    if not saved.controller.open_loop:
         return []
     commands, active = saved.controller.commands(saved.genes[None], 0.0)
     return [Command.of(command) for command in commands[0][active[0]]]
@@ -48,8 +48,8 @@ def plan_of(saved: SavedController) -> list[Command]:
 class Driver:
     """Drives a robot with a saved controller: a :class:`~neurosim.recording.commands.SeeingSource`.
 
-    A blind controller gives its commands in turn; one that sees is asked at the episode's steps,
-    and meets the same goals in turn as in a simulator.
+    An open-loop controller gives its commands in turn; a closed-loop one is asked at the episode's
+    steps, and meets the same goals in turn as in a simulator.
 
     Args:
         saved: the controller.
@@ -79,7 +79,7 @@ class Driver:
         self.sensors = tuple(name for name in family.inputs if name not in NOT_READINGS)
         self.reads = bool(self.sensors) or episode.readings
         self.needs_pose = not {*POSE_INPUTS, *OF_GOALS}.isdisjoint(family.inputs)
-        self.steps = len(self._plan) if family.blind else episode.steps
+        self.steps = len(self._plan) if family.open_loop else episode.steps
         self.rest, self.start = episode.rest, saved.start
         self.begin()
 
@@ -94,7 +94,7 @@ class Driver:
         Raises:
             UserError: if what it gives is no number; beyond the robot's limits it is cut off there.
         """
-        if self._family.blind:
+        if self._family.open_loop:
             command = self._plan[min(self._next, len(self._plan) - 1)]
             self._next += 1
             return command
@@ -147,7 +147,7 @@ def driver_of(
         UserError: if it is a plan, or the robot lacks what it needs.
     """
     saved = read_controller(controller)
-    if saved.controller.blind:
+    if saved.controller.open_loop:
         raise UserError(
             f"{controller} is a {saved.kind}, which drives in open loop: neurosim run records it"
         )
@@ -258,7 +258,7 @@ def missing(
             f"the controller commands {', '.join(columns)}, and this robot ({kind}) is driven by "
             f"{', '.join(takes.names)}"
         )
-    elif saved.controller.blind and tuple(columns) != takes.names:
+    elif saved.controller.open_loop and tuple(columns) != takes.names:
         lacking.append(
             f"the plan has its numbers in another order ({', '.join(columns)}) than this robot "
             f"({kind}): {', '.join(takes.names)}"

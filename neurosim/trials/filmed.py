@@ -112,7 +112,7 @@ class Driven:
         start, rest = np.array(self.task.start, np.float64), self.task.episode.rest
         poses = np.full((self._steps, 3), np.nan)
         given = np.arange(self._steps) < self.task.episode.steps
-        if self.controller.blind:
+        if self.controller.open_loop:
             commands, active = self.controller.commands(genes[None], rest)
             if not active.any():
                 poses[:] = start

@@ -127,7 +127,7 @@ class OnFloor:
     def compare(self, genes: NDArray[np.float64], seed: int) -> list[dict[str, list]]:
         """Return paths of an individual [G] from the same starts, simulated and driven."""
         evaluator, rng = self.evaluator, np.random.default_rng([seed, 2])
-        if self._pose is None or evaluator.controller.blind:
+        if self._pose is None or evaluator.controller.open_loop:
             return []
         steps = round(SECONDS / evaluator.episode.step)
         starts, _ = evaluator.starts(STARTS, rng)
@@ -155,12 +155,12 @@ class OnFloor:
             steps: of the episode's step.
             pose: tells where the robot is [3] (m, m, rad) before the first step and after each.
         """
-        step, blind = self.evaluator.episode.step, self.evaluator.controller.blind
+        step, open_loop = self.evaluator.episode.step, self.evaluator.controller.open_loop
         driver = Driver(self._saved(genes), self.evaluator.episode, {}, self.robot.commands)
         clock, readings, commands = self.robot.clock, [], []
         poses = [] if pose is None else [pose()]
         time = clock.now()
-        for number in range(max(driver.steps, 1) if blind else steps):
+        for number in range(max(driver.steps, 1) if open_loop else steps):
             if self._given_up:
                 raise LinkLost("the trial was given up")
             seen = self.robot.read_sensors()
@@ -179,8 +179,8 @@ class OnFloor:
         given, path = np.array(commands), None if pose is None else np.array(poses, float)
         return Trajectory(
             path,
-            given if blind else given[:, :-1],
-            given[:, -1] if blind else step,
+            given if open_loop else given[:, :-1],
+            given[:, -1] if open_loop else step,
             np.array(readings),
         )
 

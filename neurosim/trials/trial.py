@@ -102,7 +102,7 @@ def run_trial(
         raise UserError("; ".join(lacks))
     if source is not None:
         count = source.steps
-    elif saved.controller.blind and camera is not None and not task.episode.readings:
+    elif saved.controller.open_loop and camera is not None and not task.episode.readings:
         source = FixedCommands(plan_of(saved))
         count = len(source.commands)
     else:

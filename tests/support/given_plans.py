@@ -21,7 +21,7 @@ class GivenPlans(Controller):
 
     kind = "given"
     outputs = COMMAND_NAMES
-    blind = True
+    open_loop = True
 
     all_commands: NDArray
     given: NDArray

@@ -39,4 +39,4 @@ NOT_IN_MESSAGES = re.compile(
 )
 
 #: Names of variables and arguments that a noun replaces.
-NOT_NAMES = {"found", "verb", "dead_zone", "doubt"}
+NOT_NAMES = {"blind", "dead_zone", "doubt", "found", "verb"}
