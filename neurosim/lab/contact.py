@@ -1,9 +1,10 @@
-"""What a virtual robot runs into."""
+"""Walls and obstacles of the lab: where a robot runs into them, and how far away they are."""
 
 from __future__ import annotations
 
 import math
 
+import numpy as np
 from numba import njit
 
 
@@ -36,3 +37,56 @@ def deepest(x, y, size, walls, cylinders):
             depth = into
             nx, ny = (ox / away, oy / away) if away > 0.0 else (1.0, 0.0)
     return depth, nx, ny
+
+
+@njit(cache=True)
+def hit(x, y, cos, sin, walls, cylinders):
+    """Return a ray's distance to the nearest surface (m) and its cosine of incidence there.
+
+    Args:
+        x, y: where the ray begins, m.
+        cos, sin: of its direction.
+        walls: [W, 4] m.
+        cylinders: [N, 3] m.
+
+    Returns:
+        Infinity and 0 where there is nothing.
+    """
+    best, incidence = np.inf, 0.0
+    for i in range(walls.shape[0]):
+        x1, y1 = walls[i, 0], walls[i, 1]
+        dx, dy = walls[i, 2] - x1, walls[i, 3] - y1
+        cross = cos * dy - sin * dx
+        if cross == 0.0:
+            continue
+        far = ((x1 - x) * dy - (y1 - y) * dx) / cross
+        share = ((x1 - x) * sin - (y1 - y) * cos) / cross
+        if 0.0 < far < best and 0.0 <= share <= 1.0:
+            best, incidence = far, abs(cross) / math.hypot(dx, dy)
+    for i in range(cylinders.shape[0]):
+        ox, oy, radius = cylinders[i, 0] - x, cylinders[i, 1] - y, cylinders[i, 2]
+        along = ox * cos + oy * sin
+        inside = along * along - ox * ox - oy * oy + radius * radius
+        if inside <= 0.0:
+            continue
+        far = along - math.sqrt(inside)
+        if 0.0 < far < best:
+            best, incidence = far, math.sqrt(inside) / radius
+    return best, incidence
+
+
+@njit(cache=True)
+def distances(origins, directions, walls, cylinders):
+    """Return how far away the nearest surface is along rays, [N] m; infinity: there is none.
+
+    Args:
+        origins: [N, 2] where they begin, m.
+        directions: [N] rad.
+        walls: [W, 4] m.
+        cylinders: [N, 3] m.
+    """
+    ways = np.empty(len(directions))
+    for i in range(len(directions)):
+        cos, sin = math.cos(directions[i]), math.sin(directions[i])
+        ways[i], _ = hit(origins[i, 0], origins[i, 1], cos, sin, walls, cylinders)
+    return ways

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import numpy as np
 from msgspec import Meta
 
-from neurosim.base.declared import Baud, Checked, Fps, Pose, SecondsOrNone, Seed, checks
+from neurosim.base.declared import Baud, Checked, Fps, Metres, Pose, SecondsOrNone, Seed, checks
 from neurosim.base.errors import UserError
 from neurosim.base.interrupts import not_suspended, stopped_at_end
 from neurosim.base.place import Place
@@ -29,6 +29,7 @@ from neurosim.lab.khepera.rig import START
 from neurosim.recording.settings import Rig
 from neurosim.robots.khepera.dialects import dialect_named
 from neurosim.robots.registry import ROBOTS
+from neurosim.robots.ros.driver import NONE, SectorCount
 from tracking.camera.cameras import open_camera
 
 if TYPE_CHECKING:  # PyTorch, which they import, takes seconds
@@ -229,8 +230,6 @@ def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
     """Open the virtual lab's Thymio II under its roof camera.
 
-    Nothing stands near it, so its proximity sensors read 0.
-
     Args:
         setup: the rest.
         lab_seed: Which of the virtual lab's Thymios.
@@ -241,14 +240,26 @@ def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 
 @contextmanager
 @checks
-def virtual_ros(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
+def virtual_ros(
+    setup: Setup,
+    *,
+    lab_seed: Seed = 0,
+    laser: str = NONE,
+    laser_sectors: SectorCount = 8,
+    laser_reach: Metres = 1.0,
+) -> Iterator[Rig]:
     """Open the virtual lab's base behind a rosbridge (v, omega) under its roof camera.
 
     Args:
         setup: the rest.
         lab_seed: Which of the virtual lab's bases.
+        laser: Topic of the laser's scans, /scan; none: they are not read.
+        laser_sectors: Sensors that a scan is divided into.
+        laser_reach: Distance from which on a sensor reads 0, m.
     """
-    with VirtualRosRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
+    scans = {"laser": laser, "laser_sectors": laser_sectors, "laser_reach": laser_reach}
+    rig = VirtualRosRig(lab_seed, **scans, **_common(setup))
+    with rig, _connected(rig, setup) as connected:
         yield connected
 
 

@@ -259,6 +259,24 @@ def test_ambient_light_drifts_within_its_spread():
     assert np.std(values) == pytest.approx(8.0, rel=0.15)
 
 
+def test_lights_of_a_place_by_hand():
+    """Sensor 2 looks at the light; sensors 6 and 7 look backwards."""
+    turn = IDEAL.angle[2]
+    far = 0.24  # twice the distance that halves a reading
+    lamp = ((RADIUS + far) * math.cos(turn), (RADIUS + far) * math.sin(turn))
+    read = body(place=Place(lights=(lamp,))).ambient()
+    assert read[2] == round(480 / (1 + 0.25)) == 384
+    assert read[6:] == [480, 480]
+    assert read[2] < min(read[0], read[1], read[3], read[4], read[5])
+    assert body(place=Place(lights=(lamp, lamp))).ambient()[2] == 320
+    # The same from another pose, and nothing in the shadow of a wall.
+    x, y = lamp
+    turned = body(place=Place(lights=((-y, x),)), pose=(0.0, 0.0, math.pi / 2))
+    assert turned.ambient() == read
+    wall = (0.1, -0.3, 0.1, 0.3)
+    assert body(place=Place(walls=(wall,), lights=(lamp,))).ambient() == [480] * 8
+
+
 def test_a_robot_is_put_down_only_where_there_is_room():
     lab = KheperaLab(IDEAL, paper_arena(), start=(-0.22, 0.0, 0.0))
     with pytest.raises(UserError, match=r"x 0.0 cm, y 0.0 cm.*obstacle"):

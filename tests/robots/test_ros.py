@@ -12,6 +12,7 @@ import pytest
 from patience import wait_until
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.base.place import THICKNESS, Place
 from neurosim.lab import VirtualRosRig
 from neurosim.lab.nxt.world import Pacer
 from neurosim.lab.ros.bridge import Refused, RosBridge, Topic, populate
@@ -21,6 +22,7 @@ from neurosim.robots.odometry import Odometry
 from neurosim.robots.ros.bridge import Bridge
 from neurosim.robots.ros.driver import ODOMETRY, REPEATS, STAMPED, TWIST, Ros
 from neurosim.robots.ros.laser import Sectors
+from neurosim.trials.rig import Setup, open_rig
 
 
 @contextmanager
@@ -208,6 +210,24 @@ def test_a_laser_is_a_ring_of_sensors():
         wait(robot, 1.0)
         # The laser's own 0, which sees the wall, looks to the left.
         assert np.argmax(list(robot.read_sensors().values())) == 1
+
+
+def test_a_laser_sees_the_walls_and_obstacles_of_a_place():
+    """Half a metre ahead the side of a wall, 0.6 m to the left a cylinder; all else is far."""
+    wall = (0.5 + THICKNESS / 2, -0.4, 0.5 + THICKNESS / 2, 0.4)
+    place = Place(walls=(wall,), obstacles=((0.0, 0.65, 0.05),))
+    options = {"lab_seed": 1, "laser": "/scan", "laser_sectors": 4}
+    with open_rig("virtual-ros", options, Setup(camera="none", place=place)) as rig:
+        robot = rig.robot
+        rig.place(0.0, 0.0, 0.0)
+        wait(robot, 1.0)
+        read = list(robot.read_sensors().values())
+        np.testing.assert_allclose(read, [0.5, 0.4, 0.0, 0.0], atol=0.05)
+        # Turned to the right, both are seen a sector farther to the left.
+        rig.place(0.0, 0.0, -math.pi / 2)
+        wait(robot, 1.0)
+        read = list(robot.read_sensors().values())
+        np.testing.assert_allclose(read, [0.0, 0.5, 0.4, 0.0], atol=0.05)
 
 
 def test_scans_that_are_missing():

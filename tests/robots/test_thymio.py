@@ -1,6 +1,7 @@
 """A Thymio II: the driver and the virtual robot, whose line is cut, loses answers or ends."""
 
 import json
+import math
 import random
 import socket
 import threading
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 
 from neurosim.base.errors import LinkLost, RobotError, UserError
+from neurosim.base.place import THICKNESS, Place
 from neurosim.lab import VirtualThymioRig
 from neurosim.lab.thymio.firmware import EVENTS, NODE
 from neurosim.robots import Counters, Lamp, Sensors, open_robot
@@ -39,6 +41,25 @@ def test_messages_by_hand():
     found = [one for byte in data for one in reader.feed(bytes([byte]))]
     assert [one.words for one in found] == [(7, -2)] * 2
     assert (found[0].type, found[0].source) == (aseba.VARIABLES, 51)
+
+
+def test_its_sensors_see_the_walls_and_obstacles_of_a_place():
+    """By hand: 4505 / (1 + (d / 8.54 cm)^2) of 4500 at a distance d from the sensor."""
+    wall = (0.15 + THICKNESS / 2, -0.2, 0.15 + THICKNESS / 2, 0.2)
+    place = Place(walls=(wall,), obstacles=((-0.18, 0.03, 0.05),))
+    with VirtualThymioRig(1, camera=False, around=place) as rig, rig.robot as robot:
+        rig.lab.body.place(0.0, 0.0, 0.0)  # exactly
+        read = [robot.read_sensors()[f"sensor_{number}"] for number in range(7)]
+
+    def law(far):
+        return 4505 / (1 + (far / 0.0854) ** 2) / 4500
+
+    ahead, slanted = law(0.15 - 0.0795), law((0.15 - 0.075) / math.cos(0.34907))
+    outer = law((0.15 - 0.062) / math.cos(0.69813))
+    assert read[:5] == pytest.approx([outer, slanted, ahead, slanted, outer], abs=0.003)
+    # Behind on the left a cylinder of which the sensor sees the nearest point but 0.5 mm.
+    assert read[5] == pytest.approx(law(0.18 - 0.05 - 0.0295), abs=0.003)
+    assert read[6] == 0.0
 
 
 def test_the_driver_drives_and_reads_it():

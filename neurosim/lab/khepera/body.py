@@ -9,16 +9,21 @@ from numpy.typing import NDArray
 
 from neurosim.base.errors import UserError
 from neurosim.base.place import Place
+from neurosim.lab.contact import distances
 from neurosim.lab.khepera import physics
 from neurosim.lab.khepera.camera import KheperaCamera
 from neurosim.lab.khepera.params import (
     PULSES_PER_METRE,
+    RADIUS,
     SPEED_UNIT,
     WHITE,
     KheperaParams,
 )
 from neurosim.lab.khepera.physics import S, U
 from neurosim.lab.nxt.world import LabTime
+
+#: Distance of a light that is as bright as all others together, m.
+HALVED = 0.12
 
 
 class KheperaBody:
@@ -43,6 +48,7 @@ class KheperaBody:
         self._inputs = physics.new_inputs()
         self._motor = params.motor_row()
         self._walls, self._cylinders = place.surfaces, place.cylinders
+        self._lights = np.array(place.lights, float).reshape(-1, 2)
         self._rng = np.random.default_rng([seed, 0x6B48])
         self._noises = (params.noise, params.light_noise)
         self._zeros = [0, 0]
@@ -135,10 +141,24 @@ class KheperaBody:
         ).tolist()
 
     def ambient(self) -> list[int]:
-        """Return the ambient light, 8 numbers of 0..1023, fewer for more light."""
+        """Return the ambient light, 8 numbers of 0..1023, fewer for more light.
+
+        A light :data:`HALVED` straight ahead of a sensor halves its number. It falls with the
+        square of the distance and the cosine of the angle; what stands between casts a shadow.
+        """
+        x, y, theta = self.state[S.SCAN : S.SCAN + 3]
+        looks = theta + self.params.angle
+        rims = np.column_stack([x + RADIUS * np.cos(looks), y + RADIUS * np.sin(looks)])
+        lit = np.zeros(8)
+        for light in self._lights:
+            dx, dy = (light - rims).T
+            far, towards = np.hypot(dx, dy), np.arctan2(dy, dx)
+            free = distances(rims, towards, self._walls, self._cylinders) > far
+            facing = np.maximum(np.cos(towards - looks), 0.0)
+            lit += free * facing * (HALVED / np.maximum(far, 0.001)) ** 2
         noise = self.params.noise * self._rng.standard_normal(8)
-        light = self.params.ambient - self.state[S.DRIFT] + noise
-        return np.clip(np.rint(light), 0, 1023).astype(int).tolist()
+        counts = (self.params.ambient - self.state[S.DRIFT]) / (1.0 + lit) + noise
+        return np.clip(np.rint(counts), 0, 1023).astype(int).tolist()
 
     def _pulses(self) -> tuple[int, int]:
         left, right = self.state[S.WAY : S.WAY + 2] * PULSES_PER_METRE

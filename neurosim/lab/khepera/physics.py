@@ -13,7 +13,7 @@ from enum import IntEnum
 import numpy as np
 from numba import njit
 
-from neurosim.lab.contact import deepest
+from neurosim.lab.contact import deepest, hit
 from neurosim.lab.khepera.params import PULSES_PER_METRE, RADIUS, WHEEL_BASE
 
 #: One step of the physics, and of the scan of the sensors, which takes 8 x 2.5 ms (s).
@@ -172,32 +172,6 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
 
 
 @njit(cache=True)
-def _hit(x, y, cos, sin, walls, cylinders):
-    """Return a ray's distance to the nearest surface (m) and its cosine of incidence there."""
-    best, incidence = np.inf, 0.0
-    for i in range(walls.shape[0]):
-        x1, y1 = walls[i, 0], walls[i, 1]
-        dx, dy = walls[i, 2] - x1, walls[i, 3] - y1
-        cross = cos * dy - sin * dx
-        if cross == 0.0:
-            continue
-        far = ((x1 - x) * dy - (y1 - y) * dx) / cross
-        share = ((x1 - x) * sin - (y1 - y) * cos) / cross
-        if 0.0 < far < best and 0.0 <= share <= 1.0:
-            best, incidence = far, abs(cross) / math.hypot(dx, dy)
-    for i in range(cylinders.shape[0]):
-        ox, oy, radius = cylinders[i, 0] - x, cylinders[i, 1] - y, cylinders[i, 2]
-        along = ox * cos + oy * sin
-        inside = along * along - ox * ox - oy * oy + radius * radius
-        if inside <= 0.0:
-            continue
-        far = along - math.sqrt(inside)
-        if 0.0 < far < best:
-            best, incidence = far, math.sqrt(inside) / radius
-    return best, incidence
-
-
-@njit(cache=True)
 def reflected(pose, angle, walls, cylinders):
     """Return the light (1/m2) that comes back to a sensor at ``angle`` (rad) on the rim.
 
@@ -217,7 +191,7 @@ def reflected(pose, angle, walls, cylinders):
         off = HALF_CONE * ((2.0 * ray + 1.0) / RAYS - 1.0)
         weight = math.cos(off) ** 4
         weights += weight
-        far, incidence = _hit(
+        far, incidence = hit(
             x, y, math.cos(direction + off), math.sin(direction + off), walls, cylinders
         )
         if far < np.inf:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from neurosim.base import se2
+from neurosim.lab.contact import distances
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.ros.bridge import RosBridge, Topic
 from neurosim.robots.ros.driver import ODOMETRY, STAMPED, TWIST, VIRTUAL
@@ -54,7 +55,7 @@ class BaseNode:
         seed: of odometry's errors.
         stamped: whether it takes TwistStamped.
         timeout: without a message for so long it stops, s; infinity: it goes on.
-        walls: half the length and half the width of the room, whose middle is the board's, m.
+        walls, cylinders: [W, 4] and [N, 3], what the laser sees, m.
 
     Attributes:
         bridge: to it.
@@ -70,7 +71,8 @@ class BaseNode:
         *,
         stamped: bool = False,
         timeout: float = 0.5,
-        walls: tuple[float, float] = (2.0, 2.0),
+        walls: NDArray[np.float64],
+        cylinders: NDArray[np.float64],
         **bridge: bool,
     ):
         self._body, self._timeout = body, timeout
@@ -87,7 +89,9 @@ class BaseNode:
         self._rng = np.random.default_rng([seed, 0x0D0])
         self._scale = 1 + np.array([SCALE[0], SCALE[0], SCALE[1]]) * self._rng.standard_normal(3)
         self._last, self._pose = body.pose, np.zeros(3)
-        self.publishes, self._walls = True, walls
+        self.publishes, self._surfaces = True, (walls, cylinders)
+        # Compiled before anybody waits for a scan.
+        distances(np.zeros((1, 2)), np.zeros(1), walls, cylinders)
 
     @property
     def ends(self) -> float:
@@ -159,7 +163,9 @@ class BaseNode:
         if not (self.publishes and self.bridge.is_subscribed("/scan")):
             return []
         step = 2 * math.pi / BEAMS
-        ranges = ranges_in_a_room(self._body.pose, step * np.arange(BEAMS), self._walls)
+        x, y, theta = self._body.pose
+        beams = theta + step * np.arange(BEAMS)
+        ranges = distances(np.tile((x, y), (BEAMS, 1)), beams, *self._surfaces)
         ranges += RANGE_NOISE * self._rng.standard_normal(BEAMS)
         low, high = RANGES
         ranges[(ranges < low) | (ranges > high)] = math.inf
@@ -173,19 +179,3 @@ class BaseNode:
             "ranges": ranges.tolist(),
         }
         return self.bridge.publish("/scan", message)
-
-
-def ranges_in_a_room(
-    pose: NDArray[np.float64], angles: NDArray[np.float64], walls: tuple[float, float]
-) -> NDArray[np.float64]:
-    """Return how far away the walls of a rectangular room are, [B] m.
-
-    Args:
-        pose: of the laser, [3] x, y, heading, the room's middle at 0.
-        angles: of the beams, [B] rad to the left of the heading.
-        walls: half the room's length (along x) and half its width, m.
-    """
-    along = np.stack([np.cos(angles + pose[2]), np.sin(angles + pose[2])])
-    half, place = np.array(walls)[:, None], pose[:2, None]
-    with np.errstate(divide="ignore"):
-        return np.abs((np.copysign(half, along) - place) / along).min(axis=0)

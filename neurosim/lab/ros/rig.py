@@ -8,12 +8,15 @@ import threading
 from contextlib import suppress
 from typing import Unpack
 
+import numpy as np
+
+from neurosim.base.place import Place
 from neurosim.lab.nxt.params import BOARD
 from neurosim.lab.rig import BoardRig, OnBoard
 from neurosim.lab.ros.base import MAX_OMEGA, MAX_V, RADIUS, BaseBody, BaseNode
 from neurosim.lab.server import SocketEnd, receive, send
 from neurosim.robots.base import Clock
-from neurosim.robots.ros.driver import Ros
+from neurosim.robots.ros.driver import NONE, Ros
 from neurosim.robots.ros.websocket import WebSocketEnd
 
 #: A message takes so long, s, and so does the answer to a ping.
@@ -109,6 +112,8 @@ class VirtualRosRig(BoardRig):
         stamped: whether the base takes TwistStamped.
         stops_after: time without a message after which its controller stops it, s; infinity: it
             goes on.
+        laser, laser_sectors, laser_reach: of the driver, as :class:`neurosim.robots.ros.driver.Ros`
+            has them.
         statuses, rosapi: as :class:`neurosim.lab.ros.bridge.RosBridge` has them.
         **board: as :class:`neurosim.lab.rig.OnBoard` has them.
 
@@ -129,6 +134,9 @@ class VirtualRosRig(BoardRig):
         real_time: bool = False,
         stamped: bool = False,
         stops_after: float = 0.5,
+        laser: str = NONE,
+        laser_sectors: int = 8,
+        laser_reach: float = 1.0,
         statuses: bool = False,
         rosapi: bool = True,
         **board: Unpack[OnBoard],
@@ -141,14 +149,18 @@ class VirtualRosRig(BoardRig):
             **board,
         )
         room = self.lab.params.room
-        on = self.lab.around.board or BOARD
+        around = self.lab.around
+        on = around.board or BOARD
         self.walls = (on.length / 2 + room, on.width / 2 + room)
         self.node = BaseNode(
             body,
             seed,
             stamped=stamped,
             timeout=stops_after,
-            walls=self.walls,
+            walls=np.concatenate(
+                [Place.rectangle(2 * self.walls[0], 2 * self.walls[1]).surfaces, around.surfaces]
+            ),
+            cylinders=around.cylinders,
             statuses=statuses,
             rosapi=rosapi,
         )
@@ -162,6 +174,9 @@ class VirtualRosRig(BoardRig):
             max_omega=MAX_OMEGA,
             radius=RADIUS,
             stops_after=None if math.isinf(stops_after) else stops_after,
+            laser=laser,
+            laser_sectors=laser_sectors,
+            laser_reach=laser_reach,
             timeout=2.0 if real_time else 10.0,
             clock=self.lab.clock,
         )

@@ -7,8 +7,10 @@ from typing import Unpack
 
 import numpy as np
 
+from neurosim.base import se2
 from neurosim.base.place import Place
 from neurosim.lab.cable import SerialCable, address_of, serve_cable
+from neurosim.lab.contact import distances
 from neurosim.lab.lines.planar import PlanarBody
 from neurosim.lab.nxt.body import ground_light
 from neurosim.lab.rig import BoardRig, OnBoard
@@ -17,12 +19,21 @@ from neurosim.robots.thymio.driver import BODY, FULL, FULL_SPEED, GROUND, Thymio
 
 #: Time of a byte, s: an answer takes a few milliseconds, as one over USB does.
 BYTE = 10 / 115_200
+#: The seven proximity sensors: m ahead of the axle, to the left, and rad where they look; and the
+#: law of what one reads, m / (1 + (d / w)^2) at a distance d up to the greatest (m), with its noise
+#: (standard deviation): as in Enki, the simulator of the robot's makers (Thymio2.cpp).
+PROXIMITY = np.array([
+    (0.062, 0.0485, 0.69813), (0.075, 0.0255, 0.34907), (0.0795, 0.0, 0.0),
+    (0.075, -0.0255, -0.34907), (0.062, -0.0485, -0.69813),
+    (-0.0295, 0.0295, math.pi), (-0.0295, -0.0295, math.pi),
+])  # fmt: skip
+MOST, WIDTH, REACH, FLICKER = 4505.0, 0.0854, 0.14, 2.87
 #: Radius of what a ground sensor sees, m, and the standard deviation of its noise, of 1000.
 SPOT, NOISE = 0.008, 5.0
 
 
 class ThymioBody(PlanarBody):
-    """Two wheels and what looks at the ground; nothing stands near it on the board.
+    """Two wheels, what looks around and what looks at the ground.
 
     Its drives are those of the lab's planar bodies: one forward, one for turning.
 
@@ -53,8 +64,13 @@ class ThymioBody(PlanarBody):
         return round(left), round(right)
 
     def proximity(self) -> list[int]:
-        """Return what the seven sensors read."""
-        return [0] * 7
+        """Return what the seven sensors read; 0 without anything near."""
+        if not self.around.solid:
+            return [0] * 7
+        seen = se2.compose(self.pose, PROXIMITY)
+        far = distances(seen[:, :2], seen[:, 2], self.around.surfaces, self.around.cylinders)
+        noisy = MOST / (1 + (far / WIDTH) ** 2) + FLICKER * self._noise.standard_normal(7)
+        return np.where(far <= REACH, np.clip(np.rint(noisy), 0, 4600), 0).astype(int).tolist()
 
     def ground(self) -> list[int]:
         """Return what the two ground sensors read, of 1000."""
@@ -105,6 +121,7 @@ class VirtualThymioRig(BoardRig):
             robot_seed,
             **board,
         )
+        body.proximity()  # compiled before anybody waits for an answer
         self.firmware = ThymioFirmware(body, self.lab.lock)
         self.lab.program = self.firmware
         self.cable = SerialCable(self.firmware, self.lab.clock, BYTE)

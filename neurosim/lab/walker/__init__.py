@@ -1,5 +1,5 @@
 """A walking robot of the lab, and the places where it walks."""
 
-from neurosim.lab.walker.robot import PLACES, Place, VirtualWalker
+from neurosim.lab.walker.robot import PLACES, Ground, VirtualWalker
 
-__all__ = ["PLACES", "Place", "VirtualWalker"]
+__all__ = ["PLACES", "Ground", "VirtualWalker"]

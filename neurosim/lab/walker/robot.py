@@ -35,8 +35,8 @@ RADIUS, LONGEST = 2.0, 60.0
 
 
 @dataclass(frozen=True)
-class Place:
-    """A robot and the place where it walks.
+class Ground:
+    """A robot and the ground on which it walks.
 
     Attributes:
         build: the robot's true measures.
@@ -65,7 +65,7 @@ class Place:
 
 #: By name. The time step is half the simulator's, the cone a pyramid.
 PLACES = {
-    "main": Place(
+    "main": Ground(
         Build(
             head=0.24,
             neck=0.09,
@@ -97,7 +97,7 @@ PLACES = {
         scatter=(0.05, 0.04, 0.05),
         seed=1,
     ),
-    "carpet": Place(
+    "carpet": Ground(
         Build(
             head=0.22,
             neck=0.07,
@@ -129,7 +129,7 @@ PLACES = {
         scatter=(0.06, 0.05, 0.05),
         seed=2,
     ),
-    "parquet": Place(
+    "parquet": Ground(
         Build(
             head=0.18,
             neck=0.10,
@@ -267,7 +267,7 @@ def servo(
     return reached
 
 
-def _bumps(place: Place) -> tuple[tuple[float, float, float, float], ...]:
+def _bumps(place: Ground) -> tuple[tuple[float, float, float, float], ...]:
     """Return flat bumps (x, y, radius, height) around the circle's middle, m."""
     rng = np.random.default_rng([place.seed, 0xB0B5])
     side = 2.0 * (RADIUS + 0.3)
