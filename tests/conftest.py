@@ -29,8 +29,10 @@ def pytest_collection_modifyitems(items):
         if SLOW_FIXTURES & set(getattr(item, "fixturenames", ())):
             item.add_marker(pytest.mark.slow)
     # A file is one worker's: what takes long comes first, so that none waits for it at the end.
+    # One worker runs all stages, which other tests need, while another one runs the notebooks.
+    first = ("test_pipeline.py", "test_notebooks.py")
     slow = {item.path for item in items if item.get_closest_marker("slow")}
-    items.sort(key=lambda item: (item.path.parent.name != "notebooks", item.path not in slow))
+    items.sort(key=lambda item: (item.path.name not in first, item.path not in slow))
 
 
 @pytest.fixture(scope="session")

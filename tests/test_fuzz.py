@@ -38,7 +38,7 @@ def test_a_few_damaged_files(made, tmp_path):
 
 @pytest.mark.slow
 def test_damaged_files_of_every_kind(made, tmp_path):
-    attack(made, tmp_path, targets(""), 150, seed=2)
+    attack(made, tmp_path, targets(""), 75, seed=2)
 
 
 EVOLVE = "evolve simulator -o out --generations 2 --runs 1 --population 10 --commands 3 "

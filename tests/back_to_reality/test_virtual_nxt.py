@@ -148,8 +148,8 @@ def test_another_network_in_the_same_folder_is_not_gone_on_with(tmp_path):
     def run(**others):
         return back_to_reality(
             tmp_path / "simulator", TASK, FAMILY, lost, out=tmp_path / "out",
-            start=FAMILY.encode(COMMANDS), settings=settings_named("paper", trials=1),
-            progress=False, **others,
+            start=FAMILY.encode(COMMANDS), progress=False,
+            settings=settings_named("paper", trials=1, generations=2), **others,
         )  # fmt: skip
 
     write_simulator(nxt(), tmp_path / "simulator")

@@ -187,7 +187,7 @@ def rows(path, *names):
 
 
 def test_sampling(zygote, tmp_path):
-    words = ["sample", "--angles", 36, "--distances", 5, "--grid", 3]
+    words = ["sample", "--angles", 12, "--distances", 3, "--grid", 3]
     logs = {"motors.csv", "held_out.csv", "reaction.csv", "sensors.csv"}
     for whole, folder, after in killed(
         zygote, tmp_path, words, logs, lambda out: resumed(out.exists()), 1
@@ -233,7 +233,7 @@ def test_a_trial(zygote, calibration, tmp_path):
 
 @pytest.mark.skipif(not importlib.util.find_spec("mujoco"), reason="needs mujoco")
 def test_back_to_reality(zygote, tmp_path):
-    sizes = {"settings": "paper", "cycles": 2, "seconds": 2, "generations": 3, "seed": 5}
+    sizes = {"settings": "paper", "cycles": 2, "seconds": 1, "generations": 3, "seed": 5}
     sizes |= {"search-population": 6, "candidates": 3, "adapt-generations": 3, "trials": 2}
     sizes |= {"adapt-population": 4, "policy-steps": 2, "policies": 3}
     words = ["back-to-reality"]

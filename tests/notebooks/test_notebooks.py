@@ -28,7 +28,20 @@ SHORTER = {
         "members=4, seed=1": "members=2, seed=1",
         '"generations": 800, "runs": 10': '"generations": 100, "runs": 2',
         "RobustSettings(generations=150)": "RobustSettings(generations=5)",
-    }
+        "range(1, 6)": "range(1, 3)",
+        "range(5)": "range(2)",
+    },
+    "back_to_reality": {
+        "simulated = Simulated(LeggedSimulator(), Walking(seconds=4.0), gait)": (
+            "simulated = Simulated(LeggedSimulator(), Walking(seconds=1.0), gait)"
+        ),
+        "standard_normal((24, gait.genes))": "standard_normal((6, gait.genes))",
+        "    generations=10,\n    later_generations=8,\n    candidates=10,": (
+            "    generations=3,\n    later_generations=3,\n    candidates=4,"
+        ),
+        "adapt_generations=6": "adapt_generations=3",
+        "np.tile(genes, (10, 1))": "np.tile(genes, (2, 1))",
+    },
 }
 
 

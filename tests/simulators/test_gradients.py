@@ -27,7 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 )
 @pytest.mark.slow
 def test_they_are_those_of_finite_differences(simulator):
-    commands = random_plans(simulator, 6, steps=3, seed=8, like=0.0)
+    commands = random_plans(simulator, 3, steps=3, seed=8, like=0.0)
     state, noise = given(simulator, commands)
 
     def poses(pose, commands):

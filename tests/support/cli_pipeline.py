@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from patience import PATIENCE
 
 
@@ -40,8 +42,24 @@ class Pipeline:
 
 @pytest.fixture(scope="session")
 def pipeline(tmp_path_factory) -> Pipeline:
-    """Sixty commands are no data to learn from, but every command has its turn."""
-    folder = tmp_path_factory.mktemp("pipeline")
+    """Sixty commands are no data to learn from, but every command has its turn.
+
+    The stages run once, in whichever worker needs them first.
+    """
+    shared = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        shared = shared.parent
+    done = shared / "pipeline.json"
+    with FileLock(shared / "pipeline.lock"):
+        if not done.exists():
+            folder = tmp_path_factory.mktemp("pipeline")
+            done.write_text(json.dumps([str(folder), stages(folder)]))
+    folder, printed = json.loads(done.read_text())
+    return Pipeline(Path(folder), printed)
+
+
+def stages(folder: Path) -> dict[str, dict]:
+    """Run all stages in a folder; return what each printed."""
     steps = {
         "photographs": "lab photographs photographs --count 8",
         "calibrate": "calibrate photographs --square 40 --points photographs/points.csv",
@@ -57,4 +75,4 @@ def pipeline(tmp_path_factory) -> Pipeline:
     printed = {}
     for name, line in steps.items():
         printed[name] = json.loads(neurosim(*line.split(), "--json", cwd=folder).stdout)
-    return Pipeline(folder, printed)
+    return printed

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from contextlib import contextmanager
+from functools import lru_cache
 from itertools import groupby
 from types import SimpleNamespace
 
@@ -78,6 +79,11 @@ def recorded(folder, *options):
 
 
 def motor(folder):
+    return _motor(folder, (folder / "commands.csv").stat().st_size)
+
+
+@lru_cache(1)  # waiting for the next line costs the recording's process little
+def _motor(folder, size):
     return [line for line in Recording(folder).commands().itertuples() if line.is_motor]
 
 
