@@ -188,7 +188,7 @@ def test_a_plan_to_start_from(tmp_path):
     assert commands[4:] == [None, None]
     given = [one for one in commands if one is not None]
     assert np.array(given) == pytest.approx(np.array([COMMANDS[0], *COMMANDS[2:]]))
-    with pytest.raises(UserError, match="has 4 commands; expected 3 at most"):
+    with pytest.raises(UserError, match="has 4 commands; expected at most 3"):
         start_genes(Plan(slots=3), tmp_path / "plan")
 
 

@@ -99,7 +99,7 @@ def test_task_simulator_and_controller_are_evolved_at_once(made):
 @pytest.mark.parametrize(
     ("kind", "name", "says"),
     [
-        ("robot", "nxt", "the name 'nxt' is taken by neurosim's own driver"),
+        ("robot", "nxt", "the name 'nxt' is taken by neurosim's own robot"),
         ("task", "go-to", "taken by neurosim's own task"),
         ("robot", "My Robot", "give lower-case letters and digits"),
         ("robot", "../elsewhere", "give lower-case letters and digits"),
