@@ -45,7 +45,7 @@ def test_a_drawing_is_imported_and_drawn(tmp_path):
     ):
         done = CliRunner().invoke(cli, [str(word) for word in wrong])
         assert message in str(done.exception)
-    assert call(*words, "--overwrite").stdout.startswith(f"{out}: 4 corners, 1 walls, 1 obstacles")
+    assert call(*words, "--overwrite").stdout.startswith(f"{out}: 4 corners, 1 wall, 1 obstacle")
 
 
 @pytest.mark.slow

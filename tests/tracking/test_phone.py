@@ -123,5 +123,5 @@ def test_a_phone_that_leaves_has_failed_or_stalled():
 
 
 def test_nobody_sends():
-    with pytest.raises(UserError, match="is the program that sends it running, and is it in the"):
+    with pytest.raises(UserError, match="start the program that sends it, in the same network"):
         open_camera("http://127.0.0.1:9/video", time.monotonic)
