@@ -246,8 +246,8 @@ class Viewer:
         """Return the place as the page draws it.
 
         Returns:
-            ``number``: ``drawn`` in the state of the same moment; ``free``, ``solid``: lines
-            [L][N][2] as pixels; ``clicks``: [N][2], those on the part that is not finished.
+            ``number``: ``drawn`` in the state of the same moment; ``free``, ``solid``: lines, each
+            a list of pairs of pixels; ``clicks``: pairs, those on the part that is not finished.
         """
         with self._change:
             place, clicks = self._sketch.place, self._sketch.points
