@@ -462,7 +462,7 @@ def test_poses_within_that_are_gone(seen):
 @pytest.mark.parametrize(
     ("key", "value", "message"),
     [
-        ("version", 2, "reads version 1, found 2"),
+        ("version", 3, "reads version 2, found 3"),
         ("format", "neurosim-simulator", "expected 'neurosim-dataset'"),
         ("inputs", ["left"], r"field 'inputs\[0\]': expected an object"),
         ("inputs", [], "expected a list of {name, unit}"),
