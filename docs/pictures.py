@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -23,8 +24,9 @@ TRACK = (0, 140, 255)
 
 
 def main(demo: Path, out: Path) -> None:
-    folders = [demo / name for name in ("trial", "simulator", "controller")]
+    folders = [demo / name for name in ("replanned", "simulator", "controller")]
     trial, scene, film = filmed_trial(folders, seed=0, only="name the folder of a demo")
+    film = replace(film, names=(), readings=np.empty((0, 0)))  # sensors would hide the board's edge
     pairs = zip(camera_frames(trial, film), frames(scene, film), strict=True)
     pictures = []
     for number, pair in enumerate(pairs):
