@@ -62,6 +62,10 @@ REACH = 0.14
 _GRAIN = 0.02
 
 
+#: Compiles the loops over pixels; sums may be taken in another order, which no pixel shows.
+_painted = njit(cache=True, error_model="numpy", fastmath=True)
+
+
 def marks_of(board: Board) -> np.ndarray:
     """Return where the marks are, [8, 2] (m): near the board's corners and its edges' middles."""
     x, y = board.length / 2 - _MARK_INSET, board.width / 2 - _MARK_INSET
@@ -83,13 +87,13 @@ def grain(rng: np.random.Generator, room: float) -> np.ndarray:
     return 1.0 + 0.012 * fine + 0.018 * coarse
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _edge(depth, breadth):
     """Return how much of a sample of this breadth lies inside an edge at this depth."""
     return min(max(0.5 + depth / breadth, 0.0), 1.0)
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _box(x, y, box, breadth):
     along = _edge(min(x - box[0], box[1] - x), breadth)
     return along * _edge(min(y - box[2], box[3] - y), breadth) if along > 0.0 else 0.0
@@ -113,7 +117,7 @@ def paint_ground(plane, texture, gradient, vignetting, board=BOARD):
     return _paint_ground(plane, texture, gradient, vignetting, half, line, marks_of(board))
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _paint_ground(plane, texture, gradient, vignetting, half, perimeter, marks):
     height, width = plane.shape[:2]
     rows, columns = texture.shape
@@ -163,7 +167,7 @@ def _paint_ground(plane, texture, gradient, vignetting, half, perimeter, marks):
     return picture, light
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def print_line(picture, light, plane, points, line_width, ink):
     """Print a closed line on the ground of :func:`paint_ground`, in place.
 
@@ -239,7 +243,7 @@ def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     return cells, np.array([x, y, cos, sin, plate])
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def paint_robot(
     frame, ground, light, plane, window, poses, weights, lamp, noise, shift, cells, plate
 ):
@@ -305,12 +309,12 @@ def paint_robot(
                 frame[v, u, 2] = int(min(max(red + noise[i, j, 2] + 0.5, 0.0), 255.0))
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _near_body(x, y, margin):
     return -0.13 - margin < x < 0.11 + margin and abs(y) < 0.105 + margin
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _blend(under, over, share):
     """Return the colour of a sample that something covers by ``share``."""
     return (
@@ -320,12 +324,12 @@ def _blend(under, over, share):
     )
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _lit(colour, light):
     return light * colour[0], light * colour[1], light * colour[2]
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _on_tag(x, y, breadth, cells, plate):
     """Return how much of a sample is white, and how much of it the plate covers."""
     count = cells.shape[0]
@@ -349,7 +353,7 @@ def _on_tag(x, y, breadth, cells, plate):
     return white / max(whole, 1e-12), cover
 
 
-@njit(cache=True, error_model="numpy", fastmath=True)
+@_painted
 def _robot_colour(x, y, breadth, under, light, lamp, cells, plate):
     """Return what is seen at a point of the robot frame, over the ground's colour there."""
     colour = under
