@@ -49,7 +49,7 @@ from tracking.track import track
 FPS, RADIO, LAMP = 30.0, 0.020, 0.004
 #: What the tracker errs by in the lab: standard deviations, m, m, rad.
 NOISE = (0.0005, 0.0005, 0.003)
-#: Name: share of frames that is dropped, and how much the clocks drift.
+#: Name: fraction of frames that is dropped, and how much the clocks drift.
 CASES = {
     "clean": (0.0, 0.0),
     "5 % of frames dropped": (0.05, 0.0),

@@ -125,7 +125,7 @@ class Physics:
     def __init__(self, robot: int, noise: int, start: Any, push: Push | None = None):
         self.rng = np.random.default_rng([noise, robot, 0xC0])
         placed = np.asarray(start) + self.rng.standard_normal(3) * (PLACING[0], *PLACING)
-        params = LabParams.drawn(robot)
+        params = LabParams.sampled(robot)
         x, y, heading = placed.tolist()
         self.lab = Lab(noise, params=params, camera=None, start=(x, y, heading), push=push)
         self.commands: list[tuple[float, float, float]] = []

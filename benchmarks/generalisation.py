@@ -3,7 +3,7 @@
 Networks are evolved in tables in the paper's way (one arena, contacts are free) and in many arenas
 where a contact ends what counts, several runs of each, of which the evolution keeps the best.
 They are then driven for 60 s from random starts in ten arenas that none was evolved in, beside a
-hand-written Braitenberg vehicle: the share of drives that touch something, and the fitness. With
+hand-written Braitenberg vehicle: the fraction of drives that touch something, and the fitness. With
 --lab-drives so many in each arena are driven by a robot of the virtual lab, too. Up to --inner
 boards stand inside each arena, whose ends and corners are seen less well than a wall; 0 leaves
 them out.

@@ -89,7 +89,7 @@ class Robot:
     """The lab's robot, without brick and camera; ``changes`` are of its parameters."""
 
     def __init__(self, lab_seed: int, seed: int, changes: dict[str, float] | None = None):
-        params = replace(LabParams.drawn(lab_seed), **(changes or {}))
+        params = replace(LabParams.sampled(lab_seed), **(changes or {}))
         self.rng = np.random.default_rng([seed, lab_seed])
         self._p, self._field = params.coefficients(), slip_field(params)
         self._state, self._inputs = new_state(params, seed, (0.0, 0.0, 0.0)), new_inputs()
@@ -103,7 +103,7 @@ class Robot:
         return self._state[S.X : S.X + 3].copy()
 
     def put(self, near: float = 1.0) -> None:
-        """Put it down within a share of the board, with some charge, and let it stand."""
+        """Put it down within a fraction of the board, with some charge, and let it stand."""
         self._state[S.X : S.X + 2] = self.rng.uniform(-near * LINE, near * LINE)
         self._state[S.THETA] = self.rng.uniform(-np.pi, np.pi)
         self._state[S.BATTERY] = self.rng.uniform(*BATTERY)

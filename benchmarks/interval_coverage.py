@@ -7,12 +7,12 @@ displacements. The robot is put down at random places, with a battery as full as
 recording.
 Two things are measured:
 
-- single commands, driven one after another until the robot comes to the edge: the share of each
+- single commands, driven one after another until the robot comes to the edge: the fraction of each
   output within the simulator's central 50, 80 and 95 % intervals, of all and of those that tell
   the robot to move, of these again of those straight ahead or back, and of those from rest. One
   is left out where its predicted mean ends beyond the board's edge, on a floor that the simulator
   has learned nothing of (a recorder cuts it short at the line);
-- sequences of ten commands from rest: the share of final positions within the 50, 80 and 95 %
+- sequences of ten commands from rest: the fraction of final positions within the 50, 80 and 95 %
   regions (ellipses about the mean of the simulated positions, in the shape of their covariance).
   A sequence is left out where its predicted mean path comes close to the board's edge.
 
@@ -194,7 +194,7 @@ def measure(simulator: MotionNetwork, options: argparse.Namespace) -> dict:
 
 
 def shares(ranks: NDArray) -> dict[str, float]:
-    """Return the share of ranks up to each level."""
+    """Return the fraction of ranks up to each level."""
     return {str(level): float((ranks <= level).mean()) for level in LEVELS}
 
 

@@ -183,7 +183,7 @@ class Eye:
         self._looking = False
 
     def random_phase(self) -> float:
-        """Return a random share of the time between two frames, s."""
+        """Return a random fraction of the time between two frames, s."""
         return self._rng.uniform(0.0, 1.0 / self._camera.fps)
 
     def open(self) -> None:

@@ -148,7 +148,7 @@ def noise_of(values: Array, gait: NDArray[np.int64]) -> float:
 
 
 def adapted(simulated: Simulated, trials: Trials, seed: int, generations: int) -> Array:
-    """Return the parameters [K], as shares, that L3 finds for trials."""
+    """Return the parameters [K], as fractions, that L3 finds for trials."""
     how = settings_named("better").adapt_genetic
     compared = Compared(simulated, trials.genes, trials.roots)
     start = simulated.as_is[None]

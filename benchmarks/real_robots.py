@@ -58,7 +58,7 @@ Array = NDArray[np.float64]
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 OUTPUTS = ("dx", "dy", "dtheta")
 READABLE = np.array([100.0, 100.0, 180.0 / np.pi])
-#: Share of a log, last in time, that is held out, and how long windows are, s.
+#: Fraction of a log, last in time, that is held out, and how long windows are, s.
 HELD_OUT, LENGTHS, FREE = 0.3, (0.25, 1.0, 2.0), 5.0
 #: Commands are sampled in steps of this, s, from so long before a window on; windows begin so often
 #: in what is learned from, and in what is held out; and there are no more than so many.

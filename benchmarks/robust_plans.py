@@ -195,7 +195,7 @@ def bound(start: list[SavedController], length: int, seed: int, options: argpars
     how = RobustSettings(generations=options.bound_generations, draws=16, selection_draws=128)
     how = replace(how, genetic=replace(how.genetic, population=50))
     settings = EvolveSettings(runs=1, robust=how, final_draws=200)
-    lab = LabPhysics(LabParams.drawn(options.lab_seed))
+    lab = LabPhysics(LabParams.sampled(options.lab_seed))
     return improved(lab, start, Plan(slots=length), settings, seed)
 
 
@@ -259,7 +259,7 @@ def ground(params: LabParams) -> np.ndarray:
 
 def drive(given: list, lab_seed: int, seed: int, changes: dict[str, float] | None = None) -> bool:
     """Drive a plan once in the lab's physics; return whether it completed the course."""
-    params = replace(LabParams.drawn(lab_seed), **(changes or {}))
+    params = replace(LabParams.sampled(lab_seed), **(changes or {}))
     rng = np.random.default_rng([seed, 0xD21])
     pose = np.asarray(TASK.start) + rng.standard_normal(3) * (PLACING[0], PLACING[0], PLACING[1])
     state = physics.new_state(params, seed, tuple(pose))

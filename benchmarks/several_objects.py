@@ -69,7 +69,7 @@ def compare(place: str, arenas: list[Place], options: argparse.Namespace) -> lis
     """Return how far each way is off at random poses in arenas; in drawn ones, near boards."""
     off, two = [], []
     for robot in options.robots:
-        params, rng = KheperaParams.drawn(robot), np.random.default_rng(robot)
+        params, rng = KheperaParams.sampled(robot), np.random.default_rng(robot)
         sensors = tables(params)
         for arena in arenas:
             # Nearer than the first distance the tables repeat themselves.

@@ -13,7 +13,7 @@ camera (benchmarks/tracking_scenes.py). Markers stand 10 cm above the board and 
   - position, heading: RMSE of the pose of the middle of the axle, over the frames in which both
     markers are whole in view (99 % of each);
   - worst: the largest of those errors of position;
-  - tracked: share of those frames that have a pose;
+  - tracked: fraction of those frames that have a pose;
   - false: poses where less than a tenth of a marker is in view, and poses more than 1 cm or 5
     degrees off; swapped: of these, those with front and back exchanged.
 
@@ -72,7 +72,7 @@ class Colours:
     def __call__(self, picture: np.ndarray, time: float) -> np.ndarray | None:
         """Return the pose [3] in the next picture."""
         seen = self._tracker.update(picture, time)
-        if not seen.found:
+        if not seen.in_view:
             return None
         return marker_poses(seen.front[None], seen.rear[None], self._markers, self._camera)[0]
 

@@ -110,7 +110,7 @@ class Frame:
         time: of the middle of the exposure, s.
         picture: BGR uint8 [H, W, 3].
         pose: the robot's at that time, [3] (m, m, rad).
-        visible: share of the front and of the rear marker that shows, [2]; twice that of a tag.
+        visible: fraction of the front and of the rear marker that shows, [2]; twice that of a tag.
     """
 
     time: float

@@ -116,8 +116,8 @@ def ours(path: Path, what: Sought | tuple[str, str], camera: object, folder: Pat
         result = track_video(
             path, what, Path(out) / "poses", calibration=camera, height=MARKERS["height"]
         )
-    if result["found"] < 0.99:
-        raise SystemExit(f"the robot was found in {100 * result['found']:.1f} % of {path.name}")
+    if result["in_view"] < 0.99:
+        raise SystemExit(f"the robot was found in {100 * result['in_view']:.1f} % of {path.name}")
     return result["frames"]
 
 

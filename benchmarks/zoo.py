@@ -85,7 +85,7 @@ SIZES = (30, 100, 300, 1000, 3000, 10000)
 UTIAS = Path(__file__).resolve().parents[2] / "shared" / "data" / "utias"
 #: Noise-free rows that a robot of the zoo is judged by.
 JUDGED = 2000
-#: Share of rows that end elsewhere, and how far off, m.
+#: Fraction of rows that end elsewhere, and how far off, m.
 OUTLIERS, OFF = 0.01, 0.3
 REPEATS = 5
 #: Commands are given to the lagged unicycle in steps of this, s.

@@ -6,13 +6,13 @@
 
 A simulator with members and noise model is learned of each robot of the zoo. Then the robot is
 driven by fresh commands, with noise: random ones, as it was for learning, and ones that plans are
-made of (forward, fast, long). Shares of what happened that lay within the central intervals of
+made of (forward, fast, long). Fractions of what happened that lay within the central intervals of
 50, 80 and 95 %: of dx, dy and dtheta of single commands; of parts of commands, until an instant
 within each; and, after ten commands in a row, of the position (regions of that probability) and
 the heading.
 
 ``--logs``: robots of :mod:`real_robots`, each learned from so many rows in a row, anywhere in its
-log. Shares are those of dx, dy and dtheta of held-out windows, their means over lengths.
+log. Fractions are those of dx, dy and dtheta of held-out windows, their means over lengths.
 
 The last table has the means over robots and seeds: with few rows one recording's intervals may be
 too narrow and another's too wide. How noise is learned from few rows was chosen on ``classroom``,
@@ -106,7 +106,7 @@ def listed(names: str) -> tuple[str, ...]:
 
 
 def means(runs: list[dict[str, list]]) -> dict[str, list]:
-    """Return of each kind of commands the mean shares of the runs that have it."""
+    """Return of each kind of commands the mean fractions of the runs that have it."""
     kinds = dict.fromkeys(kind for run in runs for kind in run)
     return {
         kind: np.mean([run[kind] for run in runs if kind in run], axis=0).tolist() for kind in kinds
@@ -114,7 +114,7 @@ def means(runs: list[dict[str, list]]) -> dict[str, list]:
 
 
 def show(label: str, found: dict[str, list]) -> None:
-    """Print the shares of each kind of commands."""
+    """Print the fractions of each kind of commands."""
     for kind, shares in found.items():
         cells = ("/".join(f"{100 * share:.0f}" for share in row) for row in shares)
         print(f"{label + ', ' + kind:32s}" + "".join(f"{c:>16s}" for c in cells), flush=True)
@@ -128,7 +128,7 @@ def _log(name: str) -> tuple[logs.Robot, TrainingData]:
 
 
 def of_log(name: str, count: int, seed: int) -> dict[str, list]:
-    """Return the shares [3, L] of held-out windows that lie within the intervals of LEVELS.
+    """Return the fractions [3, L] of held-out windows that lie within the intervals of LEVELS.
 
     There are none if the log has fewer rows.
     """
@@ -146,7 +146,7 @@ def of_log(name: str, count: int, seed: int) -> dict[str, list]:
 
 
 def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
-    """Return of each kind of commands the shares [3 or 5, L] within the intervals of LEVELS."""
+    """Return of each kind of commands the fractions [3 or 5, L] within the intervals of LEVELS."""
     robot = ZOO[name]
     drives = rows(robot, count, seed)
     x, y = torch.tensor(drives.x), torch.tensor(drives.y)
@@ -165,7 +165,7 @@ def of_zoo(name: str, count: int, seed: int) -> dict[str, list]:
 
 
 def _shares(ranks: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return shares [K, L] of ranks [K, N] that are at most LEVELS."""
+    """Return fractions [K, L] of ranks [K, N] that are at most LEVELS."""
     return np.array([[(row <= level).mean() for level in LEVELS] for row in ranks])
 
 
@@ -176,7 +176,7 @@ def _of_parts(
     rng: np.random.Generator,
     generator: torch.Generator,
 ) -> NDArray[np.float64]:
-    """Return shares [3, L] of displacements until an instant within each command."""
+    """Return fractions [3, L] of displacements until an instant within each command."""
     which = rng.integers(fresh.times.shape[1] - 1, size=len(fresh.x))
     every = np.arange(len(fresh.x))
     time, moved = fresh.times[every, which], fresh.poses[every, which]
@@ -189,7 +189,7 @@ def _of_parts(
 def _after_ten(
     simulator: MotionNetwork, given: Tensor, fresh: Drives, generator: torch.Generator
 ) -> NDArray[np.float64]:
-    """Return shares [2, L] of positions and headings after ten commands in a row."""
+    """Return fractions [2, L] of positions and headings after ten commands in a row."""
     count = len(given) // ROW
     drawn = torch.zeros(DRAWS * count, 3, dtype=torch.float64)
     actual = torch.zeros(count, 3, dtype=torch.float64)

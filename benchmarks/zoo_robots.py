@@ -65,11 +65,11 @@ class Robot:
         gain: of each actuator.
         lag: time constants of each actuator, s.
         slowing: of the lag where the speed falls.
-        rate: the most that an actuator's share of its largest speed changes in a second.
+        rate: the most that an actuator's fraction of its largest speed changes in a second.
         delay: from a command to its first answer, s; commands given meanwhile wait their turn.
-        dead_band: of each actuator, share of the largest command.
+        dead_band: of each actuator, fraction of the largest command.
         bend: how much less than proportional speeds are at full command.
-        slip: v and w lost, and sideways drift, in a curve: shares a rad/s.
+        slip: v and w lost, and sideways drift, in a curve: fractions a rad/s.
         noise: of a command: relative, of each actuator; pose (m, rad) at its end.
         camera: standard deviation of what the camera sees, m and rad.
     """
@@ -131,7 +131,7 @@ class LabRobot(Robot):
     def _poses(
         self, commands: Array, times: Array, rng: np.random.Generator, noisy: bool
     ) -> tuple[Array, Array]:
-        params = LabParams.drawn(self.lab_seed)
+        params = LabParams.sampled(self.lab_seed)
         if not noisy:
             params = replace(params, slip_draw=0.0, slip_field=0.0, caster_draw=0.0)
         ground = physics.slip_field(params)

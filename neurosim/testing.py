@@ -296,13 +296,13 @@ def _check_noise(simulator: Simulator, state: Tensor, command: Tensor) -> None:
         rows, steps, width = _ROWS, 2, simulator.noise_width
         numbers = simulator.noise_of(np.arange(rows, dtype=np.uint64), steps)
         assert numbers is not None
-        drawn = torch.from_numpy(numbers).double()
-        _shape("noise_of(seeds, steps)", drawn, (rows, steps, width))
+        noise = torch.from_numpy(numbers).double()
+        _shape("noise_of(seeds, steps)", noise, (rows, steps, width))
 
         def given(s: Tensor, c: Tensor, z: Tensor) -> Tensor:
             return simulator.step(s, c, z=z)  # type: ignore[call-arg]
 
-        _check_function("step(..., z)", given, state, command, drawn[:, 0])
+        _check_function("step(..., z)", given, state, command, noise[:, 0])
 
 
 def _check_rollouts(
@@ -357,7 +357,7 @@ def check_controller(controller: Controller) -> None:
     _require(torch.equal(first, again), "first() must draw from the generator alone")
     _json("settings()", controller.settings())
     if controller.open_loop:
-        _check_blind(controller, first.numpy())
+        _check_open_loop(controller, first.numpy())
     else:
         _check_seeing(controller, first)
     if controller.kind in CONTROLLERS.names() and controller.settings():
@@ -369,7 +369,7 @@ def check_controller(controller: Controller) -> None:
             )
 
 
-def _check_blind(controller: Controller, genes: NDArray[np.float64]) -> None:
+def _check_open_loop(controller: Controller, genes: NDArray[np.float64]) -> None:
     plain, _ = controller.commands(genes, 0.0)
     for rest in (0.0, 0.5):
         commands, active = controller.commands(genes, rest)

@@ -1,4 +1,4 @@
-"""What all tests share."""
+"""What all tests fraction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-# Two workers share two cores: threads that wait for others must not keep a core busy meanwhile.
+# Two workers fraction two cores: threads that wait for others must not keep a core busy meanwhile.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 # A shell that starts the tests in the background, or nohup, has them, and all that they start,

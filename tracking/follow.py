@@ -20,7 +20,7 @@ from tracking.markers.colours import Colour
 from tracking.markers.pair import LOST, Geometry, Sighting
 from tracking.markers.palette import unless_still
 from tracking.markers.pointing import colour_at
-from tracking.markers.sought import Sought, drawn_with, tracker_of
+from tracking.markers.sought import Sought, drawing_colours, tracker_of
 from tracking.markers.tag_tracker import TagTracker
 from tracking.markers.tracker import Tracker
 from tracking.overlay import Overlay, check_overlay
@@ -57,7 +57,7 @@ class Track:
     missing: int = 0
 
     @property
-    def found(self) -> NDArray:
+    def in_view(self) -> NDArray:
         """[N] whether the pair was found."""
         return self.quality > 0
 
@@ -117,13 +117,15 @@ def follow(
         if overlay is not None:
             check_overlay(overlay, path)
             partial = stack.enter_context(atomic_path(overlay))
-            drawing = stack.enter_context(Overlay(partial, video.size, video.fps, drawn_with(what)))
+            drawing = stack.enter_context(
+                Overlay(partial, video.size, video.fps, drawing_colours(what))
+            )
         progress = stack.enter_context(
             Progress(f"tracking {path.name}", video.frames or None, "frames")
         )
         for index, time, frame in video:
             sighting = tracker.update(frame, time)
-            if clicks is not None and tracker.found is None:
+            if clicks is not None and tracker.seen_colours is None:
                 raise UserError(
                     f"{path}: no pair of markers is at the clicks in the first frame; click on "
                     "the front marker and on the rear marker of one robot"
@@ -134,7 +136,7 @@ def follow(
             progress.advance()
     table = np.array(rows, float)
     if isinstance(tracker, TagTracker):
-        if not tracker.ever_found:
+        if not tracker.ever_seen:
             raise UserError(_no_tag(path, tracker, geometry))
         markers = {"tag": {**tracker.tag.as_dict(), "others": sorted(tracker.others)}}
     else:
@@ -162,13 +164,13 @@ def _colours(
 ) -> dict[str, dict[str, Any]]:
     """Return what was found of two colours; rows before the pair are taken out of the table."""
     table[: tracker.begun, 2:] = _row(LOST)
-    founds = tracker.found
-    if founds is None or not table[:, 6].any():
+    colours = tracker.seen_colours
+    if colours is None or not table[:, 6].any():
         raise UserError(_not_found(path, tracker.colours, tracker.seen, geometry is not None))
     if not by_hand:
-        founds = unless_still(founds, table[:, 2:4], table[:, 4:6])
+        colours = unless_still(colours, table[:, 2:4], table[:, 4:6])
     return {
-        which: colour.as_dict() for which, colour in zip(("front", "rear"), founds, strict=True)
+        which: colour.as_dict() for which, colour in zip(("front", "rear"), colours, strict=True)
     }
 
 

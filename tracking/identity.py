@@ -37,18 +37,18 @@ def doubtful(time: NDArray, front: NDArray, rear: NDArray) -> NDArray:
         return result
     when, middle = time[seen], (front[seen] + rear[seen]) / 2
     middle = middle / np.median(np.hypot(*(front[seen] - rear[seen]).T))
-    gaps, ways = np.diff(when), np.hypot(*np.diff(middle, axis=0).T)
+    gaps, distances = np.diff(when), np.hypot(*np.diff(middle, axis=0).T)
     speeds = _speeds(when, middle)
     begin, known, certain, top = 0, 0, True, 0.0
-    for last in [*np.flatnonzero(ways > _reach(gaps, 0.0)), len(seen) - 1]:
+    for last in [*np.flatnonzero(distances > _reach(gaps, 0.0)), len(seen) - 1]:
         # From begin to last it was followed without a jump.
         if certain:
             fresh = np.flatnonzero(when[begin : last + 1] - when[begin] >= _SPAN) + begin
             top, known = max(top, speeds[fresh].max(initial=0.0)), last
         result[seen[begin] : seen[last] + 1] = not certain
-        if last + 1 < len(seen) and ways[last] > _reach(gaps[last], top):
-            way = np.hypot(*(middle[last + 1] - middle[known]))
-            certain = bool(way <= _reach(when[last + 1] - when[known], top))
+        if last + 1 < len(seen) and distances[last] > _reach(gaps[last], top):
+            distance = np.hypot(*(middle[last + 1] - middle[known]))
+            certain = bool(distance <= _reach(when[last + 1] - when[known], top))
         begin = last + 1
     return result
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from numpy.typing import NDArray
 
 from tracking.markers.pair import Geometry, Sighting
-from tracking.markers.palette import Found
+from tracking.markers.palette import SeenColour
 from tracking.markers.sought import Sought, tracker_of
 from tracking.markers.tag_tracker import TagTracker
 
@@ -39,7 +39,7 @@ class Seen:
     arrived: float
     frame: NDArray
     sighting: Sighting
-    colours: tuple[Found, Found] | None = None
+    colours: tuple[SeenColour, SeenColour] | None = None
     others: frozenset[int] = frozenset()
 
 
@@ -142,4 +142,4 @@ class LiveTracker:
         tracker = self._tracker
         sighting = tracker.update(frame, time)
         others = frozenset(tracker.others) if isinstance(tracker, TagTracker) else frozenset()
-        self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.found, others))
+        self._on_seen(Seen(index, time, arrived, frame, sighting, tracker.seen_colours, others))

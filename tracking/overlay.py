@@ -75,13 +75,13 @@ class Overlay:
     def draw(self, frame: NDArray, time: float, sighting: Sighting) -> NDArray:
         """Return a copy of the frame with the sighting drawn over it."""
         picture = frame.copy()
-        middle = (sighting.front + sighting.rear) / 2 if sighting.found else None
+        middle = (sighting.front + sighting.rear) / 2 if sighting.in_view else None
         self._trail.append(middle)
         trail = list(self._trail)
         for before, after in itertools.pairwise(trail):
             if before is not None and after is not None:
                 _line(picture, before, after, (0, 220, 255), 1)
-        if sighting.found:
+        if sighting.in_view:
             axis = sighting.front - sighting.rear
             radius = max(4.0, 0.28 * float(np.hypot(*axis)))
             for centre, colour in zip((sighting.front, sighting.rear), self._colours, strict=True):
@@ -96,12 +96,14 @@ class Overlay:
                 picture, _whole(sighting.front + 0.3 * axis), _whole(tip), (255, 255, 255), 1,
                 cv2.LINE_AA, 0, 0.4,
             )  # fmt: skip
-        says = f"{time:.2f} s  " + (f"quality {sighting.quality:.2f}" if sighting.found else "lost")
+        caption = f"{time:.2f} s  " + (
+            f"quality {sighting.quality:.2f}" if sighting.in_view else "lost"
+        )
         # A plain dark strip: outlined letters differ from one OpenCV to the next.
         cv2.rectangle(picture, (0, 0), (210, 24), (0, 0, 0), cv2.FILLED)
         cv2.putText(
             picture,
-            says,
+            caption,
             (8, 17),
             cv2.FONT_HERSHEY_SIMPLEX,
             0.5,

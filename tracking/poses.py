@@ -24,18 +24,18 @@ def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry
     if separation < 1e-3:
         raise UserError("recording.json puts both markers in one place; correct markers.front.x")
     lamp = markers.get("lamp")
-    share = (0.5, 0.0)
+    position = (0.5, 0.0)
     if lamp is not None:
-        way = np.array([lamp["x"], lamp["y"]], float) - rear
-        share = (
-            float(way @ axis) / separation**2,
-            float(axis[0] * way[1] - axis[1] * way[0]) / separation**2,
+        offset = np.array([lamp["x"], lamp["y"]], float) - rear
+        position = (
+            float(offset @ axis) / separation**2,
+            float(axis[0] * offset[1] - axis[1] * offset[0]) / separation**2,
         )
     return Geometry(
         lambda pixels: camera.to_board(pixels, height),
         separation,
         markers.get("diameter"),
-        share,
+        position,
     )
 
 

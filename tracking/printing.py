@@ -28,7 +28,7 @@ PAPER = {"A4": (0.210, 0.297), "Letter": (0.2159, 0.2794)}
 FORMATS = {".pdf": {"CreationDate": None}, ".svg": {"Date": None}}
 #: Around and between what is on the page, and for a line of text, m; printers need the margin.
 MARGIN, GAP, LINE = 0.010, 0.008, 0.005
-#: Of the black backing around a marker, as a share of its diameter: 1 cm around one of 6 cm.
+#: Of the black backing around a marker, as a fraction of its diameter: 1 cm around one of 6 cm.
 BACKING = 1 / 6
 #: The line that says whether the printer kept the size, m.
 RULER = 0.100
@@ -199,8 +199,8 @@ def _draw_marker(
     axes.add_patch(Rectangle(corner, side, side, color="black", linewidth=0))
     rim = _rgb(colour)
     for ring in range(_RINGS, 0, -1):
-        share = 1.0 if settings.plain else ring / _RINGS
-        paint = tuple(share * rim + (1 - share))
+        fraction = 1.0 if settings.plain else ring / _RINGS
+        paint = tuple(fraction * rim + (1 - fraction))
         axes.add_patch(Circle(middle, radius * ring / _RINGS, color=paint, linewidth=0))
 
 

@@ -15,7 +15,7 @@ from tracking.datasets.recordings import SIGHTING_COLUMNS, Recording
 from tracking.follow import Track
 from tracking.markers.colours import Colour
 from tracking.markers.pair import Geometry
-from tracking.markers.palette import Found, together, unless_still
+from tracking.markers.palette import SeenColour, together, unless_still
 from tracking.markers.sought import sought, tracker_of
 from tracking.markers.tags import Tag
 from tracking.markers.tracker import Tracker
@@ -61,7 +61,7 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
     with Video(recording.video(session)) as video:
         size = video.size
         what = sought(markers)
-        told = (
+        row = (
             {"tag": what.as_dict()}
             if isinstance(what, Tag)
             else _colours(video, values, what, marker_geometry(markers, camera))
@@ -74,7 +74,7 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         values[:, 4],
         values[:, 5],
         size,
-        told,
+        row,
     )
 
 
@@ -82,7 +82,7 @@ def find_colours(
     frames: Sequence[NDArray],
     colours: tuple[Colour, Colour],
     geometry: Geometry | None = None,
-) -> tuple[Found, Found] | None:
+) -> tuple[SeenColour, SeenColour] | None:
     """Find how a camera sees the colours of a pair of markers.
 
     Args:
@@ -97,7 +97,7 @@ def find_colours(
     for frame in frames:
         tracker = Tracker(*colours, geometry)
         tracker.update(frame, 0.0)
-        pairs.append(tracker.found or (None, None))
+        pairs.append(tracker.seen_colours or (None, None))
     front, rear = (together([pair[i] for pair in pairs]) for i in (0, 1))
     return None if front is None or rear is None else (front, rear)
 
@@ -109,10 +109,10 @@ def _colours(
     seen = np.flatnonzero(values[:, 4] > 0)
     places = seen[np.linspace(0, len(seen) - 1, min(LOOKS, len(seen))).astype(int)]
     frames = [frame for index in places if (frame := video.at(int(index))) is not None]
-    founds = find_colours(frames, colours, geometry) if frames else None
-    if founds is None:
+    colours = find_colours(frames, colours, geometry) if frames else None
+    if colours is None:
         return {"front": {"colour": colours[0].name}, "rear": {"colour": colours[1].name}}
-    front, rear = unless_still(founds, values[:, 0:2], values[:, 2:4])
+    front, rear = unless_still(colours, values[:, 0:2], values[:, 2:4])
     return {"front": front.as_dict(), "rear": rear.as_dict()}
 
 

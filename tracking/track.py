@@ -78,7 +78,7 @@ def track(
         doubtful: whether poses are wanted of a pair that may not be the robot's; they are marked.
 
     Returns:
-        The content of tracking.json: frames, share found, median quality, clock per session.
+        The content of tracking.json: frames, fraction found, median quality, clock per session.
 
     Raises:
         UserError: naming what is missing or wrong, and in which session; also if the pair may not
@@ -134,7 +134,7 @@ def track(
         unclear = _unclear(seen.doubtful, at, poses, driven)
         part = Poses(
             np.full(len(seen.frame), session), seen.frame, at, poses, seen.quality,
-            unclear & seen.found,
+            unclear & seen.in_view,
         )  # fmt: skip
         delay = motion_delay(at, part.certain().pose, driven)
         parts.append(part)
@@ -151,7 +151,7 @@ def track(
         reason = _reason_of(seen, tracks)
         if reason and not doubtful:
             raise UserError(_refusal(path, reason))
-        part.doubtful[:] |= bool(reason) & seen.found
+        part.doubtful[:] |= bool(reason) & seen.in_view
     joined = Poses(
         *(np.concatenate([getattr(part, each.name) for part in parts]) for each in fields(Poses))
     )
@@ -159,7 +159,7 @@ def track(
     summary = {
         "units": {"x": "m", "y": "m", "theta": "rad", "time": "s"},
         "frames": len(tracked),
-        "found": float(tracked.mean()),
+        "in_view": float(tracked.mean()),
         "quality": float(np.median(joined.quality[tracked])),
         "undecided": sum(session.get("undecided", 0) for session in sessions),
         "doubtful": int(joined.doubtful.sum()),
@@ -245,7 +245,7 @@ def track_video(
         reason = _reason_of(seen, [(path, seen)])
         if reason and not doubtful:
             raise UserError(_refusal(path, reason))
-        unclear = (seen.doubtful | bool(reason)) & seen.found
+        unclear = (seen.doubtful | bool(reason)) & seen.in_view
         ahead, behind = seen.front, seen.rear
         if camera is not None:
             ahead, behind = plane(seen.front), plane(seen.rear)
@@ -271,8 +271,8 @@ def track_video(
             "video": str(path),
             "frames": len(seen.frame),
             "frames_missing": seen.missing,
-            "found": float(seen.found.mean()),
-            "quality": float(np.median(seen.quality[seen.found])),
+            "in_view": float(seen.in_view.mean()),
+            "quality": float(np.median(seen.quality[seen.in_view])),
             "markers": seen.markers,
             "undecided": seen.undecided,
             "doubtful": int(unclear.sum()),
@@ -318,18 +318,18 @@ def track_tags(
             if index % every == 0:
                 fresh = numbers_in(frame, any_one) - seen
                 # What the detector takes for a tag may be none: its pattern must fit.
-                seen |= {n for n in fresh if TagTracker(Tag(kind, n)).update(frame, 0.0).found}
+                seen |= {n for n in fresh if TagTracker(Tag(kind, n)).update(frame, 0.0).in_view}
             progress.advance()
     if not seen:
         raise UserError(f"{path}: no tag of {any_one.dictionary} was found in any frame")
     tracked: dict[int, dict[str, Any]] = {}
     with new_folder(out) as folder:
         for number in sorted(seen):
-            drawn = None
+            overlay_here = None
             if overlay is not None:
-                drawn = Path(overlay).with_stem(f"{Path(overlay).stem}-tag-{number}")
+                overlay_here = Path(overlay).with_stem(f"{Path(overlay).stem}-tag-{number}")
             tracked[number] = track_video(
-                path, Tag(kind, number), folder / f"tag-{number}", overlay=drawn, **options
+                path, Tag(kind, number), folder / f"tag-{number}", overlay=overlay_here, **options
             )
     return tracked
 
@@ -467,7 +467,7 @@ def _session_summary(
         "session": session,
         "video": path.name,
         "frames": len(seen.frame),
-        "found": float(seen.found.mean()),
+        "in_view": float(seen.in_view.mean()),
         "markers": seen.markers,
         "undecided": seen.undecided,
         "clock": {

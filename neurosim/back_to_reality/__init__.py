@@ -1,6 +1,6 @@
 """Back to reality: controller and simulator are adapted to each other (Zagal et al. 2004)."""
 
-from neurosim.back_to_reality.alternate import Alternation, Found
+from neurosim.back_to_reality.alternate import Adaptation, Alternation
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base.trajectory import Tracked
@@ -9,7 +9,7 @@ from neurosim.loop.journal import Journal, Reality
 __all__ = [
     "Alternation",
     "BackToRealitySettings",
-    "Found",
+    "Adaptation",
     "Journal",
     "Reality",
     "Simulated",

@@ -17,9 +17,9 @@ from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import se2
 from neurosim.evolution.climb import Climb
 
-#: Parameter sets that are kept differ by this at least: root mean square of their shares.
+#: Parameter sets that are kept differ by this at least: root mean square of their fractions.
 APART = 0.05
-#: With cma the first population is spread so far, as a share of the ranges.
+#: With cma the first population is spread so far, as a fraction of the ranges.
 SPREAD = 0.2
 #: Where poses are compared a difference of headings by a radian counts as so many metres.
 HEADING_LENGTH = 0.3
@@ -77,7 +77,7 @@ def similar(
 ) -> NDArray[np.int64]:
     """Return which ``count`` individuals did most alike in both, in their order.
 
-    Alike is by the difference as a share of the larger fitness; who failed in reality, with a
+    Alike is by the difference as a fraction of the larger fitness; who failed in reality, with a
     fitness of 0 or less, comes last.
     """
     larger = np.maximum(np.maximum(np.abs(simulated), np.abs(real)), 1e-12)
@@ -115,7 +115,7 @@ def agreement(
 
     Args:
         compared: the individuals.
-        before, after: [K] shares of the parameters.
+        before, after: [K] fractions of the parameters.
 
     Returns:
         ``individuals``, and for ``before`` and ``after`` the ``norm`` of the differences, their

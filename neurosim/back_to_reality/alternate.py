@@ -36,14 +36,14 @@ from neurosim.loop.search import part_of
 
 
 @dataclass
-class Found:
+class Adaptation:
     """What came of a run.
 
     Attributes:
-        genes: [G] the best individual, as shares of the controller's range of genes.
+        genes: [G] the best individual, as fractions of the controller's range of genes.
         fitness: its mean fitness in reality.
         start: mean fitness in reality of what was started from.
-        sets: [S, K] the parameter sets that controllers were evolved over last, shares of their
+        sets: [S, K] the parameter sets that controllers were evolved over last, fractions of their
             ranges: without L3 the simulator as it is and others drawn around it; after L3 those
             that it found, the best first.
         evaluations: used in reality.
@@ -87,7 +87,7 @@ class Alternation:
         Args:
             simulated: the simulator, task and controller.
             journal: of the trials in reality.
-            start: [G] the controller to start from, such as one that was tuned by hand; shares.
+            start: [G] the controller to start from, such as one that was tuned by hand; fractions.
             settings: how.
             seed: random seed.
             state: what ``save`` was given before an interruption.
@@ -112,16 +112,16 @@ class Alternation:
         self._record = Evaluations()
         self._sets = simulated.as_is[None]
         if settings.sets > 1:
-            drawn = np.random.default_rng([seed, 0x5E75]).standard_normal(
+            normal = np.random.default_rng([seed, 0x5E75]).standard_normal(
                 (settings.sets - 1, len(simulated.as_is))
             )
-            others = np.clip(simulated.as_is + settings.prior * drawn, 0.0, 1.0)
+            others = np.clip(simulated.as_is + settings.prior * normal, 0.0, 1.0)
             self._sets = np.concatenate([self._sets, others])
         self.cycles: list[dict[str, Any]] = []
         #: The first parameter set [K] before and after L3 of a cycle.
         self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
-    def run(self) -> Found:
+    def run(self) -> Adaptation:
         """Run all cycles and return what came of them.
 
         Raises:
@@ -148,7 +148,7 @@ class Alternation:
                 self._confirm()
                 best = self._believed().genes
         start, believed = self._record.latest()[0], self._believed()
-        return Found(
+        return Adaptation(
             believed.genes, believed.fitness, start.fitness, self._sets, self._journal.evaluations,
             self._journal.used, self._record, self.cycles,
         )  # fmt: skip
@@ -227,7 +227,7 @@ class Alternation:
         cycle: int,
         level: int,
     ) -> Optimiser:
-        """Return an optimiser of shares 0..1."""
+        """Return an optimiser of fractions 0..1."""
         space = SearchSpace(
             start[None],
             (self._seed, cycle, level),
@@ -275,7 +275,8 @@ class Alternation:
         places = np.linspace(climb.done - 1, 0, count).round().astype(int)
         # Where they repeat each other: the others of the last generations.
         others = [
-            asked[np.argsort(-told)] for asked, told in zip(climb.asked, climb.fitness, strict=True)
+            asked[np.argsort(-fitness)]
+            for asked, fitness in zip(climb.asked, climb.fitness, strict=True)
         ]
         for genes in [*climb.best[places], *np.concatenate(others[::-1])]:
             if len(chosen) < count and genes.tobytes() not in known:
@@ -348,8 +349,8 @@ class Alternation:
     def _poses(self, genes: NDArray[np.float64]) -> NDArray[np.float64] | None:
         return self._journal.poses(self._simulated.real_genes(genes))
 
-    def _named(self, shares: NDArray[np.float64]) -> dict[str, float]:
-        values = self._simulated.values(shares).tolist()
+    def _named(self, fractions: NDArray[np.float64]) -> dict[str, float]:
+        values = self._simulated.values(fractions).tolist()
         return {one.name: v for one, v in zip(self._simulated.parameters, values, strict=True)}
 
     # L2

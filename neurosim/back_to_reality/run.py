@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from neurosim.back_to_reality.alternate import Alternation, Found
+from neurosim.back_to_reality.alternate import Adaptation, Alternation
 from neurosim.back_to_reality.settings import BackToRealitySettings, settings_named
 from neurosim.back_to_reality.simulated import Simulated
 from neurosim.base import files, formats
@@ -157,7 +157,7 @@ def back_to_reality(
         written = digest(simulator)
         simulator = read_simulator(simulator)
     simulated = Simulated(simulator, task, controller)
-    shares = simulated.shares_of(start_genes(controller) if start is None else start)
+    fractions = simulated.shares_of(start_genes(controller) if start is None else start)
     if start is not None:
         controller.check(np.asarray(start, np.float64))
     begun = {
@@ -172,7 +172,7 @@ def back_to_reality(
         "task": task.describe(),
         "controller": {"kind": controller.kind, "settings": controller.settings()},
         "reality": about_reality(reality),
-        "start": simulated.real_genes(shares).tolist(),
+        "start": simulated.real_genes(fractions).tolist(),
     }
     files.check_new_folder(out)
     checkpoint = Checkpoint(out, "run")
@@ -195,7 +195,7 @@ def back_to_reality(
                 ) as journal,
             ):
                 result = Alternation(
-                    simulated, journal, shares, settings, seed=seed, state=state,
+                    simulated, journal, fractions, settings, seed=seed, state=state,
                     save=checkpoint.save, progress=progress, scalars=scalars,
                 ).run()  # fmt: skip
         finally:
@@ -214,7 +214,7 @@ def back_to_reality(
 
 
 def _content(
-    result: Found,
+    result: Adaptation,
     simulated: Simulated,
     begun: Mapping[str, Any],
     task: Task,
@@ -248,11 +248,11 @@ def _content(
     }
 
 
-def _times(result: Found) -> float | None:
+def _times(result: Adaptation) -> float | None:
     return result.fitness / result.start if result.start > 0.0 else None
 
 
-def _simulators(result: Found, simulated: Simulated, folder: Path) -> list[str]:
+def _simulators(result: Adaptation, simulated: Simulated, folder: Path) -> list[str]:
     """Write the adapted simulators, where they can be written; return their names.
 
     Without L3 it is the one that was begun with; the other sets were only drawn around it.
@@ -267,7 +267,7 @@ def _simulators(result: Found, simulated: Simulated, folder: Path) -> list[str]:
 
 
 def _controller(
-    result: Found,
+    result: Adaptation,
     simulated: Simulated,
     task: Task,
     controller: Controller,

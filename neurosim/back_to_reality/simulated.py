@@ -17,14 +17,14 @@ from neurosim.tasks.base import Task
 
 
 class Simulated:
-    """A simulator with parameters, a task and a controller: shares in, fitness out.
+    """A simulator with parameters, a task and a controller: fractions in, fitness out.
 
-    Genes and parameters are handed to it as shares 0..1 of their ranges.
+    Genes and parameters are handed to it as fractions 0..1 of their ranges.
 
     Attributes:
         parameters: of the simulator.
         genes: how many an individual has.
-        as_is: [K] shares of the parameters before anything was adjusted.
+        as_is: [K] fractions of the parameters before anything was adjusted.
         steps: how many a trial has; there is a pose after each.
         tried: how many trials were simulated.
     """
@@ -47,13 +47,13 @@ class Simulated:
         self.tried = 0
         self.steps = self._evaluator(self.as_is).steps  # refuses what does not fit
 
-    def real_genes(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the genes [..., G] of shares [..., G] of the controller's range of genes."""
+    def real_genes(self, fractions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the genes [..., G] of fractions [..., G] of the controller's range of genes."""
         low, high = self._controller.gene_range
-        return low + (high - low) * np.asarray(shares, np.float64)
+        return low + (high - low) * np.asarray(fractions, np.float64)
 
     def shares_of(self, genes: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the shares [..., G] of genes [..., G].
+        """Return the fractions [..., G] of genes [..., G].
 
         Raises:
             UserError: if one is not finite or out of the controller's range.
@@ -66,17 +66,17 @@ class Simulated:
             raise UserError(f"a gene lies outside of {low:g} to {high:g}, where the search is")
         return (genes - low) / (high - low)
 
-    def values(self, shares: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return parameters [K] in their units of shares [K]."""
-        return np.array([one.at(s) for one, s in zip(self.parameters, shares, strict=True)])
+    def values(self, fractions: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return parameters [K] in their units of fractions [K]."""
+        return np.array([one.at(s) for one, s in zip(self.parameters, fractions, strict=True)])
 
-    def adjusted(self, shares: NDArray[np.float64]) -> Any:
+    def adjusted(self, fractions: NDArray[np.float64]) -> Any:
         """Return the simulator with other parameters [K]."""
         assert isinstance(self._simulator, AdjustableSimulator)
-        return self._simulator.adjusted(self.values(shares))
+        return self._simulator.adjusted(self.values(fractions))
 
-    def _evaluator(self, shares: NDArray[np.float64]) -> Evaluator:
-        return Evaluator(self.adjusted(shares), self._task, self._controller)
+    def _evaluator(self, fractions: NDArray[np.float64]) -> Evaluator:
+        return Evaluator(self.adjusted(fractions), self._task, self._controller)
 
     def fitness(
         self, genes: NDArray[np.float64], parameters: NDArray[np.float64]

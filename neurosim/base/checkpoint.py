@@ -120,8 +120,8 @@ class Checkpoint:
         if not self.saved:
             return None
         state = files.read_tensors(self._state)
-        said = state.pop(_DIGEST, np.empty(0))
-        if not np.array_equal(said, _digest(state)):
+        stored = state.pop(_DIGEST, np.empty(0))
+        if not np.array_equal(stored, _digest(state)):
             raise self.damaged()
         return state
 

@@ -106,11 +106,11 @@ class ClosedLine:
             along: [...] where, m.
             backwards: [...] whether against its points' order.
         """
-        way = np.remainder(np.asarray(along, np.float64), self.length)
-        side = np.clip(np.searchsorted(self._until, way, "right") - 1, 0, len(self.points) - 1)
-        share = (way - self._until[side]) / self._sides[side]
+        distance = np.remainder(np.asarray(along, np.float64), self.length)
+        side = np.clip(np.searchsorted(self._until, distance, "right") - 1, 0, len(self.points) - 1)
+        fraction = (distance - self._until[side]) / self._sides[side]
         ends = np.roll(self.points, -1, axis=0)
-        place = self.points[side] + share[..., None] * (ends[side] - self.points[side])
+        place = self.points[side] + fraction[..., None] * (ends[side] - self.points[side])
         heading = self._headings[side] + np.where(backwards, np.pi, 0.0)
         return np.concatenate([place, se2.wrapped(heading)[..., None]], axis=-1)
 
@@ -130,11 +130,11 @@ def _nearest_side(points: NDArray[np.float64], x: float, y: float) -> tuple[floa
         j = i + 1 if i + 1 < len(points) else 0
         ax, ay = points[j, 0] - points[i, 0], points[j, 1] - points[i, 1]
         px, py = x - points[i, 0], y - points[i, 1]
-        share = min(max((px * ax + py * ay) / (ax * ax + ay * ay), 0.0), 1.0)
-        dx, dy = px - share * ax, py - share * ay
+        fraction = min(max((px * ax + py * ay) / (ax * ax + ay * ay), 0.0), 1.0)
+        dx, dy = px - fraction * ax, py - fraction * ay
         square = dx * dx + dy * dy
         if square < least:
-            least, side, where = square, i, share
+            least, side, where = square, i, fraction
     return math.sqrt(least), side, where
 
 

@@ -190,8 +190,10 @@ class Commands:
         """
         given = np.asarray(command, np.float64)
         if self.body == "wheels":
-            share = given * [100.0 / one.high for one in self.numbers]
-            return np.stack([share.mean(axis=-1), (share[..., 1] - share[..., 0]) / 2], axis=-1)
+            percent = given * [100.0 / one.high for one in self.numbers]
+            return np.stack(
+                [percent.mean(axis=-1), (percent[..., 1] - percent[..., 0]) / 2], axis=-1
+            )
         limits = np.array([[one.low, one.high] for one in self.numbers]).T
         most = np.abs(self.twist(np.stack([limits[1], limits[0], limits.max(axis=0)]))).max(axis=0)
         twist = self.twist(given)

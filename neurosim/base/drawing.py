@@ -199,7 +199,7 @@ def _flattened(
         parse_path(data, pen)
     except Exception:
         raise UserError(f"the path of {name} cannot be read: {data:.40}") from None
-    share = np.linspace(0.0, 1.0, PIECES + 1)[1:, None]
+    fraction = np.linspace(0.0, 1.0, PIECES + 1)[1:, None]
     points: list[NDArray[np.float64]] = []
     for what, given in pen.value:
         ends = np.array([transform.transformPoint(point) for point in given]).reshape(-1, 2)
@@ -213,7 +213,7 @@ def _flattened(
             # De Casteljau, all pieces at once.
             row = [np.tile(points[-1][-1], (PIECES, 1)), *(np.tile(e, (PIECES, 1)) for e in ends)]
             while len(row) > 1:
-                row = [a + share * (b - a) for a, b in pairwise(row)]
+                row = [a + fraction * (b - a) for a, b in pairwise(row)]
             points.append(row[0])
         elif points:  # closePath, endPath
             yield np.concatenate(points), what == "closePath"
@@ -426,7 +426,7 @@ def _length(text: str, what: str) -> float:
     """Return a length in the drawing's units.
 
     Raises:
-        UserError: if it is none, or a share of something else.
+        UserError: if it is none, or a fraction of something else.
     """
     match = _LENGTH.match(text)
     if match is None:

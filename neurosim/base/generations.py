@@ -35,7 +35,7 @@ class Stage(Protocol):
         ...
 
 
-def says_that_it_compiles(what: str, say: Callable[[str], None] | None = None) -> threading.Timer:
+def compiling_notice(what: str, say: Callable[[str], None] | None = None) -> threading.Timer:
     """Start what says, unless it is cancelled soon, why the first time takes so long.
 
     Args:
@@ -85,8 +85,8 @@ def run_generations(
         if shown is not None and stage.done:
             shown.advance(stage.done)
         saved = time.monotonic()
-        said = (lambda message: None) if shown is None else shown.say
-        slow = says_that_it_compiles(f"{label}: the first generation", said)
+        say = (lambda message: None) if shown is None else shown.say
+        slow = compiling_notice(f"{label}: the first generation", say)
         while stage.done < total:
             note = stage.generation()
             slow.cancel()

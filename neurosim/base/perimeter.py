@@ -190,11 +190,11 @@ def _ends(
             length, turn = math.hypot(dx, dy), 0.0
         # The guard looks ahead along the same arc.
         ahead = STOPPING / seconds[k] if seconds[k] > 1e-6 else 0.0
-        way = length * ahead
+        length_ahead = length * ahead
         # Farther inside than this nothing ends; the middle moves no faster than along the arc.
         near = reach + inner
         if margin == margin:
-            near = max(near, margin + (1.0 + DOUBT) * way)
+            near = max(near, margin + (1.0 + DOUBT) * length_ahead)
         count = max(math.ceil((length + reach * abs(turn)) / spacing), 1)
         n, room = 0, 0.0
         while n <= count:
@@ -217,7 +217,7 @@ def _ends(
             if code == 0 and n > 0 and margin == margin:
                 off_x, off_y = se2.arc(dx, dy, turn, fraction + ahead)
                 there = _inside(x + off_x, y + off_y, half)
-                if there - DOUBT * way < margin and there < here - 1e-4:
+                if there - DOUBT * length_ahead < margin and there < here - 1e-4:
                     code = EDGE
             if code > 0:
                 codes[k] = code

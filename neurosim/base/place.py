@@ -418,8 +418,8 @@ def wall_distances(walls: NDArray, points: NDArray) -> NDArray[np.float64]:
     """Return the distances [..., W] of points [..., 2] from walls [W, 4]."""
     start, along = walls[:, :2], walls[:, 2:] - walls[:, :2]
     off = points[..., None, :] - start
-    share = np.clip((off * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
-    return np.linalg.norm(off - share[..., None] * along, axis=-1)
+    fraction = np.clip((off * along).sum(-1) / (along * along).sum(-1), 0.0, 1.0)
+    return np.linalg.norm(off - fraction[..., None] * along, axis=-1)
 
 
 def _part(field: str, kind: type[_Part], content: Mapping[str, Any]) -> _Part:

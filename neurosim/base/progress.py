@@ -27,7 +27,7 @@ class Progress:
         self.unit = unit
         self.done = 0.0
         self._note = ""
-        self._started = self._said = time.monotonic()
+        self._started = self._last_line = time.monotonic()
         self._bar = None
         if sys.stderr.isatty():
             self._bar = tqdm(
@@ -43,11 +43,11 @@ class Progress:
             self._bar.update(amount)
         else:
             now = time.monotonic()
-            if now - self._said >= LINE_EVERY:
-                self._said = now
-                share = f" of {self.total:g}" if self.total else ""
+            if now - self._last_line >= LINE_EVERY:
+                self._last_line = now
+                of_total = f" of {self.total:g}" if self.total else ""
                 print(
-                    f"{self.label}: {self.done:.0f}{share} {self.unit}, "
+                    f"{self.label}: {self.done:.0f}{of_total} {self.unit}, "
                     f"{now - self._started:.0f} s{', ' + note if note else ''}",
                     file=sys.stderr,
                     flush=True,

@@ -27,9 +27,9 @@ def is_virtual(meta: Any) -> bool | None:
         return meta["virtual"]
     if meta.get("virtual_lab") is not None or meta.get("kind") == "virtual roof camera":
         return True
-    told = _any(is_virtual(meta.get(part)) for part in _PARTS)
+    virtual = _any(is_virtual(meta.get(part)) for part in _PARTS)
     # A recording says so if it was made in the lab by itself.
-    return False if told is None and "virtual_lab" in meta else told
+    return False if virtual is None and "virtual_lab" in meta else virtual
 
 
 def _any(answers: Any) -> bool | None:

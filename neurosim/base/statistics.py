@@ -15,7 +15,11 @@ def wilson(successes: int, trials: int) -> tuple[float, float]:
         successes: out of ``trials``.
         trials: at least 1.
     """
-    share, z2 = successes / trials, _Z**2
-    middle = (share + z2 / (2 * trials)) / (1 + z2 / trials)
-    half = _Z * math.sqrt(share * (1 - share) / trials + z2 / (4 * trials**2)) / (1 + z2 / trials)
+    fraction, z2 = successes / trials, _Z**2
+    middle = (fraction + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = (
+        _Z
+        * math.sqrt(fraction * (1 - fraction) / trials + z2 / (4 * trials**2))
+        / (1 + z2 / trials)
+    )
     return max(middle - half, 0.0), min(middle + half, 1.0)

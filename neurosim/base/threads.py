@@ -17,7 +17,7 @@ WORTH_SHARING = 500
 
 
 def on_cores(kernel: Any, part: Callable[[int, int], None], count: int, least: int = 1) -> None:
-    """Share ``count`` pieces of work out to the cores that compiled kernels may use.
+    """Fraction ``count`` pieces of work out to the cores that compiled kernels may use.
 
     Kernels with a parallel region of their own take twice as long to compile. The threads of such
     regions also stay busy for milliseconds after each region, on cores that others want.

@@ -14,7 +14,7 @@ from neurosim.base.declared import MetresOrNone, Seconds, Seed, TagId, Turn
 from neurosim.base.files import plain
 from neurosim.cli._types import NEW, PATH, Option, Real, ranged
 
-#: A share of the time that is not worth a warning.
+#: A fraction of the time that is not worth a warning.
 MOST_UNSUPPORTED = 0.05
 
 json_option = click.option(
@@ -125,15 +125,15 @@ def emit(result: dict[str, Any], as_json: bool, text: str | Callable[[], str]) -
         click.echo(text() if callable(text) else text)
 
 
-def warn_unsupported(share: float) -> None:
+def warn_unsupported(fraction: float) -> None:
     """Say on stderr that too much of what a simulator was asked is a guess.
 
     Args:
-        share: of the time, in commands unlike any that it was made from.
+        fraction: of the time, in commands unlike any that it was made from.
     """
-    if share > MOST_UNSUPPORTED:
+    if fraction > MOST_UNSUPPORTED:
         click.echo(
-            f"neurosim: {100 * share:.0f} % of the commands (by time) are unlike any in the "
+            f"neurosim: {100 * fraction:.0f} % of the commands (by time) are unlike any in the "
             "simulator's data; record such commands: neurosim record --guided",
             err=True,
         )

@@ -142,7 +142,7 @@ def calibrate(
     }
     deviation = model.uncertainty or {}
     entries = {"fx": (0, 0), "fy": (1, 1), "cx": (0, 2), "cy": (1, 2)}
-    said = ", ".join(
+    errors = ", ".join(
         f"{name} {matrix[entry]:.1f}" + (f" +- {deviation[name]:.1f}" if name in deviation else "")
         for name, entry in entries.items()
     )
@@ -158,4 +158,4 @@ def calibrate(
         else f"{model.photographs} photographs, RMS reprojection error {model.rms_px:.3f} px"
     )
     meaning = " (standard deviations)" if deviation else ""
-    emit(result, as_json, f"{out}: {how}, {said} px{where}{meaning}")
+    emit(result, as_json, f"{out}: {how}, {errors} px{where}{meaning}")

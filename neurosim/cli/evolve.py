@@ -60,7 +60,7 @@ def _default_controller(chosen: Chosen) -> str:
     return "plan" if task is None else task.usual_controller
 
 
-def _is_blind(chosen: Chosen) -> bool:
+def _is_open_loop(chosen: Chosen) -> bool:
     from neurosim.controllers import CONTROLLERS
 
     return bool(getattr(CONTROLLERS.get(chosen["controller"]), "open_loop", False))
@@ -72,7 +72,7 @@ def _defaults(chosen: Chosen) -> Any:
     from neurosim.loop.settings import default_settings
 
     task = _task(chosen)
-    controller = FixedPlan(()) if _is_blind(chosen) else Controller()
+    controller = FixedPlan(()) if _is_open_loop(chosen) else Controller()
     return None if task is None else default_settings(controller, task)
 
 
@@ -88,7 +88,7 @@ def _not_settings(chosen: Chosen) -> Sequence[str]:
     return (
         *("optimiser", "genetic", "robust", "insertion"),
         *(() if scattered else ("placing",)),
-        *(("samples", "selection", "arenas") if _is_blind(chosen) else ()),
+        *(("samples", "selection", "arenas") if _is_open_loop(chosen) else ()),
     )
 
 
@@ -142,7 +142,7 @@ def changed(
     "genetic",
     _genetic,
     by_choice=True,
-    skip=lambda chosen: ("parents",) if _is_blind(chosen) else ("tournament",),
+    skip=lambda chosen: ("parents",) if _is_open_loop(chosen) else ("tournament",),
 )
 @click.option(
     "--settings",
@@ -171,7 +171,7 @@ def changed(
 )
 @settings_options(
     "changes",
-    lambda chosen: None if _is_blind(chosen) else changed,
+    lambda chosen: None if _is_open_loop(chosen) else changed,
     by_choice=True,
     skip=("simulator",),
 )
@@ -184,7 +184,7 @@ def changed(
 )
 @settings_options("judges", "neurosim.loop.evolve:evolve", only=("workers",))
 @reality_option(
-    lambda chosen: "virtual-nxt" if _is_blind(chosen) else "virtual-khepera",
+    lambda chosen: "virtual-nxt" if _is_open_loop(chosen) else "virtual-khepera",
     "The reality of --robot-generations, by default virtual-nxt for plans, else virtual-khepera.",
 )
 @patience_option

@@ -48,7 +48,7 @@ def nxt(by_socket: bool, port: int, seconds: float | None, seed: int, as_json: b
     with VirtualRig(
         seed, camera=False, device="socket" if by_socket else None, port=port, real_time=True
     ) as rig:
-        where, how = _ways(rig.address)
+        where, how = _commands_for(rig.address)
         with Pacer(rig.lab):
             emit(
                 where,
@@ -206,7 +206,7 @@ def _stay(rig: Any, seconds: float | None) -> None:
         ended_as_usual()
 
 
-def _ways(address: dict[str, str | int]) -> tuple[dict, str]:
+def _commands_for(address: dict[str, str | int]) -> tuple[dict, str]:
     if "filename" in address:
         name = address["filename"]
         return address, (

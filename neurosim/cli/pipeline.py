@@ -175,8 +175,8 @@ class _Run:
         }
         options = json.loads(json.dumps(options, default=str))
         digests = {key: [one["sha256"] for one in each] for key, each in inputs.items()}
-        told = [stage.name, *stage.words, stage.output(), options, digests]
-        key = hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()
+        identity = [stage.name, *stage.words, stage.output(), options, digests]
+        key = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()
         return {
             "stage": stage.name,
             "key": key,

@@ -88,7 +88,7 @@ def _in_words(check: Check) -> str:
         lines += ["", "Where it fails most often:"]
         for failure in check.failures[:5]:
             when = f"command {failure.command}" if failure.command <= last else "running down"
-            lines.append(f"  {_percent(failure.share):>7}  {when}: {failure.reason}")
+            lines.append(f"  {_percent(failure.fraction):>7}  {when}: {failure.reason}")
     lines += ["", "after command   95 % within   heading (standard deviation)"]
     rows = zip(check.after, check.spread, check.turn, strict=True)
     for index, (number, radius, turn) in enumerate(rows):
@@ -97,5 +97,5 @@ def _in_words(check: Check) -> str:
     return "\n".join(lines)
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.1f} %"
+def _percent(fraction: float) -> str:
+    return f"{100 * fraction:.1f} %"

@@ -225,11 +225,11 @@ def record(
         click.get_current_context().exit(1)
 
 
-def _check_who_drives(**ways: bool) -> None:
+def _check_who_drives(**drivers: bool) -> None:
     """Refuse options that do not go with who drives."""
     from neurosim.base.errors import UserError
 
-    chosen = [name for name, is_chosen in ways.items() if is_chosen]
+    chosen = [name for name, is_chosen in drivers.items() if is_chosen]
     if len(chosen) > 1:
         both = " and ".join(f"--{name.replace('_', '-')}" for name in chosen)
         raise UserError(f"{both} do not go together: choose who drives")
@@ -237,11 +237,11 @@ def _check_who_drives(**ways: bool) -> None:
         "by_hand": ("commands", "durations", "straight", "stopped", "round"),
         "by_network": ("durations", "straight", "stopped", "max_speed", "round", "resume"),
     }
-    for way in chosen:
-        for name in meant_for_others.get(way, ()):
+    for driver in chosen:
+        for name in meant_for_others.get(driver, ()):
             if is_given(name):
                 option = f"--{name.replace('_', '-')}"
-                raise UserError(f"{option} is not for --{way.replace('_', '-')}: leave it out")
+                raise UserError(f"{option} is not for --{driver.replace('_', '-')}: leave it out")
 
 
 def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str, Any]:
@@ -257,7 +257,9 @@ def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str
         "cut": kinds.count("cut"),
         "sessions": sum(part.sessions for part in made),
         "tracked": all(part.is_tracked for part in made),
-        "markers": least_confident([told for part in made for told in part.tracked_sessions()]),
+        "markers": least_confident(
+            [session for part in made for session in part.tracked_sessions()]
+        ),
         "robot_seconds": sum(float(part.groupby("session")["time"].last().sum()) for part in lines),
     }
 

@@ -189,7 +189,7 @@ def track(
     emit(
         result,
         as_json,
-        f"{where}: {result['frames']} frames, the robot found in {100 * result['found']:.1f} %, "
+        f"{where}: {result['frames']} frames, the robot found in {100 * result['in_view']:.1f} %, "
         f"median quality {result['quality']:.2f}.\n{describe_markers(colours)}.{then}",
     )
 
@@ -210,6 +210,6 @@ def _track_all(
         result.pop("poses")
         lines.append(
             f"{out / f'tag-{number}'}: {result['frames']} frames, tag {number} found in "
-            f"{100 * result['found']:.1f} %, median quality {result['quality']:.2f}."
+            f"{100 * result['in_view']:.1f} %, median quality {result['quality']:.2f}."
         )
     emit({"tags": list(tracked.values())}, as_json, "\n".join(lines))

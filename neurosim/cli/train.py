@@ -91,8 +91,8 @@ def _coverage_in_words(coverage: dict[str, dict[str, float]] | None) -> str:
     if coverage is None:
         return ""
     rows = [
-        f"{name} " + ", ".join(f"{100 * share:.0f}" for share in shares.values())
-        for name, shares in coverage.items()
+        f"{name} " + ", ".join(f"{100 * fraction:.0f}" for fraction in fractions.values())
+        for name, fractions in coverage.items()
     ]
     levels = ", ".join(f"{100 * float(level):.0f}" for level in next(iter(coverage.values())))
     return f"\nIts {levels} % intervals hold, in %: {'; '.join(rows)}."

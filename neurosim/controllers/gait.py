@@ -167,7 +167,7 @@ def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
 
     Returns:
         Feet [4, N, 3] m from their hips (forward, outwards, up), when each point is passed [N] as
-        a share of the cycle, 0 to 1, and the cycle, s. The last point is the first one again.
+        a fraction of the cycle, 0 to 1, and the cycle, s. The last point is the first one again.
     """
     value = dict(zip(NAMES, values_of(np.asarray(genes, np.float64)).tolist(), strict=True))
     ground = value["ground_share"]
@@ -211,7 +211,7 @@ def loci(genes: NDArray[np.float64]) -> tuple[NDArray, NDArray, float]:
 class Gaits(Controller):
     """Gaits whose commands, joint angles in rad, depend on time alone; give :meth:`over`.
 
-    Genes are the parameters' shares of their ranges.
+    Genes are the parameters' fractions of their ranges.
 
     Attributes:
         parameters: what the genes are.

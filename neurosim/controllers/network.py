@@ -1,7 +1,7 @@
 """Networks from what a robot observes to its motors: Figure 2 of Lund and Miglino 1996, and more.
 
 Without hidden layers every input and a bias have a weight to each output; tanh of the sums is the
-wheels' speed as a share of full speed. See :mod:`neurosim.networks.control` for the formulas.
+wheels' speed as a fraction of full speed. See :mod:`neurosim.networks.control` for the formulas.
 """
 
 from __future__ import annotations

@@ -68,8 +68,8 @@ class SineGait(Gaits):
     def over(self, genes: NDArray[np.float64], times: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the commands [P, T, 9] rad of individuals [P, 5] at times [T] s of a trial."""
         times = np.asarray(times, np.float64)
-        share = np.clip(np.minimum(times / BEGIN, (self.seconds - times) / END), 0.0, 1.0)
-        gone = share[:, None] * (self.positions(genes, times) - READY)
+        fraction = np.clip(np.minimum(times / BEGIN, (self.seconds - times) / END), 0.0, 1.0)
+        gone = fraction[:, None] * (self.positions(genes, times) - READY)
         return angles_of(READY + gone)
 
     def settings(self) -> dict[str, Any]:

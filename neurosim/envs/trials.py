@@ -60,9 +60,9 @@ class Samples:
         return self._starts[rows, at], self._member[rows, at], self._seeds[rows, at]
 
     def _draw(self, row: int, rng: np.random.Generator) -> None:
-        starts, drawn = draw_starts(self._simulator, self._task, BLOCK, rng)
+        starts, by_task = draw_starts(self._simulator, self._task, BLOCK, rng)
         if self._noise:
-            if not drawn:
+            if not by_task:
                 starts = placed(starts, self._placing, rng)
             if self._simulator.members > 1:
                 self._member[row] = rng.integers(self._simulator.members, size=BLOCK)
@@ -131,7 +131,7 @@ class Trials:
         self._seeds[rows], self._steps[rows] = seeds, 0
         self.face.begin(rows, starts)
         with one_core(len(self) < WORTH_SHARING):
-            noise = self._drawn(rows)
+            noise = self._sampled(rows)
             if self.face.reads:
                 seen = self._stepper.sense(self.state[rows], noise)
                 self._readings = self._kept(self._readings, rows, seen)
@@ -175,7 +175,7 @@ class Trials:
         noise = None if self._noise is None else self._noise[rows]
         readings = None if self._readings is None else self._readings[rows]
         self._steps[rows] += 1
-        following = self._drawn(rows)
+        following = self._sampled(rows)
         if self.face.reads:
             given = self.state[rows], commands, noise, following
             after, seen = self._stepper.step_and_sense(*given)
@@ -189,7 +189,7 @@ class Trials:
         moved = Interval(poses, duration, active, True, commands, readings, touching)
         self.face.add(rows, moved)
 
-    def _drawn(self, rows: Rows) -> NDArray | None:
+    def _sampled(self, rows: Rows) -> NDArray | None:
         """Return the noise of the next step, if there is any, and keep it."""
         if not self._noisy:
             return None

@@ -41,16 +41,16 @@ class BitSettings(Checked):
     first_mutation: Fraction = 0.05
 
 
-def encode(shares: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
-    """Return bit strings [..., G bits] of shares [..., G] in 0..1, the highest bit first."""
+def encode(fractions: NDArray[np.float64], bits: int) -> NDArray[np.bool_]:
+    """Return bit strings [..., G bits] of fractions [..., G] in 0..1, the highest bit first."""
     levels = 2**bits - 1
-    whole = np.rint(np.clip(shares, 0.0, 1.0) * levels).astype(np.int64)
+    whole = np.rint(np.clip(fractions, 0.0, 1.0) * levels).astype(np.int64)
     encoded = (whole[..., None] >> np.arange(bits)[::-1]) & 1
-    return encoded.astype(np.bool_).reshape(*shares.shape[:-1], -1)
+    return encoded.astype(np.bool_).reshape(*fractions.shape[:-1], -1)
 
 
 def decode(strings: NDArray[np.bool_], bits: int) -> NDArray[np.float64]:
-    """Return the shares [..., G] of bit strings [..., G bits]; undoes :func:`encode`."""
+    """Return the fractions [..., G] of bit strings [..., G bits]; undoes :func:`encode`."""
     parts = strings.reshape(*strings.shape[:-1], -1, bits)
     return (parts @ (1 << np.arange(bits)[::-1])) / (2**bits - 1)
 
@@ -77,7 +77,7 @@ class BitGenetic:
         """Begin with mutations of where the search starts from.
 
         Args:
-            start: [G] shares in 0..1.
+            start: [G] fractions in 0..1.
             settings: how.
             seed: of ``numpy.random.default_rng``.
         """
@@ -88,7 +88,7 @@ class BitGenetic:
         self._strings = copies ^ flips
 
     def ask(self) -> NDArray[np.float64]:
-        """Return the population [P, G], shares in 0..1."""
+        """Return the population [P, G], fractions in 0..1."""
         return decode(self._strings, self._settings.bits)
 
     def tell(self, fitness: NDArray[np.float64]) -> None:

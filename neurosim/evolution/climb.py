@@ -24,13 +24,13 @@ class Replay:
 
     def __init__(self, optimiser: Optimiser):
         self.optimiser, self.hints = optimiser, tuple(getattr(optimiser, "hints", ()))
-        self.told: list[dict[str, NDArray]] = []
+        self.answers: list[dict[str, NDArray]] = []
         self._asked = np.empty(0)
 
     @property
     def done(self) -> int:
         """How many generations there were so far."""
-        return len(self.told)
+        return len(self.answers)
 
     def ask(self) -> NDArray[np.float64]:
         """Return the population [P, G] or [N, P, G] to evaluate."""
@@ -40,13 +40,13 @@ class Replay:
     def tell(self, fitness: NDArray[np.float64], **hints: NDArray) -> None:
         """Take its fitness [P] or [N, P], and the hints."""
         checksum = np.array(zlib.crc32(self._asked.data))
-        self.told.append({"fitness": fitness, "asked": checksum, **hints})
+        self.answers.append({"fitness": fitness, "asked": checksum, **hints})
         self.optimiser.tell(fitness, **hints)
 
     def state(self) -> dict[str, NDArray]:
         """Return all that was told, as arrays."""
-        names = self.told[0] if self.told else ()
-        return {name: np.stack([one[name] for one in self.told]) for name in names}
+        names = self.answers[0] if self.answers else ()
+        return {name: np.stack([one[name] for one in self.answers]) for name in names}
 
     def load(self, state: Mapping[str, NDArray]) -> None:
         """Tell a new optimiser what :meth:`state` returned.
@@ -55,13 +55,13 @@ class Replay:
             UserError: if the optimiser asks for others than it did before.
         """
         for row in range(len(state["fitness"]) if state else 0):
-            told = {name: values[row] for name, values in state.items()}
-            if told.pop("asked") != zlib.crc32(self.ask().data):
+            arguments = {name: values[row] for name, values in state.items()}
+            if arguments.pop("asked") != zlib.crc32(self.ask().data):
                 raise UserError(
                     "the optimiser asks for other individuals than before the interruption: to "
                     "be resumed, it must take all random numbers from the seed"
                 )
-            self.tell(**told)
+            self.tell(**arguments)
 
 
 def resumable(optimiser: Optimiser) -> Any:
@@ -119,7 +119,7 @@ class Climb(Replay):
     @property
     def fitness(self) -> list[NDArray[np.float64]]:
         """The fitness [P] of every generation."""
-        return [one["fitness"].reshape(-1) for one in self.told]
+        return [one["fitness"].reshape(-1) for one in self.answers]
 
     @property
     def individuals(self) -> int:

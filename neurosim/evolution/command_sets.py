@@ -23,8 +23,8 @@ from neurosim.base.random import GOLDEN, normal, uniform
 from neurosim.base.threads import WORTH_SHARING, on_cores
 from neurosim.evolution.genetic import GeneticSettings
 
-#: Share of a first generation's commands that are null.
-NULL_SHARE = 0.2
+#: Fraction of a first generation's commands that are null.
+NULL_FRACTION = 0.2
 #: Key of a command that crossover leaves alone.
 NOT_PAIRED = np.iinfo(np.int64).min
 
@@ -200,11 +200,11 @@ def mutate(genes, width, probability, scale, insertion, state):
                 if insertion:
                     place = width * int(_uniform(state) * (len(genes) // width))
                     _move(genes, first, place, width)
-                genes[place] = _uniform(state) * (1.0 - NULL_SHARE)
+                genes[place] = _uniform(state) * (1.0 - NULL_FRACTION)
                 for g in range(place + 1, place + width):
                     genes[g] = _uniform(state)
             else:
-                genes[first] = 1.0 - 0.5 * NULL_SHARE * _uniform(state)
+                genes[first] = 1.0 - 0.5 * NULL_FRACTION * _uniform(state)
 
 
 @njit(cache=True)
@@ -220,7 +220,7 @@ def _move(genes, source, place, width):
 @njit(cache=True)
 def is_null(gene):
     """Return whether a command's first gene says that it is not given."""
-    return gene > 1.0 - NULL_SHARE
+    return gene > 1.0 - NULL_FRACTION
 
 
 @njit(cache=True)
@@ -261,7 +261,7 @@ def decode(genes, low, high, steps, shortest, longest):
     Rounded as they will be sent: to so many steps in a unit, and to whole milliseconds.
 
     Args:
-        genes: [B, G K] in 0..1, G = C + 2: null above 1 - NULL_SHARE, the numbers, duration.
+        genes: [B, G K] in 0..1, G = C + 2: null above 1 - NULL_FRACTION, the numbers, duration.
         low, high: limits of each number, [C].
         steps: in a unit of each number, [C].
         shortest, longest: limits of a command's duration, s.
@@ -321,11 +321,11 @@ def encode(
     """
     low, high = np.asarray(low, float), np.asarray(high, float)
     shortest, longest = durations
-    genes = np.full((len(commands), len(low) + 2), 1.0 - 0.5 * NULL_SHARE)
+    genes = np.full((len(commands), len(low) + 2), 1.0 - 0.5 * NULL_FRACTION)
     for place, command in enumerate(commands):
         if command is not None:
             *numbers, duration = command
-            shares = (np.array(numbers) - low) / np.where(high > low, high - low, 1.0)
-            share = (duration - shortest) / (longest - shortest) if longest > shortest else 0.0
-            genes[place] = [0.5 * (1.0 - NULL_SHARE), *shares, share]
+            fractions = (np.array(numbers) - low) / np.where(high > low, high - low, 1.0)
+            fraction = (duration - shortest) / (longest - shortest) if longest > shortest else 0.0
+            genes[place] = [0.5 * (1.0 - NULL_FRACTION), *fractions, fraction]
     return genes.ravel()

@@ -28,12 +28,12 @@ def tournament(fitness: Tensor, size: int, count: int, generator: torch.Generato
     algorithms, FOGA 1991.
     """
     *runs, population = fitness.shape
-    drawn = torch.randint(
+    entrants = torch.randint(
         population, (*runs, count, size), generator=generator, device=fitness.device
     )
-    drawn_fitness = torch.take_along_dim(fitness, drawn.flatten(-2), -1).view(drawn.shape)
-    best = drawn_fitness.argmax(-1, keepdim=True)
-    return torch.take_along_dim(drawn, best, -1).squeeze(-1)
+    entrants_fitness = torch.take_along_dim(fitness, entrants.flatten(-2), -1).view(entrants.shape)
+    best = entrants_fitness.argmax(-1, keepdim=True)
+    return torch.take_along_dim(entrants, best, -1).squeeze(-1)
 
 
 def truncation(fitness: Tensor, best: int, count: int, generator: torch.Generator) -> Tensor:

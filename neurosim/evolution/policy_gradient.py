@@ -60,11 +60,11 @@ class PolicyGradient:
     """Ask and tell; it maximises.
 
     Attributes:
-        point: [G] the policy, shares in 0..1.
+        point: [G] the policy, fractions in 0..1.
     """
 
     def __init__(self, start: NDArray[np.float64], settings: PolicySettings, seed: Any):
-        """Start at a policy [G], shares in 0..1."""
+        """Start at a policy [G], fractions in 0..1."""
         self.point = np.asarray(start, np.float64)
         self._settings = settings
         self._rng = np.random.default_rng(seed)
@@ -78,5 +78,5 @@ class PolicyGradient:
 
     def tell(self, scores: NDArray[np.float64]) -> None:
         """Take their scores [m], and make a step."""
-        way = self._settings.step * gradient(self._signs, scores)
-        self.point = np.clip(self.point + way, 0.0, 1.0)
+        change = self._settings.step * gradient(self._signs, scores)
+        self.point = np.clip(self.point + change, 0.0, 1.0)

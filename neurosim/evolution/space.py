@@ -50,8 +50,8 @@ class SearchSpace:
         if self.given is not None:
             return self.given
         shape = self.runs, self.settings.population, self.genes
-        drawn = np.random.default_rng([*self.seed, 0xF125]).standard_normal(shape)
-        population = self.start[:, None] + self.spread * drawn
+        normal = np.random.default_rng([*self.seed, 0xF125]).standard_normal(shape)
+        population = self.start[:, None] + self.spread * normal
         population[:, 0] = self.start
         return population if self.bounds is None else np.clip(population, *self.bounds)
 

@@ -22,9 +22,9 @@ def deepest(x, y, size, walls, cylinders):
     for i in range(walls.shape[0]):
         x1, y1 = walls[i, 0], walls[i, 1]
         dx, dy = walls[i, 2] - x1, walls[i, 3] - y1
-        share = ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)
-        share = max(0.0, min(1.0, share))
-        ox, oy = x - x1 - share * dx, y - y1 - share * dy
+        fraction = ((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy)
+        fraction = max(0.0, min(1.0, fraction))
+        ox, oy = x - x1 - fraction * dx, y - y1 - fraction * dy
         away = math.hypot(ox, oy)
         if size - away > depth:
             depth = size - away
@@ -60,8 +60,8 @@ def hit(x, y, cos, sin, walls, cylinders):
         if cross == 0.0:
             continue
         far = ((x1 - x) * dy - (y1 - y) * dx) / cross
-        share = ((x1 - x) * sin - (y1 - y) * cos) / cross
-        if 0.0 < far < best and 0.0 <= share <= 1.0:
+        fraction = ((x1 - x) * sin - (y1 - y) * cos) / cross
+        if 0.0 < far < best and 0.0 <= fraction <= 1.0:
             best, incidence = far, abs(cross) / math.hypot(dx, dy)
     for i in range(cylinders.shape[0]):
         ox, oy, radius = cylinders[i, 0] - x, cylinders[i, 1] - y, cylinders[i, 2]
@@ -85,8 +85,8 @@ def distances(origins, directions, walls, cylinders):
         walls: [W, 4] m.
         cylinders: [N, 3] m.
     """
-    ways = np.empty(len(directions))
+    distances = np.empty(len(directions))
     for i in range(len(directions)):
         cos, sin = math.cos(directions[i]), math.sin(directions[i])
-        ways[i], _ = hit(origins[i, 0], origins[i, 1], cos, sin, walls, cylinders)
-    return ways
+        distances[i], _ = hit(origins[i, 0], origins[i, 1], cos, sin, walls, cylinders)
+    return distances

@@ -90,7 +90,7 @@ class BoardRig(Served):
         if board.get("camera", True):
             size, fps = board.get("camera_size", (640, 480)), board.get("fps", 30.0)
             camera = CameraParams(size=size, fps=fps)
-        params, around = LabParams.drawn(robot_seed), board.get("around", Place())
+        params, around = LabParams.sampled(robot_seed), board.get("around", Place())
         if around != Place():
             self._about["place"] = around.to_json()
         if hasattr(body, "around"):

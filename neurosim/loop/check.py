@@ -33,12 +33,12 @@ class Failure:
         command: during which given command, from 1; one more than there are: while the motors
             ran down after the last.
         reason: what the robot did, in the task's words.
-        share: of all samples.
+        fraction: of all samples.
     """
 
     command: int
     reason: str
-    share: float
+    fraction: float
 
 
 @dataclass(frozen=True)
@@ -46,9 +46,9 @@ class Check:
     """What a simulator predicts for a controller, over random samples.
 
     Attributes:
-        probability: share of samples that complete the task.
-        interval: 95 % confidence interval of that share, as far as the number of draws goes.
-        members: lowest and highest share among the members of the simulator's ensemble: how
+        probability: fraction of samples that complete the task.
+        interval: 95 % confidence interval of that fraction, as far as the number of draws goes.
+        members: lowest and highest fraction among the members of the simulator's ensemble: how
             uncertain the simulator itself is; None where there is one member.
         draws: samples drawn.
         fitness: mean fitness of a start's samples.
@@ -57,7 +57,7 @@ class Check:
             the end of the trial.
         spread: radius (m) about the mean position that holds 95 % of the samples.
         turn: standard deviation of the heading, likewise, rad.
-        unsupported: share of the time in commands unlike any that the simulator was made from.
+        unsupported: fraction of the time in commands unlike any that the simulator was made from.
     """
 
     probability: float
@@ -120,10 +120,10 @@ def check(
         commands, given = controller.controller.commands(controller.genes[None], 0.0)
         with uninterrupted():
             check_commands(simulator, commands[given], "the commands")
-    starts, drawn = evaluator.starts(draws, np.random.default_rng(seed))
-    if not drawn:
+    starts, by_task = evaluator.starts(draws, np.random.default_rng(seed))
+    if not by_task:
         starts = np.tile(np.asarray(controller.start, np.float64), (draws, 1))
-    samples = evaluator.rollouts.draw(starts, seed, None if drawn else placing)
+    samples = evaluator.rollouts.draw(starts, seed, None if by_task else placing)
     judged, trajectory = evaluator.judge(controller.genes[None], samples)
     success = judged.success[0]
     after, spread, turn = _spread(trajectory, controller.controller.open_loop)
@@ -144,20 +144,20 @@ def check(
 def _of_members(success: NDArray, member: NDArray | None) -> tuple[float, float] | None:
     if member is None or len(np.unique(member)) < 2:
         return None
-    shares = [float(success[member == m].mean()) for m in np.unique(member)]
-    return min(shares), max(shares)
+    fractions = [float(success[member == m].mean()) for m in np.unique(member)]
+    return min(fractions), max(fractions)
 
 
 def _failures(judged: Judgement, task: Task) -> tuple[Failure, ...]:
     failed = ~judged.success[0]
-    ways, counts = np.unique(
+    kinds, counts = np.unique(
         np.stack([judged.segment[0], judged.reason[0]])[:, failed], axis=1, return_counts=True
     )
     failures = [
         Failure(int(segment) + 1, task.why(reason), float(count / failed.size))
-        for (segment, reason), count in zip(ways.T, counts, strict=True)
+        for (segment, reason), count in zip(kinds.T, counts, strict=True)
     ]
-    return tuple(sorted(failures, key=lambda failure: -failure.share))
+    return tuple(sorted(failures, key=lambda failure: -failure.fraction))
 
 
 def _spread(

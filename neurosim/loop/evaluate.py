@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from neurosim.base.errors import UserError
-from neurosim.base.generations import says_that_it_compiles
+from neurosim.base.generations import compiling_notice
 from neurosim.base.interrupts import uninterrupted
 from neurosim.base.threads import one_core, one_thread
 from neurosim.base.trajectory import Draws, Episode, Trajectory
@@ -99,9 +99,11 @@ class Evaluator:
             repeats: every start is met so often, each time with other noise.
         """
         own = np.random.default_rng(rng) if isinstance(rng, int) else rng
-        starts, drawn = self.starts(trials * self.task.trial_starts, own)
+        starts, by_task = self.starts(trials * self.task.trial_starts, own)
         starts = np.tile(starts, (repeats, 1))
-        return self.rollouts.draw(starts, own if drawn else rng, None if drawn else self.placing)
+        return self.rollouts.draw(
+            starts, own if by_task else rng, None if by_task else self.placing
+        )
 
     def expectation(self, seed: int = 0) -> Draws:
         """Return what stands for no noise at all: the mean, from the task's start or starts."""
@@ -141,7 +143,7 @@ class Evaluator:
             objective: one of :data:`neurosim.loop.objectives.OBJECTIVES`.
             hints: what else the optimiser wants to know of each individual: ``keys`` [P, K], by
                 which crossover of plans pairs commands.
-            unsupported: who spends a larger share of the time than this in commands unlike any
+            unsupported: who spends a larger fraction of the time than this in commands unlike any
                 that the simulator was made from ranks behind all others, as far as the simulator
                 knows of gaps; None: nobody does.
         """
@@ -151,9 +153,9 @@ class Evaluator:
             judged: Iterator[Any] = (self.merit_of(part, draws, *how) for part in cut)
         else:
             judged = self.workers(self, cut, draws, how)
-        parts, told = zip(*judged, strict=True)
+        parts, numbers = zip(*judged, strict=True)
         merit = Merit(*(np.concatenate(part) for part in zip(*parts, strict=True)))
-        columns = [np.concatenate(part) for part in zip(*told, strict=True)]
+        columns = [np.concatenate(part) for part in zip(*numbers, strict=True)]
         return merit, dict(zip(hints, columns, strict=True))
 
     @uninterrupted()
@@ -174,7 +176,7 @@ class Evaluator:
 
     @uninterrupted()
     def unsupported(self, trajectory: Trajectory) -> NDArray[np.float64]:
-        """Return the share [P] of the time that individuals spent in unsupported commands.
+        """Return the fraction [P] of the time that individuals spent in unsupported commands.
 
         Those are unlike any that the simulator was made from (:meth:`Simulator.supported`); the
         stop at the end of a trial does not count.
@@ -192,7 +194,7 @@ class Evaluator:
             commands = np.concatenate([commands, durations[..., None]], axis=-1)
         supported = self.simulator.supported(commands)
         rows = (len(commands), -1)
-        return _share(*(part.reshape(rows) for part in (supported, durations, active)))
+        return _fraction(*(part.reshape(rows) for part in (supported, durations, active)))
 
     def _parts(self, individuals: int, samples: int) -> Iterator[slice]:
         """Cut individuals into parts whose trajectories are driven at once."""
@@ -231,8 +233,8 @@ _HINTS = {"keys": Evaluator._keys}
 
 
 @njit(cache=True, nogil=True)
-def _share(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
-    """Return the share [P] of the time in active intervals [P, N] that are not supported."""
+def _fraction(supported: NDArray, durations: NDArray, active: NDArray) -> NDArray:
+    """Return the fraction [P] of the time in active intervals [P, N] that are not supported."""
     fractions = np.zeros(len(durations))
     for p in range(len(durations)):
         off = spent = 0.0
@@ -263,10 +265,10 @@ def draw_starts(
     simulator: Simulator, task: Task, count: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.float64], bool]:
     """Return start poses [count, 3] of a task, and whether they were drawn by it."""
-    drawn = task.draw_starts(simulator, count, rng)
-    if drawn is None:
+    starts = task.draw_starts(simulator, count, rng)
+    if starts is None:
         return np.tile(np.asarray(task.start, np.float64), (count, 1)), False
-    return drawn, True
+    return starts, True
 
 
 def check_readings(simulator: Simulator, task: Task) -> None:
@@ -315,7 +317,7 @@ class Fitness:
             UserError: if there are not as many genes as the controller has, or one is not finite.
         """
         rows, single = self._rows(genes)
-        slow = None if self._called else says_that_it_compiles("the first evaluation")
+        slow = None if self._called else compiling_notice("the first evaluation")
         try:
             with self.evaluator.threads_for(len(rows) * len(self.draws)):
                 merit, _ = self.evaluator.merit(rows, self.draws, self._objective)
@@ -327,9 +329,9 @@ class Fitness:
         return torch.as_tensor(fitness) if isinstance(genes, Tensor) else fitness
 
     def unsupported(self, genes: Any) -> Any:
-        """Return the share [P] of the time in commands unlike any that were recorded, or of one.
+        """Return the fraction [P] of the time in commands unlike any that were recorded, or of one.
 
-        A fitness that comes of many such commands is a guess. It is a share of the time of the
+        A fitness that comes of many such commands is a guess. It is a fraction of the time of the
         controller's commands in these samples; of a simulator that does not say where nothing was
         recorded, commands outside of its ranges count.
 
@@ -338,8 +340,8 @@ class Fitness:
         """
         rows, single = self._rows(genes)
         with self.evaluator.threads_for(len(rows) * len(self.draws)):
-            share = self.evaluator.unsupported(self.evaluator.run(rows, self.draws))
-        unsupported = share[0] if single else share
+            fraction = self.evaluator.unsupported(self.evaluator.run(rows, self.draws))
+        unsupported = fraction[0] if single else fraction
         return torch.as_tensor(unsupported) if isinstance(genes, Tensor) else unsupported
 
     def _rows(self, genes: Any) -> tuple[NDArray[np.float64], bool]:

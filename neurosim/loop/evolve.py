@@ -204,9 +204,9 @@ class Evolution:
         rng = np.random.default_rng([self._seed, 1])
         each = evaluator.task.trial_starts
         count = -(-self.settings.selection // each) * each  # of whole trials
-        starts, drawn = evaluator.starts(count, rng)
+        starts, by_task = evaluator.starts(count, rng)
         repeats = repeats_of(self.settings.objective) if evaluator.simulator.uncertain else 1
-        placing = None if drawn else evaluator.placing
+        placing = None if by_task else evaluator.placing
         chosen = evaluator.rollouts.draw(np.tile(starts, (repeats, 1)), rng, placing)
         return chosen, evaluator.rollouts.draw(starts, rng, placing)
 
@@ -228,7 +228,7 @@ class Evolution:
         evaluator, settings, task = self.evaluator, self.settings, self.evaluator.task
         best = self.best()
         judged, expected = evaluator.judge(best, evaluator.expectation())
-        drawn, unsupported = self._drawn(best), evaluator.unsupported(expected)
+        sampled, unsupported = self._sampled(best), evaluator.unsupported(expected)
         unmet = in_unmet_arenas(evaluator, best, self._seed)
         controllers = []
         for run, genes in enumerate(best):
@@ -239,8 +239,8 @@ class Evolution:
                 "fitness": float(mean_fitness(task, judged.fitness[[run]])[0]),
                 "completes": bool(judged.success[run].all()),
             }
-            if drawn is not None:
-                fitness, success, unsupported[run] = drawn[run]
+            if sampled is not None:
+                fitness, success, unsupported[run] = sampled[run]
                 mean = float(mean_fitness(task, fitness[None])[0])
                 if settings.samples and not settings.robust:
                     spread = float(fitness.std(ddof=1)) * task.trial_starts**0.5
@@ -250,7 +250,7 @@ class Evolution:
             predicted["unsupported"] = float(unsupported[run])
             if unmet is not None:
                 predicted["unmet"] = unmet[run].describe()
-            said = {"run": run, "interrupted": interrupted, "history": self._history(run)}
+            this_run = {"run": run, "interrupted": interrupted, "history": self._history(run)}
             controllers.append(
                 SavedController.of(
                     evaluator.controller,
@@ -259,7 +259,7 @@ class Evolution:
                     tuple(poses[0].tolist()),
                     predicted,
                     dict(made_in or {}),
-                    {**(about or {}), **said},
+                    {**(about or {}), **this_run},
                 )
             )
         return sorted(controllers, key=self._worth, reverse=True)
@@ -277,7 +277,7 @@ class Evolution:
             history["transfer"] = self.settings.generations
         return history
 
-    def _drawn(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
+    def _sampled(self, best: NDArray) -> list[tuple[NDArray, NDArray, float]] | None:
         """Return fitness and success [R], and what is unsupported, of each run's best, drawn."""
         evaluator, settings = self._searched, self.settings
         if not evaluator.simulator.uncertain:
@@ -286,12 +286,12 @@ class Evolution:
             draws = self._selection(evaluator)[1]
         else:
             draws = evaluator.draw(settings.final_draws, self._seed + 0xF14A1)
-        drawn = []
+        sampled = []
         for one in best:
             judged, trajectory = evaluator.judge(one[None], draws)
             unsupported = float(evaluator.unsupported(trajectory)[0])
-            drawn.append((judged.fitness[0], judged.success[0], unsupported))
-        return drawn
+            sampled.append((judged.fitness[0], judged.success[0], unsupported))
+        return sampled
 
     def _worth(self, one: SavedController) -> tuple[bool, float]:
         robust, limit = self.settings.robust, self.settings.most_unsupported

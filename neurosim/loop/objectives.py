@@ -25,7 +25,7 @@ class Merit(NamedTuple):
     Attributes:
         merit: [P] what is maximised.
         shown: [P] what histories and progress show of it: the fitness where that is clearer.
-        success: [P] share of samples in which the task is done.
+        success: [P] fraction of samples in which the task is done.
     """
 
     merit: NDArray[np.float64]
@@ -46,7 +46,7 @@ def fitness(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
 
 
 def probability(task: Task, trajectory: Trajectory, judgement: Judgement) -> Merit:
-    """The share of samples that succeed; where it is the same, the mean fitness."""
+    """The fraction of samples that succeed; where it is the same, the mean fitness."""
     success = judgement.success.mean(axis=1)
     value = success + TIE * mean_fitness(task, judgement.fitness)
     return Merit(value, value, success)
@@ -100,18 +100,18 @@ def repeats_of(name: str) -> int:
     return 2 if objective_named(name) is steady else 1
 
 
-def put_behind(merit: Merit, share: NDArray[np.float64], most: float) -> Merit:
+def put_behind(merit: Merit, fraction: NDArray[np.float64], most: float) -> Merit:
     """Return merits in which individuals rank behind all others that do too much of something.
 
     Args:
         merit: of individuals [P].
-        share: [P] how much of it each does, 0 to 1; less is better among them.
+        fraction: [P] how much of it each does, 0 to 1; less is better among them.
         most: how much is not too much.
     """
-    if share.max(initial=0.0) <= most:
+    if fraction.max(initial=0.0) <= most:
         return merit
     return merit._replace(
-        merit=np.where(share > most, merit.merit - BEHIND * (1.0 + share), merit.merit)
+        merit=np.where(fraction > most, merit.merit - BEHIND * (1.0 + fraction), merit.merit)
     )
 
 

@@ -58,7 +58,7 @@ class EvolveSettings(Checked):
         optimiser: its name; ``ga`` is the genetic algorithm of the controller's paper.
         generations: Number of generations.
         runs: Independent runs, evaluated together; the best of all is kept.
-        genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a share
+        genetic: the genetic algorithm of every run; for plans its ``mutation_scale`` is a fraction
             of a gene's range.
         insertion: plans: whether a null command that mutation brings back comes at any position
             in the plan; False: where it is, as we read the paper.
@@ -97,7 +97,7 @@ class EvolveSettings(Checked):
 
     @property
     def most_unsupported(self) -> float | None:
-        """The share of the time above which a controller ranks behind; None: none does."""
+        """The fraction of the time above which a controller ranks behind; None: none does."""
         return None if self.extrapolate else self.unsupported
 
     def __post_init__(self) -> None:

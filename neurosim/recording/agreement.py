@@ -20,10 +20,10 @@ from tracking.markers.pair import LOST
 SLOWEST, SLOWEST_GUARDED = 0.4, 0.6
 #: Sights are remembered for so long, s, one in so many; two say something if so far apart.
 MEMORY, BETWEEN, APART = 1.4, 0.05, 0.4
-#: Below this share of its full speed a robot may stand in its dead band.
+#: Below this fraction of its full speed a robot may stand in its dead band.
 DEAD_BAND = 0.15
-#: A robot that should have moved by this share of its width, and is seen to move by less than
-#: this share of that, stands.
+#: A robot that should have moved by this fraction of its width, and is seen to move by less than
+#: this fraction of that, stands.
 FAR, STANDS = 0.3, 0.25
 
 
@@ -82,11 +82,11 @@ class Agreement:
             return False
         times = np.array([time for time, _ in self._seen])
         apart = times[-1] - times >= APART
-        moved = self._ways(np.array([pose for _, pose in self._seen]))
+        moved = self._distances(np.array([pose for _, pose in self._seen]))
         if not apart.any() or (moved >= STANDS * self._speed * (times[-1] - times))[apart].all():
             return False
         delays = np.linspace(0.0, self.slowest, 1 + round(self.slowest / 0.1))
-        should = np.min([self._ways(self._commanded(times - late)) for late in delays], axis=0)
+        should = np.min([self._distances(self._commanded(times - late)) for late in delays], axis=0)
         return bool((apart & (should > 2 * FAR * self._arm) & (moved < STANDS * should)).any())
 
     @property
@@ -101,12 +101,12 @@ class Agreement:
             poses.append(self._commands.predict(poses[-1], begin, end)[0])
         return np.array(poses)
 
-    def _ways(self, poses: NDArray) -> NDArray:
+    def _distances(self, poses: NDArray) -> NDArray:
         """Return how far from each of the poses [T, 3] the robot was at most afterwards, [T] m."""
         change = poses[None] - poses[:, None]
         turn = np.abs(np.remainder(change[..., 2] + math.pi, 2 * math.pi) - math.pi)
-        way = np.hypot(change[..., 0], change[..., 1]) + self._arm * turn
-        return np.triu(way).max(axis=1)
+        distance = np.hypot(change[..., 0], change[..., 1]) + self._arm * turn
+        return np.triu(distance).max(axis=1)
 
 
 class Pictures:

@@ -73,8 +73,8 @@ def command_of(takes: Commands, levers: Sequence[float], max_speed: float) -> tu
         values = [forward - turn, forward + turn]
     given = []
     for value, one in zip(values, takes.numbers, strict=True):
-        share = min(max(value, -1.0), 1.0) * (max_speed / 100 if one.speed else 1.0)
-        given.append(share * one.high if share > 0 else -share * one.low)
+        fraction = min(max(value, -1.0), 1.0) * (max_speed / 100 if one.speed else 1.0)
+        given.append(fraction * one.high if fraction > 0 else -fraction * one.low)
     return tuple(number + 0.0 for number in takes.within(given))
 
 

@@ -30,7 +30,7 @@ LOOKS = 5
 REHEARSED = 0.5
 #: So much more time is left for a look than it takes.
 MARGIN = 1.1
-#: A command that is later than this share of its duration has missed its deadline.
+#: A command that is later than this fraction of its duration has missed its deadline.
 LATE = 0.1
 
 
@@ -225,8 +225,8 @@ class ClosedLoopSession(Session):
         self._look(self._clock.now())
         return True
 
-    def _is_blind(self) -> bool:
+    def _is_lost(self) -> bool:
         """Return whether nothing tells where the robot is, though that must be known."""
         if self._seeing.needs_pose and self._spotter is not None:
             return self._spotter.unseen(self._clock.now()) > self._guard.unseen
-        return super()._is_blind()
+        return super()._is_lost()

@@ -143,12 +143,14 @@ class RandomCommands(Checked):
         """Return command ``index``; percents are whole ones, as the NXT takes them."""
         rng = np.random.default_rng([self.seed, index])
         kind, numbers = rng.random(), self.takes.numbers
-        shares = rng.uniform(0, self.max_speed, len(numbers)) / 100
-        shares = np.where([one.speed for one in numbers], shares, shares * 100 / self.max_speed)
+        fractions = rng.uniform(0, self.max_speed, len(numbers)) / 100
+        fractions = np.where(
+            [one.speed for one in numbers], fractions, fractions * 100 / self.max_speed
+        )
         forward = rng.choice([-1, 1], len(numbers)) > 0
         command = [
-            float(share * (one.high if ahead else one.low))
-            for share, ahead, one in zip(shares, forward, numbers, strict=True)
+            float(fraction * (one.high if ahead else one.low))
+            for fraction, ahead, one in zip(fractions, forward, numbers, strict=True)
         ]
         duration = round(float(rng.uniform(*self.durations)), 3)
         given: Sequence[float] = command
@@ -159,7 +161,7 @@ class RandomCommands(Checked):
         return Command(self.takes.within(given), duration)
 
     def describe(self) -> dict[str, Any]:
-        """Return the shares, limits and seed."""
+        """Return the fractions, limits and seed."""
         about = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "takes"}
         return {"kind": "random", **about, "durations": list(self.durations)}
 

@@ -129,7 +129,7 @@ class HandSession(Session):
         """Return why the guard does not let a command begin, or nothing."""
         if self._guard.at_line == "ignore" or self._takes.stands(wish):
             return ""
-        if self._is_blind():
+        if self._is_lost():
             return NOT_SEEN
         if not self._takes.moves_as_known:
             return ""

@@ -40,7 +40,7 @@ class Homing:
         while self._trail and self._trail[0][0] < self._time - self._memory:
             self._trail.popleft()
 
-    def way_in(self) -> tuple[float, float]:
+    def turn_inside(self) -> tuple[float, float]:
         """Return how far to turn (rad, at most a quarter turn) and the sign of the drive.
 
         The direction is that of the middle of where the robot has been, reached forwards (+1) or

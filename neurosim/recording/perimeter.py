@@ -88,7 +88,7 @@ class Reckoning:
             until: s; after the last command, that goes on.
         """
         x, y, heading = (float(value) for value in pose)
-        way, begins = 0.0, [*(begin for begin, _ in self._sent), math.inf]
+        distance, begins = 0.0, [*(begin for begin, _ in self._sent), math.inf]
         for (begin, (ahead, left, turn)), end in zip(self._sent, begins[1:], strict=True):
             seconds = min(end, until) - max(begin, since)
             if seconds > 0 and (ahead or left or turn):
@@ -98,8 +98,8 @@ class Reckoning:
                 cos, sin = chord * math.cos(heading + half), chord * math.sin(heading + half)
                 x, y = x + cos * ahead - sin * left, y + sin * ahead + cos * left
                 heading += 2.0 * half
-                way += math.hypot(ahead, left) * seconds
-        return np.array([x, y, heading]), way
+                distance += math.hypot(ahead, left) * seconds
+        return np.array([x, y, heading]), distance
 
 
 class PositionGuard(Reckoning):
@@ -127,9 +127,9 @@ class PositionGuard(Reckoning):
         """
         since = seen_at - LATENCY
         here, _ = self.predict(pose, since, now)
-        there, way = self.predict(pose, since, now + STOPPING)
+        there, distance = self.predict(pose, since, now + STOPPING)
         beyond = self.beyond(there)
-        return beyond + DOUBT * way > 0 and beyond > self.beyond(here) + 1e-4
+        return beyond + DOUBT * distance > 0 and beyond > self.beyond(here) + 1e-4
 
     def middle(self, clearance: float, rng: np.random.Generator) -> NDArray:
         """Return a random place [2] with ``clearance`` (m) to every edge, if there is one."""

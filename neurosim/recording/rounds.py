@@ -139,8 +139,8 @@ def record_rounds(
                     f"choosing {len(indices)} commands"
                 )
                 candidates = replace(source, takes=made[0].takes)
-                commands, said = choose(made, candidates, indices, start)
-                chosen = FixedCommands(commands, {**how, **said})
+                commands, choice = choose(made, candidates, indices, start)
+                chosen = FixedCommands(commands, {**how, **choice})
             there = Recording(folder) if begun else None
             if there is None or not there.meta["complete"]:
                 _say(f"round {number} of {len(numbers)}: {len(indices)} commands")
@@ -150,8 +150,8 @@ def record_rounds(
                 with opened(source.seed + 1000 * sessions, start) as (rig, on_seen):
                     if chosen is None:
                         first = replace(source, takes=rig.robot.commands)
-                        drawn = [first.command(index) for index in indices]
-                        chosen = FixedCommands(drawn, {**how, "chosen_by": "chance"})
+                        random = [first.command(index) for index in indices]
+                        chosen = FixedCommands(random, {**how, "chosen_by": "chance"})
                     there = record(
                         folder,
                         rig,

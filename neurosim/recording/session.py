@@ -156,7 +156,7 @@ class Session:
             self._learn_board()
             if self._board:
                 self._agreement.slowest = SLOWEST_GUARDED
-            if self._is_blind():
+            if self._is_lost():
                 self._wait_for_sight()
             done = self._drive()
             self._write("stop", self._rest)
@@ -335,7 +335,7 @@ class Session:
             code = LINE
         elif self._leaves():
             code = EDGE
-        elif self._is_blind():
+        elif self._is_lost():
             code = UNSEEN
         else:
             return False
@@ -389,7 +389,7 @@ class Session:
         last = None if self._spotter is None else self._spotter.last
         return last is not None and self._perimeter.leaves(last[1], last[0], self._clock.now())
 
-    def _is_blind(self) -> bool:
+    def _is_lost(self) -> bool:
         """Return whether nothing tells where the robot is: no light sensors, and not seen."""
         if self._spotter is None or self._board or self._guard.at_line == "ignore":
             return False
@@ -407,7 +407,7 @@ class Session:
         """Wait until a robot that cannot drive unseen is seen."""
         self._say("the robot is not seen, and cannot drive unseen: put it on the board, in view")
         end = self._clock.now() + PATIENCE
-        while self._is_blind():
+        while self._is_lost():
             if self._clock.now() > end:
                 self._write("stop", self._rest)
                 raise UserError(
@@ -418,7 +418,7 @@ class Session:
 
     def _return_inside(self) -> None:
         """Go back inside: by position where the robot is seen, else by dead reckoning."""
-        if self._is_blind():
+        if self._is_lost():
             self._wait_for_sight()
         if self._pose() is None:
             self._return_from_line()
@@ -436,8 +436,8 @@ class Session:
             if pose is None:
                 self._return_inside()
                 return
-            way = goal - pose[:2]
-            distance = float(np.hypot(*way))
+            to_goal = goal - pose[:2]
+            distance = float(np.hypot(*to_goal))
             if distance < NEAR:
                 self._turn(float(self._rng.uniform(-math.pi, math.pi)))
                 return
@@ -456,7 +456,7 @@ class Session:
         """
         speed = self._guard.speed / 100 * self._takes.fastest
         turns = np.linspace(-1, 1, 5) * speed / self._takes.arm
-        arcs = {self._takes.toward(way * speed, turn) for way in (1, -1) for turn in turns}
+        arcs = {self._takes.toward(sign * speed, turn) for sign in (1, -1) for turn in turns}
         choices = sorted(arcs)
         twists = self._takes.twist(np.array(choices))
         for _ in range(60):
@@ -479,7 +479,7 @@ class Session:
         """
         guard = self._guard
         for _ in range(12):
-            angle, direction = self._homing.way_in()
+            angle, direction = self._homing.turn_inside()
             self._turn(angle)
             straight, speed = self._straight(direction)
             seconds = guard.retreat / speed

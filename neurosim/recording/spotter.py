@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from neurosim.base.files import LineLog
 from tracking.camera.camera_model import CameraModel
 from tracking.live import LiveTracker, Seen
-from tracking.markers.palette import Found, warning
+from tracking.markers.palette import SeenColour, warning
 from tracking.markers.sought import sought
 from tracking.poses import marker_geometry, marker_poses
 
@@ -91,7 +91,7 @@ class Spotter:
             self._others |= seen.others
             named = ", ".join(map(str, sorted(self._others)))
             self._say(f"other tags are in view, and ignored: {named}")
-        if sighting.found:
+        if sighting.in_view:
             pose = marker_poses(
                 sighting.front[None], sighting.rear[None], self._markers, self._model
             )[0]
@@ -109,10 +109,10 @@ class Spotter:
         if self._on_seen is not None:
             self._on_seen(seen)
 
-    def _judge(self, founds: tuple[Found, Found]) -> None:
+    def _judge(self, colours: tuple[SeenColour, SeenColour]) -> None:
         """Warn at the first sight, before anything is driven, of colours that are not sure."""
         self._judged = True
-        front, rear = founds
+        front, rear = colours
         problem = warning({"front": front.as_dict(), "rear": rear.as_dict()})
         if problem:
             self._say(problem)

@@ -89,7 +89,7 @@ def _composition(simulator: Artefact) -> list[Block]:
     learned = [[AXES[name], f"{made['process'][name]:.0%}"] for name in READABLE]
     words = (
         f"{simulator.name}: laws of the actuators (lag and stick in s, rate in 1/s, speeds as "
-        f"shares of the usual one at full command); a command is "
+        f"fractions of the usual one at full command); a command is "
         f"answered after {1000 * made['delay']:.0f} ms"
     )
     return [

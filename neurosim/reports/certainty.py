@@ -45,51 +45,51 @@ def brier(trials: Sequence[Trial]) -> tuple[float, float]:
     The score is the mean squared difference between the probability said and what happened, 0
     or 1 (Brier 1950); the smaller the better.
     """
-    said = np.array([trial.meta["predicted"]["probability"] for trial in trials])
+    predicted = np.array([trial.meta["predicted"]["probability"] for trial in trials])
     happened = np.array([trial.completes for trial in trials], float)
     base = happened.mean()
-    return float(np.mean((said - happened) ** 2)), float(base * (1.0 - base))
+    return float(np.mean((predicted - happened) ** 2)), float(base * (1.0 - base))
 
 
 def _intervals(ranks_of: Mapping[str, NDArray]) -> Table:
     rows = [
         [
             f"{level:.0%}",
-            *(f"{share:.0%}" for r in ranks_of.values() for share in (r <= level).mean(0)),
+            *(f"{fraction:.0%}" for r in ranks_of.values() for fraction in (r <= level).mean(0)),
         ]
         for level in LEVELS
     ]
     return Table(
         "Intervals of single commands: nominal probability, and measured fraction",
-        ["said", *["dx", "dy", "dtheta"] * len(ranks_of)],
+        ["predicted", *["dx", "dy", "dtheta"] * len(ranks_of)],
         rows,
-        note="Shares of the held-out commands of Table 2 that lay within the central interval of "
-        "that probability: of the simulator's ensemble and its noise together.",
+        note="Fractions of the held-out commands of Table 2 within the central interval of that "
+        "probability, which covers the simulator's ensemble and its noise.",
         groups=[(name, 3) for name in ranks_of],
     )
 
 
 def _calibration(name: str, ranks: NDArray, prefix: str) -> Picture:
-    said = np.linspace(0.0, 1.0, 101)
-    held = (ranks[:, :, None] <= said).mean(0)
-    off = float(np.abs(held - said).max())
+    fraction = np.linspace(0.0, 1.0, 101)
+    held = (ranks[:, :, None] <= fraction).mean(0)
+    off = float(np.abs(held - fraction).max())
     words = f"{name}: fraction of held-out commands within an interval, over its probability"
     lines = {
-        output: (said, line) for output, line in zip(("dx", "dy", "dtheta"), held, strict=True)
+        output: (fraction, line) for output, line in zip(("dx", "dy", "dtheta"), held, strict=True)
     }
     svg = charts.calibration(lines, words, prefix)
     return Picture(svg, f"{words}; {100 * off:.0f} points off the diagonal at the most.")
 
 
 def _trials(trials: Sequence[Trial]) -> Table:
-    said = np.array([trial.meta["predicted"]["probability"] for trial in trials])
+    predicted = np.array([trial.meta["predicted"]["probability"] for trial in trials])
     happened = np.array([trial.completes for trial in trials], float)
-    place = np.minimum((said * BINS).astype(int), BINS - 1)
+    place = np.minimum((predicted * BINS).astype(int), BINS - 1)
     rows = [
         [
             f"{low / BINS:.0%} to {(low + 1) / BINS:.0%}",
             str((place == low).sum()),
-            f"{said[place == low].mean():.0%}",
+            f"{predicted[place == low].mean():.0%}",
             f"{happened[place == low].mean():.0%}",
         ]
         for low in range(BINS)

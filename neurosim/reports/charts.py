@@ -117,13 +117,13 @@ def fan(
 
 
 def calibration(lines: Mapping[str, tuple[ArrayLike, ArrayLike]], label: str, prefix: str) -> str:
-    """Draw shares that happened over probabilities that were said, with the line of equality."""
+    """Draw the fractions that happened over the predicted probabilities, with a diagonal."""
     with drawing(3.1, 2.9) as (figure, axes):
         axes.plot((0, 1), (0, 1), color=INK["muted"], lw=0.8)
-        for number, (name, (said, held)) in enumerate(lines.items()):
-            axes.plot(said, held, label=name, color=INK[_THREE[number]], ls=_DASHES[number])
+        for number, (name, (predicted, held)) in enumerate(lines.items()):
+            axes.plot(predicted, held, label=name, color=INK[_THREE[number]], ls=_DASHES[number])
         axes.set(xlim=(0, 1), ylim=(0, 1), aspect="equal")
-        axes.set_xlabel("said")
+        axes.set_xlabel("predicted")
         axes.set_ylabel("held")
         axes.legend(loc="lower right")
         return to_svg(figure, label, prefix)

@@ -153,7 +153,7 @@ def trajectories(controller: Artefact) -> list[dict[str, NDArray[np.float64]]]:
 
 
 def change_at_transfer(controller: Artefact) -> float | None:
-    """Return the change of the population's best from simulator to robot, as a share of it."""
+    """Return the change of the population's best from simulator to robot, as a fraction of it."""
     lines = history(controller)
     transfer, best = lines.get("transfer"), lines.get("best", ())
     if transfer is None or transfer >= len(best) or best[transfer - 1] == 0:
@@ -221,8 +221,8 @@ def _chance(controller: Artefact) -> str:
 
 
 def _unsupported(controller: Artefact) -> str:
-    share = controller.meta["predicted"].get("unsupported")
-    return f"{share:.1%} of the time" if share else ""
+    fraction = controller.meta["predicted"].get("unsupported")
+    return f"{fraction:.1%} of the time" if fraction else ""
 
 
 def _contacts(controller: Artefact) -> str:
@@ -261,8 +261,8 @@ def _tasks(controllers: Sequence[Artefact]) -> Table:
     for group in groups:
         task = group[0].meta["task"]
         settings = task.get("settings") or {}
-        said = ", ".join(f"{name} {json.dumps(value)}" for name, value in settings.items())
-        rows.append([task["name"], said or "-", ", ".join(one.name for one in group)])
+        listed = ", ".join(f"{name} {json.dumps(value)}" for name, value in settings.items())
+        rows.append([task["name"], listed or "-", ", ".join(one.name for one in group)])
     return Table("Their tasks", ["task", "settings", "controllers"], rows, words=True)
 
 

@@ -52,7 +52,7 @@ def _rows(artefact: Artefact, dataset: Dataset) -> list[Block]:
         )
         text += " (about 25 cm in the paper)." if dataset.inputs == tuple(MOTOR_INPUTS) else "."
     blocks: list[Block] = [Text(text)]
-    blocks += [Text(f"Warning: {said}.") for said in artefact.meta.get("warnings", ())]
+    blocks += [Text(f"Warning: {warning}.") for warning in artefact.meta.get("warnings", ())]
     if left_out:
         meaning = artefact.meta.get("reasons", {})
         rows = [
@@ -155,7 +155,7 @@ def _cutting(name: str, cutting: Mapping[str, Any]) -> list[Block]:
             "times duration, on average) as those that were drawn; without sending again what "
             f"was cut it would be {reach['ratio_first']:.1%}."
         )
-    head = ["sent", "cut", "completed", "share cut"]
+    head = ["sent", "cut", "completed", "fraction cut"]
     tables: list[Block] = [
         Table(f"{name}: effect of cutting at the lines", ["commands", *head], by_kind, note=note)
     ]

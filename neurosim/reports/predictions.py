@@ -50,8 +50,8 @@ def dataset_of(simulator: Artefact, datasets: list[Artefact]) -> tuple[Dataset, 
     """
     names = [column["name"] for column in simulator.meta["inputs"]]
     fitting = [one for one in datasets if list(one.content.inputs) == names]
-    told = simulator.meta.get("source", {})
-    source = told.get("sha256") if isinstance(told, dict) else None
+    described = simulator.meta.get("source", {})
+    source = described.get("sha256") if isinstance(described, dict) else None
     for artefact in fitting:
         if source == sha256(artefact.path / "dataset.csv"):
             return artefact.content, True
@@ -64,13 +64,13 @@ def held_out(simulator: Artefact, dataset: Dataset, trained_on_it: bool) -> Held
     seen, rows = dataset, dataset
     how = f"all {len(rows)} commands of another dataset than the one it was trained on"
     if trained_on_it:
-        share = simulator.meta.get("training", {}).get("held_out")
-        if share is None or not 0 < share < 1:
+        fraction = simulator.meta.get("training", {}).get("held_out")
+        if fraction is None or not 0 < fraction < 1:
             raise FileError(
                 simulator.json, "expected a fraction of the dataset", field="training.held_out"
             )
-        seen, rows = dataset.split(share)
-        how = f"the last {share:.0%} of its dataset in time, {len(rows)} commands"
+        seen, rows = dataset.split(fraction)
+        how = f"the last {fraction:.0%} of its dataset in time, {len(rows)} commands"
     ideal = unicycle(seen)
     baseline = None
     if ideal is not None:

@@ -118,7 +118,7 @@ def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Pic
         _stopped(meta),
     )  # fmt: skip
     scene = Scene.of(trial.task, artefacts.place_of(trial), trial.board)
-    drawn, moving = course(scene, paths, words, prefix, small=small), film(artefacts, trial)
+    still, moving = course(scene, paths, words, prefix, small=small), film(artefacts, trial)
     caption = (
         f"{words}. Fitness {_figure(meta['predicted'].get('fitness'))} predicted, "
         f"{_figure(meta['actual'].get('fitness'))} actual."
@@ -151,8 +151,8 @@ def _course(trial: Trial, artefacts: Artefacts, prefix: str, small: bool) -> Pic
         caption += " Virtual lab."
     if moving is not None and len(moving.samples):
         caption += f" Grey: {len(moving.samples)} samples of the drive in the simulator."
-    played = None if moving is None else moving.as_json(*drawn.origin, drawn.scale)
-    return Picture(drawn.svg, caption, film=played)
+    played = None if moving is None else moving.as_json(*still.origin, still.scale)
+    return Picture(still.svg, caption, film=played)
 
 
 def _stopped(meta: Any) -> Any:

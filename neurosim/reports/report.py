@@ -43,8 +43,8 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
         ``mean_position_error`` (m, over all commands), ``final_position_error`` (m, median over
         trials, after the last command), ``mean_heading_error``, ``final_heading_error`` (rad),
         ``controller_fitness`` (predicted; the mean over controllers of one task) and
-        ``change_at_transfer`` (a share; the mean), ``missed_deadlines`` of the commands of trials,
-        and ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
+        ``change_at_transfer`` (a fraction; the mean), ``missed_deadlines`` of trials' commands, and
+        ``test`` {simulator: {output: {mse, mean_absolute_error}}} in cm and degrees.
 
     Raises:
         UserError: if nothing is named, or ``out`` is a folder.
@@ -149,16 +149,16 @@ def _completed(artefacts: Artefacts) -> str:
     predicted = [trial.meta["predicted"] for trial in trials]
     given = {one.get("probability") for one in predicted}
     chance = given.pop() if len(given) == 1 else None
-    said = "" if chance is None else f"; the simulator had given it {100 * chance:.0f} %"
+    remark = "" if chance is None else f"; the simulator had given it {100 * chance:.0f} %"
     if len(trials) > 1:
-        return f"The robot completed the task in {done} of {len(trials)} trials{said}."
+        return f"The robot completed the task in {done} of {len(trials)} trials{remark}."
     if done:
-        return f"The robot completed the task{said}."
+        return f"The robot completed the task{remark}."
     if chance is None and predicted[0].get("completes"):
-        said = ", although the simulator predicted it"
+        remark = ", although the simulator predicted it"
     reason = trials[0].meta["actual"].get("reason")
     why = f": it {reason}" if reason else ""
-    return f"The robot did not complete the task{said}{why}."
+    return f"The robot did not complete the task{remark}{why}."
 
 
 def _deadlines(artefacts: Artefacts) -> str:

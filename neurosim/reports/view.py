@@ -38,7 +38,7 @@ SECONDS = 20.0
 #: The path of a plan is followed in pieces of its commands of at most so long, s; where a
 #: simulator then says something else (by more than this, m and rad), poses are joined by arcs.
 _PIECE, _SAME = 0.1, 1e-3
-#: A robot whose size is not known is drawn as an arrow of this share of the picture.
+#: A robot whose size is not known is drawn as an arrow of this fraction of the picture.
 _ARROW = 0.02
 
 
@@ -269,18 +269,18 @@ def _start(
     radius = RADIUS if simulator is None or simulator.radius is None else simulator.radius
     own = None if around is None else around.start
     if task is not None and simulator is not None:
-        drawn = task.draw_starts(simulator, 1, rng)
+        poses = task.draw_starts(simulator, 1, rng)
     elif around is not None:
-        drawn = around.free_poses(1, radius, rng) if around.outline and own is None else None
+        poses = around.free_poses(1, radius, rng) if around.outline and own is None else None
     else:
-        drawn = None if simulator is None else simulator.free_poses(1, rng)
+        poses = None if simulator is None else simulator.free_poses(1, rng)
     if pose is not None:
         start = np.array(pose)
-    elif drawn is None:
+    elif poses is None:
         usual = (own or (0.0, 0.0, 0.0)) if task is None else task.start
         start = np.asarray(usual, np.float64)
     else:
-        start = drawn[0] if own is None else np.array(own)
+        start = poses[0] if own is None else np.array(own)
     if around is not None:
         around.check_start(start, radius)
     return start

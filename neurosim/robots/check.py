@@ -23,9 +23,9 @@ QUESTIONS = 40
 STEP = 0.1
 #: A robot that was stopped has come to rest after so long, s.
 COASTS = 1.0
-#: It drives at this share of its limits.
+#: It drives at this fraction of its limits.
 GENTLE = 0.3
-#: Shares of a limit at which a wheel is tried for its dead band.
+#: Fractions of a limit at which a wheel is tried for its dead band.
 LEVELS = (0.01, 0.02, 0.03, 0.05, 0.08, 0.12, 0.2, 0.3)
 
 Verdict = Literal["good", "wrong", "unknown"]
@@ -95,16 +95,16 @@ class _Tried:
         usual, late = float(np.median(times)), float(np.quantile(times, 0.95))
         measured = {"latency_ms": 1000 * usual, "latency_95_ms": 1000 * late,
                     "rate_hz": 1 / max(usual, 1e-6)}  # fmt: skip
-        says = (
+        sentence = (
             f"it answers after {1000 * usual:.0f} ms, 95 % of the time within {1000 * late:.0f} ms"
         )
         if 2 * late > STEP:
-            says += (
+            sentence += (
                 f": too slow for a closed-loop controller with steps of {STEP:g} s; raise --baud, "
                 "use a cable in place of a radio, or give the task longer steps"
             )
-            return Finding("latency", "wrong", says, measured)
-        return Finding("latency", "good", says, measured)
+            return Finding("latency", "wrong", sentence, measured)
+        return Finding("latency", "good", sentence, measured)
 
     def order(self) -> Finding:
         """See that the last of many commands holds: here, that it stands."""
@@ -189,26 +189,26 @@ class _Tried:
         assert self._counter is not None
         twist = se2.of_wheels(*self._speeds(command), self._counter.geometry.wheel_base)
         part = 0 if one.unit == "m/s" else 2
-        does, way = (("drive", "forward"), ("", ""), ("turn", "to the left"))[part]
+        does, direction = (("drive", "forward"), ("", ""), ("turn", "to the left"))[part]
         reached, wanted = float(twist[part]), GENTLE * one.high
         measured = {f"reached_{one.unit.replace('/', '_')}": reached}
-        what, says = f"command {one.name}", f"a positive {one.name}"
+        what, given = f"command {one.name}", f"a positive {one.name}"
         if abs(reached) < 0.1 * wanted:
-            return Finding(what, "wrong", f"{says} does not make it {does}: are its motors on, and "
-                           "does another node command it?", measured)  # fmt: skip
+            return Finding(what, "wrong", f"{given} does not make it {does}: are its motors on, "
+                           "and does another node command it?", measured)  # fmt: skip
         if reached < 0:
-            return Finding(what, "wrong", f"{says} should make it {does} {way}, and it does the "
-                           "opposite, by its counters: turn its sign round in its program",
+            return Finding(what, "wrong", f"{given} should make it {does} {direction}; by its "
+                           "counters it does the opposite: change the sign in its program",
                            measured)  # fmt: skip
         if not 0.8 < reached / wanted < 1.2:
             return Finding(
                 what, "wrong",
-                f"{says} makes it {does} at {reached:.3f} {one.unit} where {wanted:.3f} {one.unit} "
-                "were commanded: lower the limit that the driver is given, or correct its measures",
+                f"{given} makes it {does} at {reached:.3f} {one.unit}, not at the commanded "
+                f"{wanted:.3f}: lower the driver's limit, or correct the robot's measures",
                 measured,
             )  # fmt: skip
-        return Finding(what, "good", f"{says} makes it {does} {way}, at {reached:.3f} {one.unit} "
-                       f"where {wanted:.3f} were commanded", measured)  # fmt: skip
+        return Finding(what, "good", f"{given} makes it {does} {direction}, at {reached:.3f} "
+                       f"{one.unit}; commanded were {wanted:.3f}", measured)  # fmt: skip
 
     def _speeds(self, command: list[float]) -> list[float]:
         """Return how fast both wheels turn by a command, by their counters, m/s."""
@@ -233,13 +233,16 @@ class _Tried:
         self._wait(1.0)
         self._robot.stop()
         part = int(np.abs(self._takes.twist(command)).argmax()) if self._takes.body else 0
-        way = ("forward", "to its left", "to the left, counter-clockwise")[part]
+        direction = ("forward", "to its left", "to the left, counter-clockwise")[part]
         motion = "turn" if part == 2 else "drive"
-        if self._ask(f"Did it {motion} {way}?"):
-            return Finding(f"command {name}", "good", f"a positive {name} makes it {motion} {way}")
+        if self._ask(f"Did it {motion} {direction}?"):
+            return Finding(
+                f"command {name}", "good", f"a positive {name} makes it {motion} {direction}"
+            )
         return Finding(
             f"command {name}", "wrong",
-            f"a positive {name} should make it {motion} {way}: turn its sign round in its program",
+            f"a positive {name} should make it {motion} {direction}: "
+            "change the sign in its program",
         )  # fmt: skip
 
     def dead_bands(self) -> list[Finding]:
@@ -264,15 +267,17 @@ class _Tried:
             measured = {"least_percent": 100 * least}
             what = f"dead band {one.name}"
             if math.isnan(least):
-                says = f"{100 * LEVELS[-1]:.0f} % do not turn it: are its motors on, and charged?"
-                findings.append(Finding(what, "wrong", says, {}))
+                sentence = (
+                    f"{100 * LEVELS[-1]:.0f} % do not turn it: are its motors on, and charged?"
+                )
+                findings.append(Finding(what, "wrong", sentence, {}))
             elif least > 0.2:
-                says = (f"it turns from {100 * least:.0f} % on: record with speeds well above, or "
-                        "let its program regulate them")  # fmt: skip
-                findings.append(Finding(what, "wrong", says, measured))
+                sentence = (f"it turns from {100 * least:.0f} % on: record with speeds well above, "
+                            "or regulate the speed in its program")  # fmt: skip
+                findings.append(Finding(what, "wrong", sentence, measured))
             else:
-                says = f"it turns from {100 * least:.0f} % on, or below"
-                findings.append(Finding(what, "good", says, measured))
+                sentence = f"it turns from {100 * least:.0f} % on, or below"
+                findings.append(Finding(what, "good", sentence, measured))
         return findings
 
     def battery(self) -> Finding:

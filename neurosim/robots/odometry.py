@@ -58,20 +58,20 @@ class Odometry:
         return self.pose
 
     def _plausible_counts(self) -> tuple[int, int]:
-        clock, since, way = self._robot.clock, self._asked, 0
+        clock, since, pulses = self._robot.clock, self._asked, 0
         fastest = self._fastest()
         for _ in range(TRIES):
             asked = clock.now()
             counts: tuple[int, int] = self._robot.read_counts()
             if math.isinf(fastest):
                 return counts
-            way = max(abs(now - before) for now, before in zip(counts, self.counts, strict=True))
-            if way <= OFF + FASTER * fastest * (clock.now() - since):
+            pulses = max(abs(now - before) for now, before in zip(counts, self.counts, strict=True))
+            if pulses <= OFF + FASTER * fastest * (clock.now() - since):
                 self._asked = asked
                 return counts
         raise RobotError(
-            f"the robot's counters say that a wheel went {way} pulses, farther than it can: check "
-            "its line, or whether it was switched off and on, and try again"
+            f"the robot reports {pulses} pulses of a wheel, more than it can drive: check the "
+            "cable, and whether the robot was switched off and on, and try again"
         )
 
     def _fastest(self) -> float:

@@ -146,8 +146,8 @@ class PybricksPort:
     async def _find(self) -> Any:
         wanted = self._name.casefold()
 
-        def is_it(device: Any, said: Any) -> bool:
-            names = (said.local_name, device.name, device.address)
+        def is_it(device: Any, advertised: Any) -> bool:
+            names = (advertised.local_name, device.name, device.address)
             return not wanted or wanted in (str(each).casefold() for each in names)
 
         return await self._bleak.BleakScanner.find_device_by_filter(
@@ -158,8 +158,8 @@ class PybricksPort:
         """Connect to a hub and have its events; return the version of its profile."""
         client = self._client = self._bleak.BleakClient(device, self._left)
         await client.connect()
-        said = bytes(await client.read_gatt_char(VERSION)).decode("ascii", "replace")
-        version = tuple(int(word) for word in said.split(".")[:2] if word.isdigit())
+        text = bytes(await client.read_gatt_char(VERSION)).decode("ascii", "replace")
+        version = tuple(int(word) for word in text.split(".")[:2] if word.isdigit())
         if version >= NEEDED:
             about = bytes(await client.read_gatt_char(CAPABILITIES))
             self._longest = struct.unpack_from("<H", about)[0]
@@ -243,10 +243,10 @@ class PybricksPort:
             future.cancel()
             raise OSError("it takes too long to answer") from None
         except (self._bleak.exc.BleakError, EOFError, OSError) as error:
-            raise OSError(self._gone or _said(error)) from None
+            raise OSError(self._gone or _reason(error)) from None
 
 
-def _said(error: Exception) -> str:
+def _reason(error: Exception) -> str:
     """Return the sentence of an error, without its numbers."""
     texts = [each for each in error.args if isinstance(each, str)]
     return " ".join(texts[-1].split()) if texts else type(error).__name__

@@ -23,7 +23,7 @@ from tracking.poses import marker_geometry, marker_poses, unwrap
 
 #: Pictures that arrive now may be so old, s.
 LATE = 0.3
-#: A motion is measured by as many pictures of the robot or more, over this share of its time.
+#: A motion is measured by as many pictures of the robot or more, over this fraction of its time.
 _PICTURES, _SHARE = 6, 0.6
 
 
@@ -110,7 +110,7 @@ class Eye:
         return duration, se2.exp(steady_twist(times, poses) * duration)
 
     def _look(self, seen: Seen) -> None:
-        if seen.sighting.found:
+        if seen.sighting.in_view:
             item = (seen.arrived, seen.time, seen.sighting.front, seen.sighting.rear)
             with self._lock:
                 self._seen.append(item)

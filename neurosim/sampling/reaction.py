@@ -18,7 +18,7 @@ from neurosim.simulators.tables.reaction import Reaction
 STARTS = 20
 #: Seconds that a start is followed, and that it rests before.
 FOLLOWED, REST = 0.4, 0.4
-#: Share of readings that take no longer than the time that is allowed for one.
+#: Fraction of readings that take no longer than the time that is allowed for one.
 IN_TIME = 0.95
 _STEP = 0.0005
 
@@ -41,16 +41,16 @@ def sample_reaction(out: Path, robot: Sampler, in_the_open: Callable[[], None]) 
             if start in done:
                 continue
             in_the_open()
-            way = 1 if start % 2 == 0 else -1
+            sign = 1 if start % 2 == 0 else -1
             robot.stop()
             clock.sleep_until(clock.now() + REST)
             first, begin = robot.read_counts(), clock.now()
-            robot.set_speeds(way * robot.full_speed, way * robot.full_speed)
+            robot.set_speeds(sign * robot.full_speed, sign * robot.full_speed)
             while (asked := clock.now() - begin) < FOLLOWED:
                 counts = robot.read_counts()
-                ways = [way * (b - a) for a, b in zip(first, counts, strict=True)]
-                log.append(start, False, asked, *ways)
-            log.append(start, True, asked, *ways)
+                distances = [sign * (b - a) for a, b in zip(first, counts, strict=True)]
+                log.append(start, False, asked, *distances)
+            log.append(start, True, asked, *distances)
     robot.stop()
 
 
@@ -72,21 +72,26 @@ def read_reaction(folder: str | Path, seconds: NDArray[np.float64], scan: float)
     columns = {"whole": files.flag} | dict.fromkeys(("time", "left", "right"), files.number)
     table = files.read_csv(path, columns, drop_torn_line=True)
     table = table[~table["whole"]]
-    time, ways = table["time"].to_numpy(), table[["left", "right"]].to_numpy().T
-    if len(time) < 10 or not (ways.max(axis=1) > 0).all():
+    time, distances = table["time"].to_numpy(), table[["left", "right"]].to_numpy().T
+    if len(time) < 10 or not (distances.max(axis=1) > 0).all():
         raise UserError(f"{path}: the wheels did not turn as they were commanded")
     delays, lags = np.arange(0.0, 0.15, _STEP), np.arange(_STEP, 0.3, 4 * _STEP)
-    errors = np.stack([[_errors(time, way, d, lags) for d in delays] for way in ways])
+    errors = np.stack(
+        [[_errors(time, distance, d, lags) for d in delays] for distance in distances]
+    )
     best = int(errors.min(axis=2).sum(axis=0).argmin())
     lag = tuple(float(lags[errors[wheel, best].argmin()]) for wheel in range(2))
     return Reaction(float(np.quantile(seconds, IN_TIME)), float(delays[best]) + scan / 2, lag)
 
 
 def _errors(
-    time: NDArray[np.float64], way: NDArray[np.float64], delay: float, lags: NDArray[np.float64]
+    time: NDArray[np.float64],
+    distance: NDArray[np.float64],
+    delay: float,
+    lags: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """Return the squared errors of a delay with every lag, each with the speed that fits best."""
     s = np.maximum(time - delay, 0.0)[None, :]
     model = s - lags[:, None] * (1.0 - np.exp(-s / lags[:, None]))
-    speed = (model @ way) / np.maximum((model**2).sum(axis=1), math.ulp(1.0))
-    return ((way - speed[:, None] * model) ** 2).sum(axis=1)
+    speed = (model @ distance) / np.maximum((model**2).sum(axis=1), math.ulp(1.0))
+    return ((distance - speed[:, None] * model) ** 2).sum(axis=1)

@@ -34,7 +34,7 @@ _FAINT = 0.02
 #: Readings are averaged so far around an angle, rad.
 _NEAR = math.radians(2.0)
 
-#: A full turn is looked for so far around the nominal one, as a share of it.
+#: A full turn is looked for so far around the nominal one, as a fraction of it.
 _REACH = 0.1
 
 _TURN = 2.0 * math.pi
@@ -169,7 +169,7 @@ class _Seen:
         repeat: int,
     ):
         self._settings = settings
-        #: Of every distance and half: angles [N], distances and readings [N, 1 + S], share [N].
+        #: Of every distance and half: angles [N], distances and readings [N, 1 + S], fraction [N].
         self._halves: list[list[tuple[_Array, _Array, _Array]]] = []
         off = 0.0
         for k in range(settings.distances):
@@ -182,8 +182,10 @@ class _Seen:
                 to = robot.geometry.radius + OBSTACLE - ahead
                 distance = np.hypot(to, aside) - robot.geometry.radius - OBSTACLE
                 bearing = np.arctan2(-aside, to)
-            share = np.abs(np.diff(turned, prepend=turned[0])).cumsum()
-            columns = np.column_stack([bearing, distance, share / max(share[-1], 1.0), rows[:, 4:]])
+            progress = np.abs(np.diff(turned, prepend=turned[0])).cumsum()
+            columns = np.column_stack(
+                [bearing, distance, progress / max(progress[-1], 1.0), rows[:, 4:]]
+            )
             halves = [
                 (_TURN * angle / pulses - each[:, 0], np.delete(each, (0, 2), axis=1), each[:, 2])
                 for angle, each in _halves(turned, columns)
@@ -215,8 +217,8 @@ class _Seen:
                 expected, change = slopes[k] * apart, (both[k][1] - both[k][0])[:, 1:]
                 variance = (_READING / _SLIP) ** 2
                 slipped = float((expected * change).sum() / ((expected**2).sum() + variance))
-            for _, each, share in halves:
-                each[:, 0] += before + slipped * share
+            for _, each, progress in halves:
+                each[:, 0] += before + slipped * progress
             before += slipped
 
     @property

@@ -62,7 +62,7 @@ def sample_object(
     done = read_turns(out) if path.exists() else {}
     left_to_do = [d for d in range(settings.distances) if (name, repeat, d) not in done]
     pivots = PIVOTS if (name, repeat) == ("wall", 1) else {}
-    pivots = {name: ways for name, ways in pivots.items() if (name, 1, 0) not in done}
+    pivots = {name: signs for name, signs in pivots.items() if (name, 1, 0) not in done}
     if bar is not None:
         bar.advance(settings.distances - len(left_to_do))
     if not left_to_do and not pivots:
@@ -81,9 +81,9 @@ def sample_object(
             if bar is not None:
                 bar.advance(note=f"{name}, {1000 * away:g} mm")
         away = robot.geometry.wheel_base / 2.0 + PIVOT_MARGIN
-        for turn, (pivot, ways) in enumerate(pivots.items(), last + len(left_to_do) + 1):
+        for turn, (pivot, signs) in enumerate(pivots.items(), last + len(left_to_do) + 1):
             whereabouts.go(-1, -1, partial(_further, whereabouts, away))
-            _turn(robot, whereabouts, log, (pivot, 1, 0, turn), ways)
+            _turn(robot, whereabouts, log, (pivot, 1, 0, turn), signs)
 
 
 def read_turns(folder: str | Path) -> Turns:
@@ -162,15 +162,15 @@ def _turn(
     whereabouts: _Whereabouts,
     log: files.LineLog,
     what: tuple[Any, ...],
-    ways: tuple[int, int] = (-1, 1),
+    signs: tuple[int, int] = (-1, 1),
 ) -> None:
     """Turn by more than a full turn, to the left by default, and back, and write it all down."""
     full = TURNS * math.pi * robot.geometry.wheel_base * robot.pulses_per_metre
     pace = pace_of(robot, SLOW)
     whereabouts.read()
-    sense = math.copysign(1.0, ways[1] - ways[0])
+    sense = math.copysign(1.0, signs[1] - signs[0])
     for back in (False, True):
-        robot.set_speeds(*(-pace * way if back else pace * way for way in ways))
+        robot.set_speeds(*(-pace * sign if back else pace * sign for sign in signs))
         done = False
         while not done:
             # The sensors are scanned right behind the counters.

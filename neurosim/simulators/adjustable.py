@@ -41,13 +41,13 @@ class Adjustable:
             )
         self.checked(self.value)
 
-    def at(self, share: float) -> float:
+    def at(self, fraction: float) -> float:
         """Return the value at a share 0..1 of the range; what is outside is cut to it."""
-        share = min(max(share, 0.0), 1.0)
+        fraction = min(max(fraction, 0.0), 1.0)
         if self.log:
-            value = self.low * (self.high / self.low) ** share
+            value = self.low * (self.high / self.low) ** fraction
         else:
-            value = self.low + (self.high - self.low) * share
+            value = self.low + (self.high - self.low) * fraction
         return min(max(value, self.low), self.high)
 
     def share(self, value: float) -> float:

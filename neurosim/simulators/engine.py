@@ -179,8 +179,8 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
                         poses[p, n + r, k, i] = here[r, i]
             if k >= pilot.reads:
                 for r in range(len(here)):
-                    drawn = z[numbers, k, n + r] if noisy else room.no_noise
-                    _sense(model, here[r], drawn, room.work, seen)
+                    noise_here = z[numbers, k, n + r] if noisy else room.no_noise
+                    _sense(model, here[r], noise_here, room.work, seen)
                     if kept:
                         for i in range(len(seen)):
                             readings[p, n + r, k - pilot.reads, i] = seen[i]
@@ -201,8 +201,8 @@ def drive(model, pilot, genes, begun, z, first, last, room, poses, commands, rea
                 for c in range(columns):
                     commands[p, n, k, c] = command[c]
             if given:
-                drawn = z[numbers, sent, n : n + len(here)] if noisy else room.no_noises
-                _step(model, here, command, drawn, room.work)
+                noise_here = z[numbers, sent, n : n + len(here)] if noisy else room.no_noises
+                _step(model, here, command, noise_here, room.work)
                 sent += 1
         for r in range(len(here)):
             if posed:

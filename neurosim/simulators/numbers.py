@@ -81,13 +81,13 @@ def _fill(
     steps, width = out.shape[1:]
     padded = (width + 3) // 4 * 4
     words = padded // 4 if noise == UNIFORM else padded // 2
-    drawn = np.empty(padded, np.float32)
+    numbers = np.empty(padded, np.float32)
     for row in range(len(seeds)):
         state = seeds[row] + GOLDEN * np.uint64(first[row] * words)
         for step in range(steps):
-            state = draw(noise, state, drawn)
+            state = draw(noise, state, numbers)
             for n in range(width):
-                out[row, step, n] = drawn[n]
+                out[row, step, n] = numbers[n]
 
 
 @njit(cache=True)

@@ -38,14 +38,14 @@ def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
             "sha256": sha256(path / "dataset.csv" if path.is_dir() else path),
         }
         folder = path if path.is_dir() else path.parent
-        told = is_virtual(
+        virtual = is_virtual(
             [
                 read_json(folder / name, *which)
                 for name, which in _ABOUT.items()
                 if (folder / name).exists()
             ]
         )
-        entries.append(entry if told is None else {**entry, "virtual": told})
+        entries.append(entry if virtual is None else {**entry, "virtual": virtual})
     return {"source": entries}
 
 
@@ -59,9 +59,9 @@ def named(simulator: str | Path) -> dict[str, Any]:
         FileError: if simulator.json is not what it should be.
     """
     path = Path(simulator) / "simulator.json"
-    told = is_virtual(read_json(path, FORMAT, VERSION))
+    virtual = is_virtual(read_json(path, FORMAT, VERSION))
     about = {"path": str(simulator), "sha256": sha256(path)}
-    return about if told is None else {**about, "virtual": told}
+    return about if virtual is None else {**about, "virtual": virtual}
 
 
 def digest(simulator: str | Path) -> str:

@@ -202,7 +202,7 @@ class VirtualNxt(Driven):
         self._lab_seed, self._seed = lab_seed, seed
         changes = {"slip_mean": slip, "battery": battery}
         if worn:
-            changes["diameter_left"] = (1.0 - worn) * LabParams.drawn(lab_seed).diameter_left
+            changes["diameter_left"] = (1.0 - worn) * LabParams.sampled(lab_seed).diameter_left
         assert set(changes) <= {field.name for field in fields(LabParams)}
         self.changes = {name: value for name, value in changes.items() if value is not None}
 

@@ -398,11 +398,11 @@ def _size_of(robot: Robot) -> dict[str, float]:
 
 
 def _check_driver(source: Mapping[str, str], recording: Recording) -> None:
-    told = recording.meta["settings"].get("source", {}).get("controller") or {}
-    if any(told.get(name) != value for name, value in source.items() if name != "path"):
+    driver = recording.meta["settings"].get("source", {}).get("controller") or {}
+    if any(driver.get(name) != value for name, value in source.items() if name != "path"):
         raise UserError(
-            f"{recording.path}: another controller drove it ({told.get('path')}), or this one was "
-            "changed since"
+            f"{recording.path}: another controller drove it ({driver.get('path')}), or this one "
+            "has changed since"
         )
 
 

@@ -44,7 +44,7 @@ async function follow() {
 }
 
 function remember() {
-  const middle = state.found ? [0, 1].map((i) => (state.front[i] + state.rear[i]) / 2) : null;
+  const middle = state.in_view ? [0, 1].map((i) => (state.front[i] + state.rear[i]) / 2) : null;
   trail.push(middle);
   if (trail.length > TRAIL) trail.shift();
 }
@@ -78,7 +78,7 @@ function draw() {
       part = [];
     }
   }
-  if (state.found) drawRobot(unit);
+  if (state.in_view) drawRobot(unit);
   if (cross) plus(cross[0], cross[1], 12 * unit, "#ffd400", 1.5 * unit);
 }
 
@@ -166,14 +166,14 @@ function tell() {
   else if (state.seen_by === "camera") status("good", "filmed, not tracked");
   else if (state.lost) status("bad", `the robot is lost, for ${state.lost_for.toFixed(1)} s`);
   else if (!state.apart) status("bad", "the two markers' colours are too much alike");
-  else if (!state.ever_found) {
+  else if (!state.ever_seen) {
     status("bad", `the robot was not found yet; ${state.tag ? `is ${state.tag} in view?` : "are the colours right?"}`);
   }
   else status("good", "the robot is seen");
   const pose = state.pose;
   text("place", pose ? `${pose.x.toFixed(3)}, ${pose.y.toFixed(3)} m` : "–");
   text("heading", pose ? `${pose.degrees.toFixed(1)}°` : "–");
-  text("quality", state.found ? state.quality.toFixed(2) : "–");
+  text("quality", state.in_view ? state.quality.toFixed(2) : "–");
   text("fps", state.fps.toFixed(1));
   element("tag").hidden = !state.tag;
   element("how").hidden = element("colours").hidden = Boolean(state.tag);
@@ -182,7 +182,7 @@ function tell() {
     const colour = state.colours[which];
     element(`${which}-swatch`).style.background = colour.swatch;
     text(`${which}-name`, colour.name);
-    const found = colour.found ? `found as ${colour.found}` : "not found";
+    const found = colour.seen_as ? `found as ${colour.seen_as}` : "not found";
     const percent = colour.confidence === null ? "" : `, confidence ${Math.round(100 * colour.confidence)} %`;
     text(`${which}-confidence`, found + percent + (colour.reason ? `: ${colour.reason}` : ""));
   }

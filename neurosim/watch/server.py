@@ -252,8 +252,8 @@ class _Handler(BaseHTTPRequestHandler):
             counts = name == "after" and number.isdecimal() and len(number) < 16
             after = int(number) if counts else 0
             picture, state = self.viewer.picture(after, PATIENCE)
-            told = json.dumps(state, separators=(",", ":"), ensure_ascii=True)
-            return picture, "image/jpeg", {"Neurosim-State": told}
+            described = json.dumps(state, separators=(",", ":"), ensure_ascii=True)
+            return picture, "image/jpeg", {"Neurosim-State": described}
         if what == "drawing":
             return *_json(self.viewer.drawing()), {}
         raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
@@ -270,27 +270,27 @@ class _Handler(BaseHTTPRequestHandler):
             raise UserError("nothing can be set while the robot is recorded")
         viewer = self.viewer
         if what == "colour":
-            says = viewer.set_colour(_one_of(asked, "which", ("front", "rear")), *_place(asked))
+            message = viewer.set_colour(_one_of(asked, "which", ("front", "rear")), *_place(asked))
         elif what == "corner":
-            says = viewer.set_corner(_one_of(asked, "corner", tuple(CORNERS)), *_place(asked))
+            message = viewer.set_corner(_one_of(asked, "corner", tuple(CORNERS)), *_place(asked))
         elif what == "clear":
-            says = viewer.clear_corners()
+            message = viewer.clear_corners()
         elif what == "board":
             height = None if asked.get("height") is None else _number(asked, "height")
-            says = viewer.set_board(_number(asked, "length"), _number(asked, "width"), height)
+            message = viewer.set_board(_number(asked, "length"), _number(asked, "width"), height)
         elif what == "draw":
             part = _one_of(asked, "part", tuple(PARTS))
-            says = viewer.draw(part, *_place(asked), _number(asked, "width"))
+            message = viewer.draw(part, *_place(asked), _number(asked, "width"))
         elif what == "finish":
-            says = viewer.finish(_number(asked, "width"))
+            message = viewer.finish(_number(asked, "width"))
         elif what == "undo":
-            says = viewer.undo()
+            message = viewer.undo()
         elif what == "save":
             name = _one_of(asked, "what", ("calibration", "markers", "place"))
-            says = viewer.save(name, replace=asked.get("replace") is True)
+            message = viewer.save(name, replace=asked.get("replace") is True)
         else:
             raise _Refused(HTTPStatus.NOT_FOUND, "there is nothing here")
-        return *_json({"says": says, "corners": viewer.corners}), {}
+        return *_json({"says": message, "corners": viewer.corners}), {}
 
     def _body(self) -> dict[str, Any]:
         if self.headers.get_content_type() != "application/json":

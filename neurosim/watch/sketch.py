@@ -77,8 +77,8 @@ class Sketch:
             return self._add(part, points, width)
         self.part, self.points = part, points
         marks = PARTS[part]
-        says = f"{part}: {_where(point)}; next: {marks[min(len(points), len(marks) - 1)]}"
-        return f"{says}, or finish" if part in ANY_NUMBER else says
+        message = f"{part}: {_where(point)}; next: {marks[min(len(points), len(marks) - 1)]}"
+        return f"{message}, or finish" if part in ANY_NUMBER else message
 
     def finish(self, width: float) -> str:
         """End a part of any number of clicks; return what to say.

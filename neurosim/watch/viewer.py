@@ -25,9 +25,9 @@ from tracking.camera.board import camera_over_board, corner_points
 from tracking.camera.camera_model import CameraModel
 from tracking.datasets.recordings import write_markers
 from tracking.live import Seen
-from tracking.markers.palette import Found
+from tracking.markers.palette import SeenColour
 from tracking.markers.pointing import Pointed, colour_at, distinguishable
-from tracking.markers.sought import Sought, drawn_with
+from tracking.markers.sought import Sought, drawing_colours
 from tracking.markers.tags import Tag
 from tracking.poses import marker_poses
 
@@ -112,7 +112,7 @@ class Viewer:
         self._number = 0
         self._jpeg: tuple[int, bytes] = (0, b"")
         self._shown_at = time.monotonic()
-        self._found_at: float | None = None
+        self._seen_at: float | None = None
         self._times: deque[float] = deque(maxlen=30)
 
     @property
@@ -135,8 +135,8 @@ class Viewer:
             self._number += 1
             self._shown_at = time.monotonic()
             self._times.append(self._shown_at)
-            if seen.sighting.found:
-                self._found_at = self._shown_at
+            if seen.sighting.in_view:
+                self._seen_at = self._shown_at
             self._change.notify_all()
 
     def end(self, why: str) -> None:
@@ -165,10 +165,10 @@ class Viewer:
 
     def _state(self) -> dict[str, Any]:
         now = time.monotonic()
-        lost = None if self._found_at is None else now - self._found_at
+        lost = None if self._seen_at is None else now - self._seen_at
         span = self._times[-1] - self._times[0] if len(self._times) > 1 else 0.0
         seen = self._seen
-        in_view = seen is not None and seen.sighting.found
+        in_view = seen is not None and seen.sighting.in_view
         return {
             "number": self._number,
             "label": self._label,
@@ -180,9 +180,9 @@ class Viewer:
             "stale": now - self._shown_at > STALE_AFTER,
             "fps": round((len(self._times) - 1) / span, 1) if span > 0 else 0.0,
             "time": round(seen.time, 3) if seen is not None else 0.0,
-            "found": in_view,
+            "in_view": in_view,
             "quality": round(seen.sighting.quality, 3) if in_view else 0.0,
-            "ever_found": self._found_at is not None,
+            "ever_seen": self._seen_at is not None,
             "lost": lost is not None and lost > LOST_AFTER,
             "lost_for": round(lost, 1) if lost is not None else 0.0,
             "front": _pixel(seen.sighting.front) if in_view else None,
@@ -205,24 +205,30 @@ class Viewer:
 
     def _describe(self, which: str, place: int) -> dict[str, Any]:
         """Say what a marker's colour is, and what it looks like to this camera."""
-        pointed, learned = self._pointed.get(which), self._found(which)
-        named = _hex(drawn_with(self._what)[place])
+        pointed, learned = self._pointed.get(which), self._seen_colour(which)
+        named = _hex(drawing_colours(self._what)[place])
         if isinstance(self._what, Tag):
-            return {"name": "", "swatch": named, "found": None, "confidence": None, "reason": None}
+            return {
+                "name": "",
+                "swatch": named,
+                "seen_as": None,
+                "confidence": None,
+                "reason": None,
+            }
         colour = self._what[place]
         named = colour.name if colour.name.startswith("#") else named
         best = learned or pointed
         return {
             "name": colour.name,
             "swatch": named if learned is None else learned.rgb,
-            "found": None if learned is None else learned.rgb,
+            "seen_as": None if learned is None else learned.rgb,
             "confidence": None if best is None else round(best.confidence, 2),
             "reason": None if learned is None else learned.as_dict()["reason"],
         }
 
-    def _found(self, which: str) -> Found | None:
+    def _seen_colour(self, which: str) -> SeenColour | None:
         """Return what the tracker found of a marker's colour, if it is in sight."""
-        if self._seen is None or self._seen.colours is None or not self._seen.sighting.found:
+        if self._seen is None or self._seen.colours is None or not self._seen.sighting.in_view:
             return None
         return self._seen.colours[("front", "rear").index(which)]
 
@@ -292,13 +298,15 @@ class Viewer:
             self._pointed[which] = pointed
             self._saved.discard("markers")
         self._start_afresh()
-        says = f"{which} marker: {pointed.colour.name}, {100 * pointed.confidence:.0f} % confidence"
+        message = (
+            f"{which} marker: {pointed.colour.name}, {100 * pointed.confidence:.0f} % confidence"
+        )
         if not apart:
-            return f"{says}; too much like the other marker's: set that as well"
+            return f"{message}; too much like the other marker's: set that as well"
         others = pointed.places - 1
         if others > 0:
-            says += f"; {others} more patch{'es' if others > 1 else ''} of this colour in view"
-        return says
+            message += f"; {others} more patch{'es' if others > 1 else ''} of this colour in view"
+        return message
 
     def set_corner(self, name: str, u: float, v: float) -> str:
         """Say where a corner of the board is; with the fourth the camera is found."""
@@ -347,10 +355,10 @@ class Viewer:
         with self._change:
             return self._sketched(self._sketch.undo())
 
-    def _sketched(self, says: str) -> str:
+    def _sketched(self, message: str) -> str:
         self._drawn += 1
         self._saved.discard("place")
-        return says
+        return message
 
     def _on_floor(self, u: float, v: float) -> tuple[float, float]:
         """Return where on the floor a pixel is, m."""
@@ -402,7 +410,7 @@ class Viewer:
         }
 
     def _seen_as(self, which: str) -> dict[str, Any]:
-        seen = self._found(which)
+        seen = self._seen_colour(which)
         return {} if seen is None else {"rgb": seen.rgb, "confidence": round(seen.confidence, 3)}
 
     def _find_camera(self) -> str:
@@ -417,18 +425,18 @@ class Viewer:
             self._camera = camera
             self._saved.discard("calibration")
         self._start_afresh()
-        says = (
+        message = (
             f"the camera hangs {camera.position[2]:.2f} m above the board; the corners fit to "
             f"{1000 * (camera.board_rms_m or 0.0):.1f} mm"
         )
         if self._lens is None:
             error = 1000 * camera.uncertainty["board_m"]
-            says += f", but the lens is not known: positions may be off by {error:.0f} mm"
-        return f"{says}. Does the grid lie on the board?"
+            message += f", but the lens is not known: positions may be off by {error:.0f} mm"
+        return f"{message}. Does the grid lie on the board?"
 
     def _start_afresh(self) -> None:
         with self._change:
-            self._found_at = None
+            self._seen_at = None
             self._drawn += 1
             what, camera = self._what, self._camera
         if self._look_for is not None:
@@ -449,8 +457,8 @@ def _finer(line: NDArray) -> NDArray:
     """Return a line [N, 2] with points between its ends and corners; one of many has enough."""
     if len(line) > 12:
         return line
-    share = np.linspace(0, 1, 13)[1:, None]
-    return np.concatenate([line[:1], *(a + share * (b - a) for a, b in pairwise(line))])
+    fraction = np.linspace(0, 1, 13)[1:, None]
+    return np.concatenate([line[:1], *(a + fraction * (b - a) for a, b in pairwise(line))])
 
 
 def _outline_of(shape: Mapping[str, Any]) -> NDArray:

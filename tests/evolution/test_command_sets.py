@@ -1,4 +1,4 @@
-"""Operators of plans: commands are crossed pair by pair, mutated by their share."""
+"""Operators of plans: commands are crossed pair by pair, mutated by their fraction."""
 
 import numpy as np
 import pytest

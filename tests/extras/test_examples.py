@@ -13,7 +13,7 @@ from neurosim.training.train import train
 
 ROOT = Path(__file__).resolve().parents[2]
 EXAMPLES = sorted((ROOT / "examples").glob("use_*.py"))
-#: Share of trials in which the task is done, at least, where it is not nearly all.
+#: Fraction of trials in which the task is done, at least, where it is not nearly all.
 LEAST = {"use_stable_baselines": 0.8}
 
 pytestmark = pytest.mark.skipif(

@@ -19,7 +19,7 @@ OBJECTS = {
 
 def sampled(seed, arena, samples):
     """Sample a drawn robot as the published samples were taken, [D, A, 8]."""
-    params, rng = KheperaParams.drawn(seed), np.random.default_rng(seed)
+    params, rng = KheperaParams.sampled(seed), np.random.default_rng(seed)
     distances, angles, _ = samples.activations.shape
     found = np.empty(samples.activations.shape)
     for distance in range(distances):

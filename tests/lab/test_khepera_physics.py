@@ -98,7 +98,7 @@ def test_gain_dead_band_and_wheel():
 
 
 def test_pieces_of_time_do_not_matter():
-    params = KheperaParams.drawn(3)
+    params = KheperaParams.sampled(3)
     one, many = body(params), body(params)
     for robot in (one, many):
         robot.set_speeds(7, 9)
@@ -109,7 +109,7 @@ def test_pieces_of_time_do_not_matter():
 
 
 def test_positions_are_reached_and_held():
-    robot = body(KheperaParams.drawn(2))
+    robot = body(KheperaParams.sampled(2))
     robot.set_positions(1000, 500, (20, 20))
     robot.advance(6.0)
     np.testing.assert_allclose(robot.counts(), (1000, 500), atol=3)
@@ -160,7 +160,7 @@ def test_along_a_wall_it_slides_and_friction_holds_it_back():
 )
 def test_it_never_stands_in_anything(seed, commands):
     arena = paper_arena()
-    robot = body(KheperaParams.drawn(seed), arena, (-0.22, 0.0, 0.3), seed)
+    robot = body(KheperaParams.sampled(seed), arena, (-0.22, 0.0, 0.3), seed)
     for index, (left, right) in enumerate(commands):
         robot.set_speeds(left, right)
         for part in range(10):
@@ -224,13 +224,13 @@ def test_a_lab_in_the_light_reads_less():
 
 def test_robots_differ_and_the_same_number_is_the_same_robot():
     pose, arena = (-0.05, 0.0, 0.0), Place(walls=FAR_WALL)
-    one, again, other = (read(KheperaParams.drawn(seed), arena, pose) for seed in (1, 1, 2))
+    one, again, other = (read(KheperaParams.sampled(seed), arena, pose) for seed in (1, 1, 2))
     np.testing.assert_array_equal(one, again)
     assert (one != other).any()
 
 
 def test_noise_is_within_ten_bits_and_centred():
-    robot = body(KheperaParams.drawn(1), Place(walls=FAR_WALL), (-RADIUS - 0.022, 0.0, 0.0))
+    robot = body(KheperaParams.sampled(1), Place(walls=FAR_WALL), (-RADIUS - 0.022, 0.0, 0.0))
     values = np.array([robot.proximity() for _ in range(2000)])
     assert values.min() >= 0
     assert values.max() <= 1023

@@ -68,7 +68,7 @@ def test_speed_carries_over_from_the_command_before():
 
 
 def test_a_batch_of_one_step_is_the_step():
-    params = LabParams.drawn(3)
+    params = LabParams.sampled(3)
     state, inputs = physics.new_state(params, 1, (0.2, 0.1, 0.5)), physics.new_inputs()
     inputs[U.MODE : U.MODE + 2], inputs[U.POWER : U.POWER + 2] = physics.REGULATED, (30, -20)
     other = state.copy()
@@ -119,7 +119,7 @@ def test_unequal_wheels_bend_a_straight_command():
 
 
 def test_same_seed_same_drive():
-    params = LabParams.drawn(5)
+    params = LabParams.sampled(5)
     commands = paper_commands(20, np.random.default_rng(0))
     first, again, other = (drive(params, *commands, seed=s) for s in (1, 1, 2))
     assert np.array_equal(first, again)
@@ -127,8 +127,8 @@ def test_same_seed_same_drive():
 
 
 def test_drawn_robots_differ_and_repeat():
-    assert LabParams.drawn(4) == LabParams.drawn(4)
-    assert LabParams.drawn(4) != LabParams.drawn(5)
+    assert LabParams.sampled(4) == LabParams.sampled(4)
+    assert LabParams.sampled(4) != LabParams.sampled(5)
 
 
 def test_slip_field_has_its_deviation_and_length():
@@ -177,7 +177,7 @@ def test_the_room_has_walls():
 
 def test_what_cannot_be_predicted_is_small_and_what_can_is_not():
     """Mean absolute deviations of the same command, over places, batteries and draws."""
-    params = LabParams.drawn(1)
+    params = LabParams.sampled(1)
     rng = np.random.default_rng(1)
     commands, repeats = paper_commands(120, rng), 16
     p, field = params.coefficients(), physics.slip_field(params)

@@ -54,7 +54,7 @@ def test_failures_are_counted_where_they_happen():
     found = check(plan(*commands), Gusts(), TASK, draws=2000, placing=(0.0, 0.0))
     assert found.probability == 0.0
     assert found.members is None
-    assert [(f.command, f.reason, f.share) for f in found.failures] == [
+    assert [(f.command, f.reason, f.fraction) for f in found.failures] == [
         (3, "did not end in the last rectangle", 1.0)
     ]
     # 1 cm after one command; 0 or 2 cm after two.
@@ -66,7 +66,7 @@ def test_failures_are_counted_where_they_happen():
     # On the border of the grid one gust of two carries the robot out.
     edge = plan(*commands, start=(-1.195, 0.0, math.pi / 2))
     found = check(edge, Gusts(), draws=4000, placing=(0.0, 0.0))
-    shares = {(f.command, f.reason): f.share for f in found.failures}
+    shares = {(f.command, f.reason): f.fraction for f in found.failures}
     assert shares.pop((1, "left the grid")) == pytest.approx(0.5, abs=0.03)
     assert shares.pop((3, "did not end in the last rectangle")) == pytest.approx(0.5, abs=0.03)
     assert not shares
@@ -106,6 +106,6 @@ def test_the_command_reads_folders(tmp_path):
     assert "at the end" in result.output
     again = check(tmp_path / "plan", tmp_path / "simulator", draws=200)
     assert len(again.spread) == len(again.turn) == 3
-    assert np.isclose(sum(f.share for f in again.failures), 1.0 - again.probability)
+    assert np.isclose(sum(f.fraction for f in again.failures), 1.0 - again.probability)
     low, high = again.members
     assert low <= again.probability <= high

@@ -16,7 +16,7 @@ TAKES = TWO_WHEELS.measured(full=0.5, track=0.13)
 def test_after_driving_ahead_the_way_in_is_back():
     home = Homing()
     home.moved(TAKES.twist((50, 50)), 2.0)
-    angle, direction = home.way_in()
+    angle, direction = home.turn_inside()
     assert angle == pytest.approx(0)
     assert direction == -1
 
@@ -24,7 +24,7 @@ def test_after_driving_ahead_the_way_in_is_back():
 def test_after_backing_the_way_in_is_ahead():
     home = Homing()
     home.moved(TAKES.twist((-50, -50)), 2.0)
-    assert home.way_in() == (pytest.approx(0), 1)
+    assert home.turn_inside() == (pytest.approx(0), 1)
 
 
 def test_after_a_quarter_turn_on_the_spot_the_way_in_is_to_the_side():
@@ -33,7 +33,7 @@ def test_after_a_quarter_turn_on_the_spot_the_way_in_is_to_the_side():
     # The wheels turn the robot by 2 v / track a second.
     quarter = math.pi / 2 / (2 * 0.25 / 0.13)
     home.moved(TAKES.twist((-50, 50)), quarter)
-    angle, direction = home.way_in()
+    angle, direction = home.turn_inside()
     # It faces left now, so what lies behind where it came from lies to its left: +90 degrees
     # ahead or -90 degrees backing.
     assert (angle, direction) in [
@@ -46,7 +46,7 @@ def test_old_places_are_forgotten():
     home = Homing(memory=5.0)
     home.moved(TAKES.twist((50, 50)), 4.0)
     home.moved(TAKES.twist((0, 0)), 6.0)
-    assert home.way_in() == (0.0, -1.0)
+    assert home.turn_inside() == (0.0, -1.0)
 
 
 @pytest.mark.slow

@@ -318,7 +318,7 @@ def test_the_page_shows_a_recording_and_sets_nothing(kept, tmp_path):
         def seen():
             with urlopen(f"{url}picture?after=0", timeout=PATIENCE) as reply:
                 state = reply.headers["Neurosim-State"]
-            return '"found":true' in state and state
+            return '"in_view":true' in state and state
 
         state = wait_until(seen, "a picture with the robot in it")
         assert '"settable":false' in state

@@ -1,4 +1,4 @@
-"""What tests of moving drives share."""
+"""What tests of moving drives fraction."""
 
 import pytest
 from ideal_simulator import SlippingWheels

@@ -56,7 +56,7 @@ def test_where_nothing_counts_a_person_is_asked():
     assert "Did it drive forward?" in asked
     assert "Did it drive to its left?" in asked
     assert set(wrong(found)) == {"command omega"}
-    assert "turn its sign round" in found["command omega"].says
+    assert "change the sign" in found["command omega"].says
     with VirtualRig(1, camera=False) as rig:
         assert checked(rig)["command left"].verdict == "unknown"
 

@@ -21,7 +21,7 @@ from neurosim.robots.nxt.driver import DEGREES, LATE, LONGEST, NXT
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="no pseudo-terminals on Windows")
 
-ROBOTS = {seed: LabParams.drawn(seed) for seed in (2, 34)}
+ROBOTS = {seed: LabParams.sampled(seed) for seed in (2, 34)}
 WIRINGS = {"BC": ("B", "C"), "CB": ("C", "B"), "AC": ("A", "C")}
 SPEEDS = [(50, 50), (-50, 50), (100, -30), (0, 60), (-60, 0), (-100, -100)]
 #: Seconds that the motors of the lab take to come to a stand.

@@ -49,5 +49,5 @@ def test_a_robot_that_drives_at_full_speed_is_believed(rig):
 def test_counters_that_stay_wrong_are_said_to_be(rig):
     odometry = Odometry(rig.robot, (0.0, 0.0, 0.0))
     spoiled(rig.robot, [5000] * 9)
-    with pytest.raises(RobotError, match="a wheel went 5000 pulses, farther than it can"):
+    with pytest.raises(RobotError, match="5000 pulses of a wheel, more than it can drive"):
         odometry.read()

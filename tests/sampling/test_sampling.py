@@ -151,7 +151,7 @@ def test_how_late_the_robot_is(whole):
 def test_distances_hold_though_wheels_are_unequal(tmp_path):
     """Turning there and back at two speeds must not count as backing off."""
     settings = SampleSettings(angles=36, distances=5, step=0.008, grid=3, held_out=0, duration=0.5)
-    uneven = replace(KheperaParams.drawn(1), dead_band=np.array([0.0, 0.002]), slip=0.0)
+    uneven = replace(KheperaParams.sampled(1), dead_band=np.array([0.0, 0.002]), slip=0.0)
     sampled(tmp_path / "out", settings, params=uneven)
     found = read_turns(tmp_path / "out")
     arena, _ = sampling_places()

@@ -62,7 +62,7 @@ def pairs(low, high):
 
 
 def speeds():
-    """Return two shares of full speed, none so small that no dead band would hold it."""
+    """Return two fractions of full speed, none so small that no dead band would hold it."""
     return st.tuples(*[st.integers(-500, 500)] * 2).map(lambda pair: double(pair) / 500)
 
 
@@ -556,7 +556,7 @@ def test_a_wrong_description_is_refused(folder, changes, says):
 
 #: Two commands in a row: the first drives the robot, the second is looked at in pieces.
 FIRST, SECOND = (20.0, -30.0), (35.0, 45.0)
-#: A way to cut up something, by shares.
+#: A way to cut up something, by fractions.
 CUTS = st.lists(st.floats(0.02, 1.0), min_size=1, max_size=8)
 TIMES = st.floats(0.1, LONGEST)
 

@@ -30,8 +30,8 @@ def drive_data(
 ):
     """Rows of a differential drive of 0.2 m/s and 0.1 m track, with poses within commands.
 
-    ``stops``: the share of wheels that are told to stand. ``wobble``: rad/s by which it turns
-    where its left wheel runs against its right. ``bend``: the share of its
+    ``stops``: the fraction of wheels that are told to stand. ``wobble``: rad/s by which it turns
+    where its left wheel runs against its right. ``bend``: the fraction of its
     speed that a wheel lacks at full command. ``curve``: speeds by commands, in place of it.
     """
     g = torch.Generator().manual_seed(seed)

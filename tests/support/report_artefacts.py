@@ -153,7 +153,7 @@ def predicted_poses():
 def make_trial(
     folder, seed=0, slip=0.02, completes=True, unseen=(), virtual=True, probability=None
 ):
-    """Write a trial whose robot slips: the twist of every command is off by a drawn share."""
+    """Write a trial whose robot slips: the twist of every command is off by a drawn fraction."""
     rng = np.random.default_rng(seed)
     predicted = predicted_poses()
     actual, path, time = [np.array(START)], [], 0.0

@@ -46,7 +46,7 @@ def test_tracking_begins_anew_where_a_video_begins_again():
     for when, frame in film + film[5:10]:  # back by 15 frames at the seam: 45 pixels, 0.7 rad
         live.take(when, frame)
     live.close()
-    assert all(each.sighting.found for each in seen)
+    assert all(each.sighting.in_view for each in seen)
     anew = Tracker(*COLOURS)
     again = [anew.update(frame, when) for when, frame in film[5:10]]
     assert [each.sighting.quality for each in seen[20:]] == [each.quality for each in again]

@@ -14,8 +14,8 @@ from tracking.markers.palette import (
     RIVAL,
     STILL,
     describe_markers,
-    found_colour,
     least_confident,
+    seen_colour,
     together,
     unless_still,
     warning,
@@ -43,7 +43,7 @@ def test_rgb_has_the_hue_chroma_and_luma_of_the_look():
     alpha, beta = chroma_plane(bgr)
     chroma = math.hypot(alpha, beta)
     luma = float(bgr @ [0.114, 0.587, 0.299])
-    found = found_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
+    found = seen_colour(NAMES[0], Look(np.array([alpha, beta]) / chroma, chroma, luma), 0.0)
     assert found.rgb == "#c82878"
     assert found.confidence == pytest.approx(1, abs=1e-4)
 
@@ -81,7 +81,7 @@ def survey_of(pictures, colours=NAMES, start=None):
     tracker = Tracker(*colours, None, start)
     for i, frame in enumerate(pictures):
         tracker.update(frame, i / 30)
-    return tracker.found
+    return tracker.seen_colours
 
 
 def test_a_survey_finds_what_came_into_view_later_and_fits_as_well():
@@ -115,11 +115,11 @@ def test_marginal_names_and_greys_are_doubted_by_hand():
         return Look(np.array([math.cos(angle), math.sin(angle)]), chroma, 90.0)
 
     hue, tolerance = (math.degrees(part) for part in (NAMES[0].hue, NAMES[0].tolerance))
-    edge = found_colour(NAMES[0], look(hue + tolerance, 90.0), 0.0)
+    edge = seen_colour(NAMES[0], look(hue + tolerance, 90.0), 0.0)
     assert (edge.confidence, edge.reason) == (pytest.approx(math.exp(-0.5)), OTHER_HUE)
-    grey = found_colour(NAMES[0], look(hue, 30.0), 0.25)
+    grey = seen_colour(NAMES[0], look(hue, 30.0), 0.25)
     assert (grey.confidence, grey.reason) == (pytest.approx(0.5 * 0.8), GREY)
-    assert warning({"front": found_colour(NAMES[0], look(hue, 90.0), 0.0).as_dict()}) is None
+    assert warning({"front": seen_colour(NAMES[0], look(hue, 90.0), 0.0).as_dict()}) is None
 
 
 def test_a_pair_that_never_moves_is_doubted():

@@ -107,8 +107,8 @@ def test_a_tag_is_followed_over_the_network():
         wait_until(lambda: len(seen) > 15, "pictures that were tracked")
         camera.stop()
         live.close()
-    assert sum(one.sighting.found for one in seen) >= 15
-    along = [one.sighting.front[0] for one in seen if one.sighting.found]
+    assert sum(one.sighting.in_view for one in seen) >= 15
+    along = [one.sighting.front[0] for one in seen if one.sighting.in_view]
     assert (np.diff(along) > 0).all()
 
 

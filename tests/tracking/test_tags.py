@@ -97,7 +97,7 @@ def test_every_frame_of_a_drive(kind):
 def test_a_tag_of_few_pixels_is_found():
     rng, tracker = np.random.default_rng(1), TagTracker(TAG)
     seen = follow(tracker, [picture(*place, rng, side=14.0)[0] for place in drive(20)])
-    assert all(sighting.found for sighting in seen)
+    assert all(sighting.in_view for sighting in seen)
 
 
 def test_other_tags_are_left_alone_and_named():
@@ -112,10 +112,10 @@ def test_other_tags_are_left_alone_and_named():
     for i, place in enumerate(drive(10)):
         frame, ends = picture(*place, rng, paint=others)
         np.testing.assert_allclose(pixels_of(tracker.update(frame, i / 30)), ends, atol=0.15)
-        assert not alone.update(frame, i / 30).found
+        assert not alone.update(frame, i / 30).in_view
     assert tracker.others == {7}
     assert alone.others == {0, 7}
-    assert not alone.ever_found
+    assert not alone.ever_seen
 
 
 def test_of_two_of_the_same_tag_none_is_taken_until_one_is_left():
@@ -125,7 +125,7 @@ def test_of_two_of_the_same_tag_none_is_taken_until_one_is_left():
         scene.paint_tag(image, TAG, np.array([40.0, 40.0]), 1.0, SIDE)
 
     both = [picture(*place, rng, paint=twin)[0] for place in drive(3)]
-    assert not any(sighting.found for sighting in follow(tracker, both))
+    assert not any(sighting.in_view for sighting in follow(tracker, both))
     assert tracker.undecided == 3
     frame, ends = picture((200.0, 150.0), 0.3, rng)
     np.testing.assert_allclose(pixels_of(tracker.update(frame, 1.0)), ends, atol=0.15)
@@ -138,7 +138,7 @@ def test_of_two_of_the_same_tag_none_is_taken_until_one_is_left():
 def test_a_tag_of_another_size_is_not_the_robots():
     frame, _ = picture((160.0, 120.0), 0.3)
     assert TagTracker(TAG, Geometry(separation=SIDE)).update(frame, 0.0).quality > 0.9
-    assert not TagTracker(TAG, Geometry(separation=1.2 * SIDE)).update(frame, 0.0).found
+    assert not TagTracker(TAG, Geometry(separation=1.2 * SIDE)).update(frame, 0.0).in_view
 
 
 def test_a_corner_under_a_cable_changes_little_and_a_hand_hides_the_tag():
@@ -157,7 +157,7 @@ def test_a_corner_under_a_cable_changes_little_and_a_hand_hides_the_tag():
     def hand(image):
         cv2.circle(image, (165, 125), 14, (120.0, 160.0, 200.0), -1)
 
-    assert not tracker.update(picture(middle, heading, rng, paint=hand)[0], 0.07).found
+    assert not tracker.update(picture(middle, heading, rng, paint=hand)[0], 0.07).in_view
     # And found again as soon as the hand is gone, wherever it put the robot.
     frame, ends = picture((60.0, 60.0), 2.0, rng)
     np.testing.assert_allclose(pixels_of(tracker.update(frame, 0.1)), ends, atol=0.15)
@@ -183,16 +183,16 @@ def test_another_tag_that_takes_its_place_while_no_frames_come_is_not_it():
     rng, tracker = np.random.default_rng(1), TagTracker(TAG)
     tracker.update(picture((160.0, 120.0), 0.4, rng)[0], 0.0)
     frame, _ = picture((160.0, 120.0), 0.4, rng, tag=Tag(number=1))
-    assert not tracker.update(frame, 1.1 * FOLLOWED_FOR).found
+    assert not tracker.update(frame, 1.1 * FOLLOWED_FOR).in_view
     assert tracker.others == {1}
 
 
 def test_a_tag_that_was_long_lost_is_searched_in_some_of_the_frames():
     tracker, empty = TagTracker(TAG), scene.finish(BACKGROUND)
     for i in range(61):
-        assert not tracker.update(empty, i / 30).found
+        assert not tracker.update(empty, i / 30).in_view
     frame, _ = picture((160.0, 120.0), 0.3)
-    found = [tracker.update(frame, 2 + i / 30).found for i in range(SEARCH_CADENCE)]
+    found = [tracker.update(frame, 2 + i / 30).in_view for i in range(SEARCH_CADENCE)]
     assert found[-1]
     assert sum(found) < SEARCH_CADENCE
 
@@ -203,8 +203,8 @@ def test_a_tag_that_leaves_the_picture_is_lost_there():
     seen = follow(tracker, [picture(place, 0.0, rng)[0] for place in places])
     inside = [x > SIDE for x, _ in places]
     outside = [x < -SIDE / 4 for x, _ in places]
-    assert all(sighting.found for sighting, there in zip(seen, inside, strict=True) if there)
-    assert not any(sighting.found for sighting, gone in zip(seen, outside, strict=True) if gone)
+    assert all(sighting.in_view for sighting, there in zip(seen, inside, strict=True) if there)
+    assert not any(sighting.in_view for sighting, gone in zip(seen, outside, strict=True) if gone)
 
 
 @pytest.mark.parametrize(

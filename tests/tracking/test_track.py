@@ -108,7 +108,7 @@ def test_a_recording_becomes_poses(recording, tmp_path):
     assert np.abs(poses.pose[:, :2] - truth[:, :2]).max() < 0.002
     assert np.abs(poses.pose[:, 2] - truth[:, 2]).max() < 0.015
     assert truth[-1, 2] > np.pi
-    assert summary["found"] == 1.0
+    assert summary["in_view"] == 1.0
     document = json.loads((recording.path / "tracking.json").read_text())
     assert document["format"] == "neurosim-tracking"
     assert document["sessions"][0] == {"session": 1, "left_out": "no command was sent"}
@@ -322,7 +322,7 @@ def test_footage_as_a_user_would(shared_data, tmp_path):
         overlay=tmp_path / "seen.mkv",
     )
     assert summary["frames"] == 121
-    assert summary["found"] == 1.0
+    assert summary["in_view"] == 1.0
     with Video(tmp_path / "seen.mkv") as overlay:
         assert sum(1 for _ in overlay) == 121
 
@@ -334,7 +334,7 @@ def test_colours_taken_from_a_click_on_each_marker(shared_data, tmp_path):
     done = CliRunner().invoke(command_line, arguments + clicks)
     assert done.exit_code == 0, done.output
     told = json.loads(done.stdout)
-    assert told["found"] == 1
+    assert told["in_view"] == 1
     assert told["markers"]["front"]["confidence"] > 0.5
     poses = read_csv(tmp_path / "out" / "poses.csv", {"u": number, "v": number})
     assert np.std([poses["u"], poses["v"]], axis=1).max() < 0.1
@@ -417,7 +417,7 @@ def test_a_video_that_begins_without_the_robot(frames, tmp_path):
     empty = np.full_like(frames[0], 140)
     write_video(tmp_path / "late.avi", [empty] * 40 + list(frames[70:150]))
     summary = track_video(tmp_path / "late.avi", ("pink", "blue"))
-    assert summary["found"] == pytest.approx(80 / 120, abs=0.04)
+    assert summary["in_view"] == pytest.approx(80 / 120, abs=0.04)
     assert min(seen["confidence"] for seen in summary["markers"].values()) > 0.9
 
 

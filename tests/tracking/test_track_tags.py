@@ -84,7 +84,7 @@ def test_each_of_several_into_a_folder_of_its_own(video, tmp_path):
 
 
 def test_a_file_names_the_tag_and_its_size_counts_only_in_metres(video, tmp_path):
-    assert track_video(video, Tag(number=1))["found"] == 1.0
+    assert track_video(video, Tag(number=1))["in_view"] == 1.0
     ends = {"front": {"x": 0.013, "y": 0.0}, "rear": {"x": -0.013, "y": 0.0}, "height": 0.0}
     tag = {"dictionary": "APRILTAG_36h11", "id": 1}
     write_markers(tmp_path / "markers.json", {**ends, "tag": tag})

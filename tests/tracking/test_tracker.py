@@ -77,15 +77,15 @@ def test_a_covered_marker_has_no_pose(covered, share):
         frame, truth = picture(middle, heading, rng, cover if hidden else None)
         sighting = tracker.update(frame, i / FPS)
         if hidden and share == 1.0:
-            assert not sighting.found
+            assert not sighting.in_view
             assert np.isnan(sighting.front).all()
             assert sighting.quality == 0
             assert math.isnan(sighting.lamp)
-        elif sighting.found:
+        elif sighting.in_view:
             # Half a marker may be seen for what it is or not at all, but never misplaced.
             assert np.abs(pixels_of(sighting) - truth).max() < 1.0
         if not hidden:
-            assert sighting.found
+            assert sighting.in_view
 
 
 def test_things_of_the_same_colours_capture_nothing():
@@ -102,7 +102,7 @@ def test_things_of_the_same_colours_capture_nothing():
     for i, (middle, heading) in enumerate(drive()):
         frame, truth = picture(middle, heading, rng, others if i >= 10 else None)
         sighting = tracker.update(frame, i / FPS)
-        if sighting.found:
+        if sighting.in_view:
             found += 1
             assert np.abs(pixels_of(sighting) - truth).max() < 2.0
         else:
@@ -120,7 +120,7 @@ def test_a_hidden_marker_is_not_replaced_by_another_of_its_colour():
         hidden = i >= 20
         rear = None if hidden else scene.BLUE
         frame, _ = picture(middle, heading, rng, away, rear=rear)
-        assert tracker.update(frame, i / FPS).found != hidden
+        assert tracker.update(frame, i / FPS).in_view != hidden
 
 
 def test_found_again_wherever_a_hand_put_it_and_never_swapped():
@@ -134,7 +134,7 @@ def test_found_again_wherever_a_hand_put_it_and_never_swapped():
     for i in range(90, 110):
         frame, truth = picture((220.0, 160.0), 0.2 + math.pi, rng)
         sighting = tracker.update(frame, i / FPS)
-        if sighting.found:
+        if sighting.in_view:
             found.append(pixels_of(sighting) - truth)
     assert len(found) >= 15
     assert np.abs(found).max() < 0.15
@@ -152,7 +152,7 @@ def test_geometry_tells_the_robot_from_a_larger_pair():
     sighting = new_tracker(geometry).update(frame, 0.0)
     assert np.abs(pixels_of(sighting) - truth).max() < 0.15
     missing = Geometry(lambda pixels: pixels / scale, 80 / scale, 12.8 / scale)
-    assert not new_tracker(missing).update(frame, 0.0).found
+    assert not new_tracker(missing).update(frame, 0.0).in_view
 
 
 def test_the_lamp_is_seen_between_the_markers():
@@ -169,10 +169,10 @@ def test_the_lamp_is_seen_between_the_markers():
 def test_an_empty_scene_and_what_was_seen_of_it():
     tracker = new_tracker()
     rng = np.random.default_rng(7)
-    assert not tracker.update(scene.finish(BACKGROUND.copy(), rng), 0.0).found
+    assert not tracker.update(scene.finish(BACKGROUND.copy(), rng), 0.0).in_view
     assert tracker.seen == (False, False)
     frame, _ = picture((160.0, 120.0), 0.0, rng, rear=None)
-    assert not tracker.update(frame, 1 / FPS).found
+    assert not tracker.update(frame, 1 / FPS).in_view
     assert tracker.seen == (True, False)
     assert tracker.looks is None
 
@@ -182,7 +182,7 @@ def test_pushed_plate_in_real_footage(shared_data):
     with Video(shared_data / "footage" / "marker-pushed.avi") as video:
         seen = [tracker.update(frame, time) for _, time, frame in video]
     assert len(seen) == 121
-    assert all(s.found for s in seen)
+    assert all(s.in_view for s in seen)
     places = np.array([pixels_of(s) for s in seen])
     assert np.abs(np.diff(places, axis=0)).max() < 6
     assert math.dist(places[0, 1], (203.4, 105.4)) < 1
@@ -212,11 +212,11 @@ def test_noise_makes_no_pose_of_something_else(shared_data, kind, sd):
             else:
                 frame = scene.webcam_noise(frame, sd, rng)
             sighting = noisy.update(frame, time)
-            if sighting.found:
+            if sighting.in_view:
                 found.append(np.abs(pixels_of(sighting) - truth).max())
     assert max(found) < 5
     assert len(found) > 90
-    assert min(each.confidence for each in noisy.found) > 0.6
+    assert min(each.confidence for each in noisy.seen_colours) > 0.6
 
 
 @pytest.mark.parametrize("colours", [("green", "blue"), ("blue", "pink")])
@@ -238,12 +238,12 @@ def test_the_light_may_change(shared_data, colours, light):
             truth = pixels_of(steady.update(frame, time))
             dimmed = np.clip(np.round(light(i) * frame.astype(float)), 0, 255).astype(np.uint8)
             sighting = tracker.update(dimmed, time)
-            assert sighting.found, i
+            assert sighting.in_view, i
             assert np.abs(pixels_of(sighting) - truth).max() < 1.5
             if i == 90:
                 break
     if light(0) < 1:
-        for dim, bright in zip(tracker.found, steady.found, strict=True):
+        for dim, bright in zip(tracker.seen_colours, steady.seen_colours, strict=True):
             assert dim.confidence > 0.8 * bright.confidence
 
 
@@ -255,8 +255,8 @@ def test_a_covered_lens_is_no_other_light(grey):
         if 15 <= i < 40:
             frame = np.full_like(frame, grey)
         sighting = tracker.update(frame, i / FPS)
-        seen.append(sighting.found)
-        if sighting.found:
+        seen.append(sighting.in_view)
+        if sighting.in_view:
             assert np.abs(pixels_of(sighting) - truth).max() < 1.0
     assert seen[:15] == [True] * 15
     assert not any(seen[15:40])
@@ -272,11 +272,11 @@ def test_the_least_size_of_markers(diameter, noise, jpeg):
         body = (4 * diameter, 1.6 * diameter)
         truth = np.stack(scene.robot(image, middle, heading, body=body, **robot))
         sighting = tracker.update(scene.finish(image, rng, noise=noise, jpeg=jpeg), i / FPS)
-        if sighting.found:
+        if sighting.in_view:
             misses.append(np.abs(pixels_of(sighting) - truth).max())
     assert len(misses) > 40
     assert max(misses) < 1.5
-    assert min(found.confidence for found in tracker.found) > 0.6
+    assert min(found.confidence for found in tracker.seen_colours) > 0.6
 
 
 def hidden_plate(shared_data, tracker, twin_from=0):
@@ -293,7 +293,7 @@ def hidden_plate(shared_data, tracker, twin_from=0):
         sighting = tracker.update(frame, i / FPS)
         if i == 25:
             before = pixels_of(sighting)
-        elif i > 25 and sighting.found:
+        elif i > 25 and sighting.in_view:
             after.append((i, pixels_of(sighting)))
     return before, after
 
@@ -320,7 +320,7 @@ def test_a_twin_that_was_elsewhere_at_the_loss_is_not_taken():
         # The other one is seen again and again while the robot is hidden, and goes on its way.
         twins(image, own + ([(240.0 - 0.5 * i, 180.0)] if i >= 10 else []))
         sighting = tracker.update(scene.finish(image, rng), i / FPS)
-        if sighting.found:
+        if sighting.in_view:
             found.append(i)
             assert np.abs(pixels_of(sighting).mean(axis=0) - (80.0, 60.0)).max() < 1
     assert len(found) > 55
@@ -331,7 +331,7 @@ def test_of_two_that_both_fit_none_is_taken_and_it_is_counted():
     for i in range(120):
         image = BACKGROUND.copy()
         twins(image, [(80.0, 60.0)] if i < 20 else [] if i < 90 else [(60, 180.0), (240.0, 180.0)])
-        assert tracker.update(scene.finish(image, rng), i / FPS).found == (i < 20)
+        assert tracker.update(scene.finish(image, rng), i / FPS).in_view == (i < 20)
     assert tracker.undecided > 5
 
 
@@ -342,7 +342,7 @@ def test_in_nothing_but_noise_nothing_is_found():
             scene.finish(BACKGROUND, rng, noise=sd),
             scene.webcam_noise(scene.finish(BACKGROUND), sd, rng),
         ):
-            assert not tracker.update(frame, i / FPS).found
+            assert not tracker.update(frame, i / FPS).in_view
 
 
 @pytest.mark.parametrize(
@@ -355,7 +355,7 @@ def test_what_stands_still_stays_still(shared_data, front, rear, middle):
         places = []
         for index, time, frame in video:
             sighting = tracker.update(frame, time)
-            assert sighting.found
+            assert sighting.in_view
             places.append(pixels_of(sighting))
             if index == 300:
                 break
@@ -402,7 +402,7 @@ def test_a_dim_marker_beside_a_bright_one_of_another_colour():
         scene.paint_rectangle(image, ends[0], (6.0, 9.0), 0.0, (110, 30, 45))
         scene.paint_rectangle(image, ends[1], (6.0, 9.0), 0.0, (245, 165, 90))
         seen = tracker.update(scene.finish(image, rng), i / FPS)
-        assert seen.found
+        assert seen.in_view
         misses.append(pixels_of(seen) - np.stack(ends))
     dim, bright = np.abs(np.mean(misses, axis=0)).max(axis=1)
     assert dim < 0.5
@@ -419,10 +419,10 @@ def test_a_start_chooses_among_pairs():
     start = np.stack(truth) + 3.0
     tracker = Tracker(parse_colour("pink"), parse_colour("blue"), None, start)
     assert np.abs(pixels_of(tracker.update(frame, 0.0)) - truth).max() < 0.15
-    assert min(found.confidence for found in tracker.found) > 0.9
+    assert min(found.confidence for found in tracker.seen_colours) > 0.9
     free = new_tracker()
     free.update(frame, 0.0)
-    assert max(found.confidence for found in free.found) < 0.7
+    assert max(found.confidence for found in free.seen_colours) < 0.7
 
 
 def test_two_things_that_pass_each_other_are_forgotten():
@@ -438,8 +438,8 @@ def test_two_things_that_pass_each_other_are_forgotten():
             continue
         frame, truth = picture((150.0 + i, 160.0), 0.4, rng)
         sighting = tracker.update(frame, i / FPS)
-        if sighting.found:
+        if sighting.in_view:
             found.append(np.abs(pixels_of(sighting) - truth).max())
     assert len(found) >= 39
     assert max(found) < 0.15
-    assert min(each.confidence for each in tracker.found) > 0.9
+    assert min(each.confidence for each in tracker.seen_colours) > 0.9

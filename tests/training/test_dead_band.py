@@ -125,7 +125,7 @@ def test_inputs_of_one_sign_have_none():
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_of_the_labs_robots_200_rows_tell_which_commands_do_nothing(seed):
-    params, source = LabParams.drawn(seed), RandomCommands(seed=seed)
+    params, source = LabParams.sampled(seed), RandomCommands(seed=seed)
     drawn = [source.command(n) for n in range(200)]
     commanded = np.array([c.row for c in drawn])
     state = new_state(params, seed, (0.0, 0.0, 0.0))

@@ -97,7 +97,7 @@ def test_its_own_page_is_answered(server):
     )
     assert status == 200
     assert body.startswith(b"\xff\xd8")
-    assert json.loads(headers["Neurosim-State"])["found"] is True
+    assert json.loads(headers["Neurosim-State"])["in_view"] is True
     policy = headers["Content-Security-Policy"]
     assert policy.startswith("default-src 'none'")
     assert "frame-ancestors 'none'" in policy

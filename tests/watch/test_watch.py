@@ -70,7 +70,7 @@ def test_a_video_is_watched_over_and_over_until_ctrl_c(video, tmp_path):
 
         for _ in range(2):
             wait_until(lambda: newer()["time"] < states[-2]["time"], "the video's beginning")
-            wait_until(lambda: newer()["found"], "the robot")
+            wait_until(lambda: newer()["in_view"], "the robot")
         child.send_signal(signal.SIGINT)
         assert child.wait(timeout=PATIENCE) == 0
         assert child.stderr.read() == ""
@@ -86,7 +86,7 @@ def test_the_labs_camera_shows_a_robot_that_drives_and_films_it(tmp_path):
 
         def front():
             state.update(state_of(url, state["number"]))
-            return state["found"] and state["front"]
+            return state["in_view"] and state["front"]
 
         first = wait_until(front, "a robot in the picture")
         assert state["label"] == "virtual lab"

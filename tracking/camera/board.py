@@ -25,10 +25,10 @@ MARKER_HEIGHT = 0.10
 #: A marked point is off by at least this (standard deviation, px), however well four points fit.
 LEAST_CLICK = 0.3
 
-#: A usual lens: the focal length as a share of the picture's width (58 degrees), the axis through
-#: the picture's middle, no distortion. Standard deviations over cameras on the market: of the
-#: focal length (a share), of the axis (a share of the width), of k1 (at 0.2 a picture's corner is
-#: off by about a tenth); and of a height that was measured with a tape (a share).
+#: A usual lens: the focal length as a fraction of the picture's width (58 degrees), the axis
+#: through the picture's middle, no distortion. Standard deviations over cameras on the market: of
+#: the focal length (a fraction), of the axis (a fraction of the width), of k1 (at 0.2 a picture's
+#: corner is off by about a tenth); and of a height measured with a tape (a fraction).
 USUAL_FOCAL_LENGTH = 0.9
 FOCAL_SPREAD, AXIS_SPREAD, BEND_SPREAD, HEIGHT_SPREAD = 0.15, 0.02, 0.2, 0.02
 
@@ -151,7 +151,7 @@ def camera_over_board(
         model = _at_height(camera, 0.2 * usual, 5 * usual, height)
 
     def other(size: float, *lens: float) -> CameraModel:
-        """Return the camera with focal length or height off by a share, and another lens."""
+        """Return the camera with focal length or height off by a fraction, and another lens."""
         focal = model.camera_matrix[0, 0]
         if height is None:
             return camera(focal * (1 + size), *lens)

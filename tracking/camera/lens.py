@@ -27,7 +27,7 @@ FEWEST_PHOTOGRAPHS = 3
 WRONG_CORNER, WRONG_PHOTOGRAPH = 8.0, 4.0
 #: Nothing is wrong that is off by less, px.
 LEAST_WRONG = 0.5
-#: A photograph with more wrong corners than this share is wrong itself.
+#: A photograph with more wrong corners than this fraction is wrong itself.
 MOST_WRONG = 0.25
 
 

@@ -28,7 +28,7 @@ from tracking.clock.sync import ClockFit
 #: The commands of the first so many seconds are looked for in a video.
 TEMPLATE = 120.0
 #: The motion agrees with the commands at least so well (a correlation), and no second place in
-#: the video does so to this share of the best.
+#: the video does so to this fraction of the best.
 LEAST_AGREEMENT, AMBIGUOUS = 0.6, 0.85
 #: The clock needs so many changes of speed: a start, a stop, and one between them.
 LEAST_CHANGES = 3
@@ -128,15 +128,15 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
 
     ones, whole = np.ones(len(grid)), np.ones(length)
     agreement, channels = np.zeros(len(grid) + length - 1), 0
-    for moved, told in zip(seen, wanted, strict=True):
-        told_power, moved_power = float(told @ told), slide(moved**2, whole)
-        if told_power < 1e-9 or not moved.any():
+    for moved, wanted_speed in zip(seen, wanted, strict=True):
+        wanted_power, moved_power = float(wanted_speed @ wanted_speed), slide(moved**2, whole)
+        if wanted_power < 1e-9 or not moved.any():
             continue
-        covered = slide(ones, told**2)
+        covered = slide(ones, wanted_speed**2)
         # Little of the commands in the video would agree with anything.
-        enough = covered > 0.5 * told_power
-        power = np.maximum(covered * moved_power, 1e-12 * told_power * (moved @ moved))
-        agreement += np.where(enough, slide(moved, told) / np.sqrt(power), 0.0)
+        enough = covered > 0.5 * wanted_power
+        power = np.maximum(covered * moved_power, 1e-12 * wanted_power * (moved @ moved))
+        agreement += np.where(enough, slide(moved, wanted_speed) / np.sqrt(power), 0.0)
         channels += 1
     if channels == 0:
         raise UserError(_NO_MOTION)
@@ -191,9 +191,11 @@ def follows_commands(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLi
     wanted = _commanded(lines, begin, end, step)
     grid = begin + step * np.arange(wanted.shape[1])
     agreements = []
-    for moved, told in zip(_speeds(times, signals, grid), wanted, strict=True):
-        if np.ptp(told) > 1e-9:
-            agreements.append(np.corrcoef(moved, told)[0, 1] if np.ptp(moved) > 1e-9 else 0.0)
+    for moved, wanted_speed in zip(_speeds(times, signals, grid), wanted, strict=True):
+        if np.ptp(wanted_speed) > 1e-9:
+            agreements.append(
+                np.corrcoef(moved, wanted_speed)[0, 1] if np.ptp(moved) > 1e-9 else 0.0
+            )
     return bool(np.mean(agreements) >= LEAST_AGREEMENT)
 
 

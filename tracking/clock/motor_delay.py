@@ -168,13 +168,13 @@ def _in_windows(
     end = max(changes[-1, 0] + AFTER, begin + WINDOW)  # one window at least
     reach = round(REACH / STEP)
     grid = begin + STEP * np.arange(-reach - 1, math.ceil((end - begin) / STEP) + reach + 2)
-    told = np.zeros((len(grid), 2))
-    np.add.at(told, np.searchsorted(grid, changes[:, 0]), changes[:, 1:3])
-    told = np.cumsum(told, axis=0)
+    commanded = np.zeros((len(grid), 2))
+    np.add.at(commanded, np.searchsorted(grid, changes[:, 0]), changes[:, 1:3])
+    commanded = np.cumsum(commanded, axis=0)
     keep = np.exp(-STEP / np.array(LAGS))[:, None]
     speeds = np.zeros((len(grid), len(LAGS), 2))
     for i in range(1, len(grid)):
-        speeds[i] = told[i - 1] + (speeds[i - 1] - told[i - 1]) * keep
+        speeds[i] = commanded[i - 1] + (speeds[i - 1] - commanded[i - 1]) * keep
     paths = np.cumsum(speeds, axis=0) * STEP
     for number in range(max(int((end - begin) / WINDOW), 1)):
         first = begin + number * WINDOW
@@ -189,7 +189,7 @@ def _in_windows(
         part = (place - below)[:, None]
         inside = (grid >= first) & (grid <= first + WINDOW)
         for signal in range(2):
-            if np.ptp(told[inside, signal]) >= LEAST_CHANGE:
+            if np.ptp(commanded[inside, signal]) >= LEAST_CHANGE:
                 path = paths[..., signal]
                 shape = path[at] * (1.0 - part) + path[at + 1] * part
                 yield first + WINDOW / 2, _misfit(around, signals[rows, signal], shape)

@@ -25,17 +25,17 @@ CONTEXT = 0.6
 GROUP_GAP = 5.0
 #: Two flashes fix the drift only if they are this many seconds apart.
 DRIFT_SPAN = 20.0
-#: Clocks differ by less than this share, and by this many seconds over a short time.
+#: Clocks differ by less than this fraction, and by this many seconds over a short time.
 MOST_DRIFT, SLACK = 2e-3, 0.1
 #: A flash correlates at least so much with its pattern, and is so much brighter (of 255).
 LEAST_CORRELATION, LEAST_CONTRAST = 0.75, 2.0
-#: A second place that fits this share as well as the first makes it ambiguous.
+#: A second place that fits this fraction as well as the first makes it ambiguous.
 AMBIGUOUS = 0.75
 
-# Exposure times that are tried, as shares of the time between frames.
+# Exposure times that are tried, as fractions of the time between frames.
 _EXPOSURES = (0.05, 0.25, 0.5, 0.75, 1.0)
-# How far a frame may be from its share of full brightness: saturation bends it.
-_SHARE_NOISE = 0.08
+# How far a frame may be from its fraction of full brightness: saturation bends it.
+_FRACTION_NOISE = 0.08
 
 
 class LampLine(Protocol):
@@ -186,7 +186,7 @@ def _slide(
     step = float(np.median(np.diff(times))) / 2
     begin, end = group[0][0] - CONTEXT, group[-1][1] + CONTEXT
     kernel_times = begin + step * np.arange(int((end - begin) / step) + 1)
-    pattern = _share_on(kernel_times, 2 * step, group)
+    pattern = _fraction_lit(kernel_times, 2 * step, group)
     # Beyond both ends by the context, so that a flash right at the start can be found.
     pad = int(CONTEXT / step) + len(kernel_times)
     grid = times[0] + step * np.arange(-pad, int((times[-1] - times[0]) / step) + pad + 1)
@@ -259,7 +259,7 @@ def _near(
 def _fine(
     times: NDArray, brightness: NDArray, group: list[tuple[float, float]], shift: float
 ) -> tuple[float, float]:
-    """Return mean and standard deviation of the shift under the likelihood of the shares of light.
+    """Return mean and standard deviation of the shift, weighted by the fit of the light.
 
     Where an edge falls between two exposures, a range of shifts explains the frames equally
     well; the mean stands in its middle.
@@ -271,25 +271,25 @@ def _fine(
     shifts = shift + frame * np.linspace(-2.5, 2.5, 501)
     misfit = np.empty((len(_EXPOSURES), len(shifts)))
     for i, exposure in enumerate(_EXPOSURES):
-        share = _share_on(seen + shifts[:, None], exposure * frame, group)
-        centred = share - share.mean(axis=1, keepdims=True)
+        fraction = _fraction_lit(seen + shifts[:, None], exposure * frame, group)
+        centred = fraction - fraction.mean(axis=1, keepdims=True)
         dark = values - values.mean()
         gain = (centred @ dark) / np.maximum((centred**2).sum(axis=1), 1e-9)
         rest = (dark - gain[:, None] * centred) / np.maximum(gain, 1e-9)[:, None]
         misfit[i] = np.where(gain > 0, (rest**2).sum(axis=1), np.inf)
-    likelihood = np.exp(-(misfit - misfit.min()) / (2 * _SHARE_NOISE**2))
+    likelihood = np.exp(-(misfit - misfit.min()) / (2 * _FRACTION_NOISE**2))
     likelihood /= likelihood.sum()
     mean = float((likelihood * shifts).sum())
     return mean, float(np.sqrt((likelihood * (shifts - mean) ** 2).sum()))
 
 
-def _share_on(times: NDArray, exposure: float, group: Iterable[tuple[float, float]]) -> NDArray:
-    """Return the share of exposures, centred on robot times, during which the lamp is on."""
-    share = np.zeros(np.shape(times))
+def _fraction_lit(times: NDArray, exposure: float, group: Iterable[tuple[float, float]]) -> NDArray:
+    """Return the fraction of exposures, centred on robot times, during which the lamp is on."""
+    fraction = np.zeros(np.shape(times))
     for on, off in group:
         lit = np.minimum(times + exposure / 2, off) - np.maximum(times - exposure / 2, on)
-        share += np.clip(lit / exposure, 0.0, 1.0)
-    return share
+        fraction += np.clip(lit / exposure, 0.0, 1.0)
+    return fraction
 
 
 def _edge_misfits(
@@ -302,9 +302,9 @@ def _edge_misfits(
     frame = float(np.median(np.diff(times)))
     robot = fit.to_robot(times)
     seen = np.isfinite(brightness)
-    share = _share_on(robot, frame, group)
+    fraction = _fraction_lit(robot, frame, group)
     near = seen & (robot > group[0][0] - CONTEXT) & (robot < group[-1][1] + CONTEXT)
-    lit, dark = near & (share > 0.99), near & (share < 0.01)
+    lit, dark = near & (fraction > 0.99), near & (fraction < 0.01)
     if not lit.any() or not dark.any():
         return []
     base = np.median(brightness[dark])

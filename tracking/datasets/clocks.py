@@ -24,7 +24,7 @@ ROBOTS = 0.5
 _EARLY = 0.1
 #: How late (s) poses may be, the grid, lags that are tried (s), and how many steps are looked at.
 _EARLIEST, _LATEST, _STEP, _LAGS, _MOST = -2.0, 3.0, 0.05, (0.0, 0.05, 0.1, 0.2, 0.4), 4000
-#: What is left of the motion's variance must be less than this, and less than this share of what
+#: What is left of the motion's variance must be less than this, and less than this fraction of what
 #: is left by the best delay that a robot may have.
 _LEFT, _BETTER = 0.5, 0.8
 
@@ -50,15 +50,15 @@ def in_step(logs: Sequence[Log], delay: float | None = None) -> tuple[list[Log],
             return list(logs), []
         delay = late.delay
         much = f"{abs(delay):.2f} s {'after' if delay > 0 else 'before'}"
-        said = [
+        warnings = [
             f"poses follow {much} their commands, as no robot does: their clocks differ; "
             f"corrected; --delay {delay:.2f} says so, --delay 0 leaves them"
         ]
     else:
-        said = []
+        warnings = []
     if delay == 0.0:
-        return list(logs), said
-    return [replace(log, pose_time=log.pose_time - delay) for log in logs], said
+        return list(logs), warnings
+    return [replace(log, pose_time=log.pose_time - delay) for log in logs], warnings
 
 
 def lateness(log: Log) -> Lateness | None:
@@ -122,7 +122,7 @@ def _features(speeds: NDArray) -> NDArray:
 def _unexplained(
     features: NDArray, given: NDArray, twist: NDArray, known: NDArray, shift: int
 ) -> float:
-    """Return which share of the motion's variance commands so many steps before leave, 0..1."""
+    """Return which fraction of the motion's variance commands so many steps before leave, 0..1."""
     count = len(twist)
     late = slice(max(shift, 0), count + min(shift, 0))
     early = slice(max(-shift, 0), count - max(shift, 0))

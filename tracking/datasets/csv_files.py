@@ -133,11 +133,11 @@ def import_csv(
     if shape == "log":
         drives: list[logs.Log] = []
         for name, table in zip(names, tables, strict=True):
-            found_in, said = _logs(table, name, commands, conventions, settings, session)
+            found_in, notes = _logs(table, name, commands, conventions, settings, session)
             drives += found_in
-            warnings += [f"{table.path}: {sentence}" for sentence in said]
-        drives, said = in_step(drives, settings.delay)
-        warnings += said
+            warnings += [f"{table.path}: {sentence}" for sentence in notes]
+        drives, notes = in_step(drives, settings.delay)
+        warnings += notes
         made, left_out, windows = logs.any_rows_of(drives, commands, settings)
         if not made:
             _explain(tables[0].path, drives[0], left_out, settings)
@@ -217,7 +217,7 @@ def _shape(table: _Table, rows: bool | None) -> str:
     raise FileError(
         table.path,
         "expected a log with time, x, y, heading, or a line for each command with duration, dx, "
-        f"dy, dtheta; found {table.found()}: say which column is which, such as --columns "
+        f"dy, dtheta; found {table.column_names()}: say which column is which, such as --columns "
         "time=t,x=pos_x",
         line=table.header_line,
     )
@@ -247,8 +247,8 @@ def _commands(table: _Table, shape: str) -> list[str]:
             return list(usual)
     raise FileError(
         table.path,
-        f"which columns are the command? found {table.found()}; name them, such as --columns "
-        "left=speed_l,right=speed_r of wheels, or v=speed,w=omega",
+        f"which columns are the command? found {table.column_names()}; name them, such as "
+        "--columns left=speed_l,right=speed_r of wheels, or v=speed,w=omega",
         line=table.header_line,
     )
 
@@ -278,10 +278,10 @@ def _logs(
     labels = None if session is None else table.texts(session)
     if labels is not None:
         check_labels(table.path, session or "", labels)
-    drives, said = sessions_of(name, time, values, poses, settings, labels)
+    drives, warnings = sessions_of(name, time, values, poses, settings, labels)
     if not drives:
         raise FileError(table.path, "no drive in it has two samples and a pose")
-    return drives, said
+    return drives, warnings
 
 
 def _in_degrees(table: _Table) -> bool:
@@ -442,7 +442,7 @@ class _Table:
         if self._fields.empty:
             raise FileError(path, "holds the names of columns and no line of numbers")
 
-    def found(self) -> str:
+    def column_names(self) -> str:
         """Return the names of the file's columns, for messages."""
         return ", ".join(name for name in self._header if name)
 
@@ -469,7 +469,7 @@ class _Table:
             of = "" if theirs == name else f" ({name})"
             raise FileError(
                 self.path,
-                f"there is no such column{of}; found {self.found()}: say which it is, with "
+                f"there is no such column{of}; found {self.column_names()}: say which it is, with "
                 f"--columns {name}=NAME",
                 line=self.header_line,
                 field=theirs,
@@ -493,7 +493,7 @@ class _Table:
         if column not in self._header:
             raise FileError(
                 self.path,
-                f"there is no such column; found {self.found()}: --session names one of them",
+                f"there is no such column; found {self.column_names()}: give one to --session",
                 line=self.header_line,
                 field=column,
             )

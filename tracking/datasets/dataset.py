@@ -88,7 +88,7 @@ class Dataset:
         return self.table[list(self.outputs)].to_numpy(np.float64, copy=True)
 
     def split(self, held_out: float = 0.2) -> tuple[Dataset, Dataset]:
-        """Split by time into the earlier rows and the last ``held_out`` share of them.
+        """Split by time into the earlier rows and the last ``held_out`` fraction of them.
 
         Of equal rows only the first counts (:meth:`once`), so that none is in both parts. The first
         part has floor((1 - held_out) N) of the N rows that are left.
@@ -312,9 +312,9 @@ def build(
         )
         if chained:
             measured.corrected.clear()  # the delay is learned with the rest
-            stretches, said = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
+            stretches, notes = driven.logs_of(recording, name, logs.Settings(), doubtful=doubtful)
             drives += stretches
-            warnings += [f"{name}: {sentence}" for sentence in said]
+            warnings += [f"{name}: {sentence}" for sentence in notes]
         rows += [{"recording": name, **row} for row in measured.rows]
         sent += measured.sent
         seen = sensor_readings.readings_of(recording, name, doubtful=doubtful)
@@ -457,7 +457,7 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
         bins.setdefault(int(command["duration"] / bin_width + 1e-9), []).append(command)
     straight = classes["equal"]
     done = [command for command in straight if command["fate"] == "completed"]
-    drawn = _reach(command for command in straight if command["attempt"] == 1)
+    figure = _reach(command for command in straight if command["attempt"] == 1)
     completed_first = _reach(command for command in done if command["attempt"] == 1)
     completed = _reach(done)
     return {
@@ -468,11 +468,11 @@ def cutting(sent: Iterable[Mapping[str, Any]], bin_width: float = 0.5) -> dict[s
         ],
         "equal_reach": {
             "unit": "% s",
-            "drawn": drawn,
+            "drawn": figure,
             "completed_first": completed_first,
             "completed": completed,
-            "ratio_first": completed_first / drawn if drawn and completed_first else None,
-            "ratio": completed / drawn if drawn and completed else None,
+            "ratio_first": completed_first / figure if figure and completed_first else None,
+            "ratio": completed / figure if figure and completed else None,
         },
     }
 

@@ -50,13 +50,13 @@ def logs_of(
     every = recording.poses()
     every = every if doubtful else every.certain()
     logs: list[Log] = []
-    said: list[str] = []
+    warnings: list[str] = []
     for number, (run, before, since) in enumerate(_runs(lines, recording.takes.rest()), start=1):
         poses = every.of_session(run[0].session)
         more, why = _log_of(run, before, since, poses, f"{name}/{number}", settings)
         logs += more
-        said += [f"stretch {number}: {sentence}" for sentence in why]
-    return logs, said
+        warnings += [f"stretch {number}: {sentence}" for sentence in why]
+    return logs, warnings
 
 
 def _runs(
@@ -105,9 +105,9 @@ def _log_of(
     if not np.isfinite(where).all(axis=1).any():
         return [], []
     numbers = np.array([before, *(line.numbers for line in run)], float)
-    logs, said = sessions_of(
+    logs, warnings = sessions_of(
         name, time, numbers[np.searchsorted(sent, time, side="right")], where, settings
     )
     if logs and logs[0].before is None:
         logs[0] = replace(logs[0], before=numbers[0])
-    return logs, said
+    return logs, warnings

@@ -277,8 +277,8 @@ def chained_rows_of(
     # A mean of equal commands is that command, to the last digit.
     changes = np.concatenate([[0], np.cumsum((np.diff(commands, axis=0) != 0).any(axis=1))])
     same = changes[starts[1:] - 1] == changes[starts[:-1]]
-    told = np.where(same[:, None], commands[starts[:-1]], mean)
-    before = np.concatenate([first[None], told[:-1]])
+    commanded = np.where(same[:, None], commands[starts[:-1]], mean)
+    before = np.concatenate([first[None], commanded[:-1]])
     poses = log.pose_at(time[starts])
     moved = se2.between(poses[:-1], poses[1:])
     gaps = _gaps(log, begins, ends, settings.longest_gap)
@@ -297,7 +297,7 @@ def chained_rows_of(
                 "recording": log.name,
                 "command": number + 1,
                 **dict(zip((f"prev_{name}" for name in names), before[number], strict=True)),
-                **dict(zip(names, told[number], strict=True)),
+                **dict(zip(names, commanded[number], strict=True)),
                 "duration": float(lasts[number]),
                 **dict(zip(("dx", "dy", "dtheta"), moved[number], strict=True)),
                 "quality": 1.0,

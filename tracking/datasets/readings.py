@@ -91,8 +91,8 @@ def _motion_at(
     after = after.clip(1, len(times) - 1)
     begin, end = times[after - 1], times[after]
     known &= end - begin <= GAP
-    share = ((at - begin) / (end - begin))[:, None]
-    where[:, :3] = poses[after - 1] + share * (poses[after] - poses[after - 1])
+    fraction = ((at - begin) / (end - begin))[:, None]
+    where[:, :3] = poses[after - 1] + fraction * (poses[after] - poses[after - 1])
     first = (after - AROUND).clip(0)
     last = (after + AROUND - 1).clip(max=len(times) - 1)
     known &= times[last] - times[first] <= 2 * AROUND * GAP

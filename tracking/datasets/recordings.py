@@ -52,7 +52,7 @@ BY_HAND = "by-hand"
 #: A command lasts no longer, s.
 LONGEST = 3600.0
 MARKERS_FORMAT = "neurosim-markers"
-TRACKING_FORMAT, TRACKING_VERSION = "neurosim-tracking", 2
+TRACKING_FORMAT, TRACKING_VERSION = "neurosim-tracking", 3
 
 #: What a line of commands.csv can be.
 KINDS = (

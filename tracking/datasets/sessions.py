@@ -54,7 +54,7 @@ def sessions_of(
     Returns:
         The drives with two samples and a pose or more, and a sentence for whatever was found.
     """
-    said: list[str] = []
+    warnings: list[str] = []
     begins = _begins(time, settings, labels)
     parts = np.split(np.arange(len(time)), begins)
     if labels is None and len(begins):
@@ -62,7 +62,7 @@ def sessions_of(
         why = [f"the clock starts again {_times(back)}"] * (back > 0)
         silent = len(begins) - back
         why += [f"it is silent for long {_times(silent)}"] * (silent > 0)
-        said.append(
+        warnings.append(
             f"{len(parts)} drives in one file: {' and '.join(why)}; --session COLUMN says otherwise"
         )
     disordered = repeated = 0
@@ -81,23 +81,25 @@ def sessions_of(
         jumps += [drive.time[0] for drive in drives[1:]]
         logs += drives
     if disordered:
-        said.append(f"{disordered} lines are earlier than the line before; they are put in order")
+        warnings.append(
+            f"{disordered} lines are earlier than the line before; they are put in order"
+        )
     if repeated:
-        said.append(f"{repeated} lines have the time of another line; one of each counts")
+        warnings.append(f"{repeated} lines have the time of another line; one of each counts")
     if jumps:
         at = ", ".join(f"{moment:.2f}" for moment in jumps[:3]) + ", ..." * (len(jumps) > 3)
-        said.append(f"the pose jumps {_times(len(jumps))} (at {at} s); the log is cut there")
+        warnings.append(f"the pose jumps {_times(len(jumps))} (at {at} s); the log is cut there")
     if settings.keep:
-        return logs, said
+        return logs, warnings
     kept = [_fitting(log) for log in logs]
     wrong = [stretch for _, stretches in kept for stretch in stretches]
     if wrong:
         listed = ", ".join(f"{start:.1f} to {end:.1f}" for start, end in wrong[:5])
-        said.append(
+        warnings.append(
             f"headings do not fit the way that the robot goes from {listed}"
             f"{', ...' * (len(wrong) > 5)} s; left out; --keep keeps them"
         )
-    return [log for log, _ in kept if len(log.pose_time)], said
+    return [log for log, _ in kept if len(log.pose_time)], warnings
 
 
 def _times(count: int) -> str:
@@ -191,8 +193,8 @@ def _fast(time: NDArray, poses: NDArray) -> NDArray:
     limit = _JUMP * np.quantile(speed, 0.99)
     jumps = []
     for place in np.flatnonzero(speed > max(limit, 1e-9)).tolist():
-        beside = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]
-        if speed[place] > _BESIDE * np.median(beside):
+        neighbours = [*speed[max(place - 3, 0) : place], *speed[place + 1 : place + 4]]
+        if speed[place] > _BESIDE * np.median(neighbours):
             jumps.append(place + 1)
     return np.array(jumps, np.int64)
 
@@ -208,9 +210,9 @@ def _fitting(log: Log) -> tuple[Log, list[tuple[float, float]]]:
     if len(grid) < 8:
         return log, []
     moved = se2.between(log.pose_at(grid), log.pose_at(grid + _COURSE))
-    way = np.hypot(moved[:, 0], moved[:, 1])
-    size = np.quantile(way, 0.95)
-    usable = (way > 0.2 * size) & (np.abs(moved[:, 2]) < 1.0) & is_known(time, grid, _COURSE)
+    distance = np.hypot(moved[:, 0], moved[:, 1])
+    size = np.quantile(distance, 0.95)
+    usable = (distance > 0.2 * size) & (np.abs(moved[:, 2]) < 1.0) & is_known(time, grid, _COURSE)
     off = np.arctan2(moved[:, 1], moved[:, 0]) - moved[:, 2] / 2
     off = np.abs((off + np.pi / 2) % np.pi - np.pi / 2)
     if usable.sum() < 8 or np.median(off[usable]) > _MOST_FIT:

@@ -33,7 +33,7 @@ _OBEYS, _MENDED = 5.0, 2.5
 _RIGHT = "commands, speeds and times do not fit each other: they would with {}"
 #: Motion is measured over so long, s.
 _SPAN = 0.1
-#: A command that changes in more lines of a log than this share was measured, or is computed.
+#: A command that changes in more lines of a log than this fraction was measured, or is computed.
 _ALWAYS = 0.9
 
 
@@ -144,13 +144,15 @@ def suspicions(
 
 
 def _constant(moved: Moved, names: Sequence[str]) -> list[str]:
-    said = []
+    warnings = []
     for name, column in zip(names, moved.commands.T, strict=True):
         if (column == column[0]).all():
-            said.append(f"the command {name} never changes: leave it out of --columns")
+            warnings.append(f"the command {name} never changes: leave it out of --columns")
     if (moved.twist == 0).all():
-        said.append("the robot never moves: look whether x, y and heading are the right --columns")
-    return said
+        warnings.append(
+            "the robot never moves: look whether x, y and heading are the right --columns"
+        )
+    return warnings
 
 
 def _gains(moved: Moved, names: Sequence[str], units: Mapping[str, str]) -> dict[str, float]:
@@ -232,35 +234,35 @@ def _units(
     fitting.sort(key=lambda other: len(given.besides(other)))
     if fitting and fitting[0] != given:
         return [_RIGHT.format(" ".join(given.besides(fitting[0])))]
-    said = []
+    warnings = []
     likely = {"m/s": _within(fast, _SPEEDS), "rad/s": _within(turning, _RATES)}
     for unit, gain in gains.items():
         if likely[unit] and gain and not 1 / _OBEYS < abs(gain) < _OBEYS:
             name = next(name for name in names if units.get(name) == unit)
-            said.append(
+            warnings.append(
                 f"the robot moves {abs(gain):.3g} times as fast as {name} in {unit} says: is that "
                 f"its unit? Otherwise name it, such as --units {name}=%"
             )
     for name, column in zip(names, moved.commands.T, strict=True):
         limits = {"m/s": _SPEEDS, "rad/s": _RATES}.get(units.get(name, ""), (0.0, math.inf))
         if (largest := np.abs(column).max()) > limits[1]:
-            said.append(
+            warnings.append(
                 f"the command {name} is up to {largest:.3g} {units[name]}: is that its unit? "
                 f"Otherwise name it, such as --units {name}=mm/s"
             )
     if not _within(fast, _SPEEDS) and fast:
-        said.append(
+        warnings.append(
             f"the robot moves at {fast:.3g} m/s: are --length {now.length} and --time {now.time} "
             "right?"
         )
     if not _within(turning, _RATES) and turning:
-        said.append(
+        warnings.append(
             f"the robot turns at {turning:.3g} rad/s: are --angle {now.angle} and --time "
             f"{now.time} right?"
         )
     if moved.apart is not None and not _within(moved.apart, _SAMPLES):
-        said.append(f"samples are {moved.apart:.3g} s apart: is --time {now.time} right?")
-    return said
+        warnings.append(f"samples are {moved.apart:.3g} s apart: is --time {now.time} right?")
+    return warnings
 
 
 def _within(value: float, limits: tuple[float, float]) -> bool:

@@ -53,8 +53,8 @@ class Colour:
     @property
     def bgr(self) -> tuple[int, int, int]:
         """A fully saturated pixel of this hue, to draw with."""
-        shares = (_hue_share(self.hue, shift) for shift in (-120.0, 120.0, 0.0))
-        blue, green, red = (round(255 * share) for share in shares)
+        parts = (_hue_part(self.hue, shift) for shift in (-120.0, 120.0, 0.0))
+        blue, green, red = (round(255 * part) for part in parts)
         return blue, green, red
 
 
@@ -122,7 +122,7 @@ def angle_between(a: float | NDArray, b: float | NDArray) -> NDArray:
     return -np.remainder(np.subtract(b, a) + math.pi, 2 * math.pi) + math.pi
 
 
-def _hue_share(hue: float, shift: float) -> float:
-    """Return a channel's share of full light at a hue, 0..1."""
+def _hue_part(hue: float, shift: float) -> float:
+    """Return a channel's fraction of full light at a hue, 0..1."""
     distance = abs(math.degrees(float(angle_between(hue, math.radians(shift)))))
     return min(1.0, max(0.0, 2.0 - distance / 60.0))

@@ -65,15 +65,15 @@ class Look:
     chroma: float
     light: float
 
-    def blend(self, new: Look, share: float) -> Look:
-        """Return this look moved by ``share`` towards ``new``: light differs over the board."""
+    def blend(self, new: Look, fraction: float) -> Look:
+        """Return this look moved by ``fraction`` towards ``new``: light differs over the board."""
         (p, q), (new_p, new_q) = self.direction.tolist(), new.direction.tolist()
-        p, q = (1 - share) * p + share * new_p, (1 - share) * q + share * new_q
+        p, q = (1 - fraction) * p + fraction * new_p, (1 - fraction) * q + fraction * new_q
         length = math.hypot(p, q)
         return Look(
             np.array([p / length, q / length]),
-            (1 - share) * self.chroma + share * new.chroma,
-            (1 - share) * self.light + share * new.light,
+            (1 - fraction) * self.chroma + fraction * new.chroma,
+            (1 - fraction) * self.light + fraction * new.light,
         )
 
     @property
@@ -85,9 +85,11 @@ class Look:
         green = self.light + 0.114 * between - 0.299 * (alpha - 0.5 * between)
         return np.array([green + alpha - 0.5 * between, green, green - between])
 
-    def lit(self, share: float) -> Look:
-        """Return this look in light that is a share of what it was."""
-        return Look(self.direction, max(share * self.chroma, 1.0), max(share * self.light, 1.0))
+    def lit(self, fraction: float) -> Look:
+        """Return this look in light that is a fraction of what it was."""
+        return Look(
+            self.direction, max(fraction * self.chroma, 1.0), max(fraction * self.light, 1.0)
+        )
 
     def is_like(self, other: Look) -> bool:
         """Return whether the other may be of the same paint, if the light may have changed."""
@@ -98,8 +100,8 @@ class Look:
     def membership(self, plane: NDArray) -> NDArray:
         """Return how much pixels of the chroma plane [2, ...] are this colour, 0..1."""
         along, across = _components(plane, self.direction)
-        share = (along - ACROSS * np.abs(across)) * np.float32(1.0 / (0.35 * self.chroma))
-        return _clip(share - np.float32(0.25 / 0.35))
+        fraction = (along - ACROSS * np.abs(across)) * np.float32(1.0 / (0.35 * self.chroma))
+        return _clip(fraction - np.float32(0.25 / 0.35))
 
 
 @dataclass(frozen=True)

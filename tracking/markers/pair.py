@@ -26,8 +26,8 @@ class Geometry:
             metres at marker height where the camera is calibrated, the pixels themselves else.
         separation: between the two centres, in that plane; None to learn it.
         diameter: of a marker, likewise.
-        lamp: where the lamp is: the share of the way from the rear to the front marker, and to
-            the left of it as a share of the separation.
+        lamp: where the lamp is: the fraction of the way from the rear to the front marker, and to
+            the left of it as a fraction of the separation.
     """
 
     to_plane: Callable[[NDArray], NDArray] | None = None
@@ -69,7 +69,7 @@ class Sighting:
     lamp: float
 
     @property
-    def found(self) -> bool:
+    def in_view(self) -> bool:
         """Whether both markers were found."""
         return self.quality > 0
 

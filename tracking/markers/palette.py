@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tracking.markers.colours import Colour, angle_between
 from tracking.markers.markers import Look
 
-#: A marker with this much chroma (of 255), or in little light with this share of its brightest
+#: A marker with this much chroma (of 255), or in little light with this fraction of its brightest
 #: channel, cannot be taken for grey.
 STRONG_CHROMA, STRONG_SATURATION = 60.0, 0.6
 #: Below this confidence a person should look.
@@ -29,7 +29,7 @@ STILL = "the pair never moves"
 
 
 @dataclass(frozen=True)
-class Found:
+class SeenColour:
     """A marker's colour as a camera sees it.
 
     Attributes:
@@ -60,36 +60,36 @@ class Found:
         }
 
 
-def found_colour(colour: Colour, look: Look, rival: float, together: float = 1.0) -> Found:
+def seen_colour(colour: Colour, look: Look, rival: float, together: float = 1.0) -> SeenColour:
     """Return what a look says of a named colour.
 
     Args:
         colour: as it was named.
         look: of the marker that was taken for it.
-        rival: how well the next best patch would have done, as a share of this one.
+        rival: how well the next best patch would have done, as a fraction of this one.
         together: how close the pair stands for its size, 0..1.
     """
     rgb = np.clip(np.round(look.rgb), 0, 255).astype(int)
     hue = math.atan2(look.direction[1], look.direction[0])
     off = float(angle_between(hue, colour.hue)) / colour.tolerance
-    shares = {
+    fractions = {
         GREY: min(1.0, look.chroma / min(STRONG_CHROMA, STRONG_SATURATION * look.rgb.max())),
         RIVAL: 1.0 / (1.0 + rival),
         OTHER_HUE: math.exp(-0.5 * off**4),
         APART: together,
     }
-    return Found(
+    return SeenColour(
         replace(colour, hue=hue),
         float(look.chroma),
         "#" + "".join(f"{channel:02x}" for channel in rgb),
-        math.prod(shares.values()),
-        min(shares, key=shares.get),
+        math.prod(fractions.values()),
+        min(fractions, key=fractions.get),
     )
 
 
-def together(founds: Sequence[Found | None]) -> Found | None:
+def together(colours: Sequence[SeenColour | None]) -> SeenColour | None:
     """Return what several pictures say together; None where none shows the colour."""
-    seen = [colour for colour in founds if colour is not None]
+    seen = [colour for colour in colours if colour is not None]
     if not seen:
         return None
     hues = np.array([colour.colour.hue for colour in seen])
@@ -97,25 +97,27 @@ def together(founds: Sequence[Found | None]) -> Found | None:
     middle = sorted(seen, key=lambda colour: colour.chroma)[len(seen) // 2]
     # Hues that differ from picture to picture are of different things.
     agreement = float(np.hypot(np.sin(hues).mean(), np.cos(hues).mean()))
-    confidence = sum(colour.confidence for colour in seen) / len(founds) * agreement
+    confidence = sum(colour.confidence for colour in seen) / len(colours) * agreement
     reason = min(seen, key=lambda colour: colour.confidence).reason
     return replace(
         middle, colour=replace(middle.colour, hue=hue), confidence=confidence, reason=reason
     )
 
 
-def unless_still(founds: Sequence[Found], front: NDArray, rear: NDArray) -> tuple[Found, ...]:
+def unless_still(
+    colours: Sequence[SeenColour], front: NDArray, rear: NDArray
+) -> tuple[SeenColour, ...]:
     """Return what was found, less confident where the pair, [N, 2] each (pixels), never moves."""
     apart = np.nanmedian(np.hypot(*(front - rear).T))
     both = np.concatenate([front, rear], axis=1)
     reach = np.max(np.nanmax(both, axis=0) - np.nanmin(both, axis=0))
     if reach > 0.5 * apart:
-        return tuple(founds)
+        return tuple(colours)
     return tuple(
         replace(colour, confidence=STILL_CONFIDENCE, reason=STILL)
         if colour.confidence > STILL_CONFIDENCE
         else colour
-        for colour in founds
+        for colour in colours
     )
 
 

@@ -12,13 +12,13 @@ import math
 import numpy as np
 from numba import njit
 
-#: Chroma across the marker's hue that is tolerated, as a share of that along it: 34 degrees.
+#: Chroma across the marker's hue that is tolerated, as a fraction of that along it: 34 degrees.
 ACROSS = 1.5
 #: The centre of light is sought until it moves by less (px), or so many times.
 SETTLED, ROUNDS = 0.002, 12
 #: In a smaller marker (px) a white dot is not told apart: video has colour at half resolution.
 DOT_RADIUS = 4.0
-#: Light counts from this share of the marker's own on, for what is left of the backing; where
+#: Light counts from this fraction of the marker's own on, for what is left of the backing; where
 #: there is no white dot edges are sharper, and what a camera's sharpening makes of them matters.
 DEAD, PLAIN_DEAD = 0.15, 0.25
 #: As many times the marker's ratio of light to chroma are its own, with a white dot and without.

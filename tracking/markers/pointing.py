@@ -12,7 +12,7 @@ from neurosim.base.errors import UserError
 from tracking.markers.colours import Colour, angle_between, chroma_plane, parse_colour
 from tracking.markers.markers import LEAST_CHROMA, Picture
 
-#: Where one clicks lies within this share of the picture's width of the colour that is meant.
+#: Where one clicks lies within this fraction of the picture's width of the colour that is meant.
 REACH = 1 / 80
 #: Pixels this far in hue from the commonest one around a click are something else.
 SAME_HUE = math.radians(25)
@@ -27,13 +27,13 @@ class Pointed:
     Attributes:
         colour: named ``#rrggbb``, as options and files take it.
         chroma: how colourful it is, 0 grey to 255.
-        share: of the pixels around the click that are of it, 0..1.
+        fraction: of the pixels around the click that are of it, 0..1.
         places: patches of this colour in the whole picture.
     """
 
     colour: Colour
     chroma: float
-    share: float
+    fraction: float
     places: int
 
     @property
@@ -56,12 +56,12 @@ def colour_at(frame: NDArray, pixel: ArrayLike) -> Pointed:
     Raises:
         UserError: if there is nothing but grey.
     """
-    colour, chroma, share = colour_around(frame, pixel)
-    return Pointed(colour, chroma, share, len(Picture(frame).blobs(colour)))
+    colour, chroma, fraction = colour_around(frame, pixel)
+    return Pointed(colour, chroma, fraction, len(Picture(frame).blobs(colour)))
 
 
 def colour_around(frame: NDArray, pixel: ArrayLike) -> tuple[Colour, float, float]:
-    """Return the commonest colour around a pixel, its chroma, and its share of the pixels there.
+    """Return the commonest colour around a pixel, its chroma, and its fraction of the pixels there.
 
     Raises:
         UserError: as :func:`colour_at` does.

@@ -49,6 +49,6 @@ def tracker_of(
     return TagTracker(what, geometry) if isinstance(what, Tag) else Tracker(*what, geometry, start)
 
 
-def drawn_with(what: Sought) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
+def drawing_colours(what: Sought) -> tuple[tuple[int, int, int], tuple[int, int, int]]:
     """Return the colours, BGR, in which front and rear are drawn."""
     return _ENDS if isinstance(what, Tag) else (what[0].bgr, what[1].bgr)

@@ -13,7 +13,7 @@ from tracking.markers.colours import Colour
 from tracking.markers.first_sight import CLOSE, rate
 from tracking.markers.markers import Blob, Look, Picture, shrink_factor
 from tracking.markers.pair import Geometry
-from tracking.markers.palette import Found, found_colour, together
+from tracking.markers.palette import SeenColour, seen_colour, together
 
 #: The picture is looked at with so many pixels across.
 ACROSS = 320
@@ -33,9 +33,9 @@ class Survey:
     def __init__(self, colours: tuple[Colour, Colour], geometry: Geometry, pointed: bool = False):
         self._colours, self._geometry, self._pointed = colours, geometry, pointed
         self._frames, self._next = 0, 1
-        self._founds: list[tuple[Found, Found]] = []
+        self._colours: list[tuple[SeenColour, SeenColour]] = []
         #: What all looks say together; None before the first.
-        self.found: tuple[Found, Found] | None = None
+        self.seen_colours: tuple[SeenColour, SeenColour] | None = None
 
     def take(
         self,
@@ -67,7 +67,7 @@ class Survey:
             rivals = self._rivals(frame, white, pixels, radii, coarse)
             rivals = rivals or self._rivals(frame, white, pixels, radii, factor)
         if rivals is None:
-            if self._founds:
+            if self._colours:
                 return
             rivals = (0.0, 0.0)
         close = 1.0
@@ -75,12 +75,12 @@ class Survey:
             apart = float(np.hypot(*(pixels[0] - pixels[1]))) / sum(radii)
             close = math.exp(-0.5 * max(0.0, apart - CLOSE) ** 2)
         front, rear = (
-            found_colour(colour, look, rival, close)
+            seen_colour(colour, look, rival, close)
             for colour, look, rival in zip(self._colours, looks, rivals, strict=True)
         )
-        self._founds.append((front, rear))
-        front, rear = (together(founds) for founds in zip(*self._founds, strict=True))
-        self.found = front, rear
+        self._colours.append((front, rear))
+        front, rear = (together(colours) for colours in zip(*self._colours, strict=True))
+        self.seen_colours = front, rear
 
     def _rivals(
         self,

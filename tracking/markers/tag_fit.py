@@ -26,7 +26,7 @@ _RIM = 0.6
 #: A tag whose side has more pixels is looked at in a smaller picture.
 MOST_PIXELS = 56.0
 _STEPS = 8
-#: A pixel this far from the pattern (times the median, and as a share of white less black) is of
+#: A pixel this far from the pattern (times the median, and as a fraction of white less black) is of
 #: something that covers it; and where something does, one that is nearer.
 _FAR, _NEAR = (5.0, 0.25), (3.0, 0.15)
 #: Of a tag that nothing covers so many pixels count, and they correlate so well with its pattern.
@@ -47,7 +47,7 @@ class Placed:
         centre: px [2].
         axes: px [2, 2], columns: the tag's x, to the right, and its y, down, as it is printed.
         likeness: correlation of the pixels that count with the pattern, of 1.
-        seen: share of the pixels that count: the others are far from the pattern, as of a hand.
+        seen: fraction of the pixels that count: the others are far from the pattern, as of a hand.
     """
 
     centre: NDArray

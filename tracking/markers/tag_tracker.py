@@ -23,11 +23,11 @@ from tracking.markers.pair import (
 from tracking.markers.tag_fit import Placed, fit
 from tracking.markers.tags import Tag
 
-#: Correlation with the pattern from which on a tag is believed, and share of it that must show.
+#: Correlation with the pattern from which on a tag is believed, and fraction of it that must show.
 LEAST_LIKENESS, LEAST_SEEN = 0.8, 0.75
 #: After so long without a frame (s) its number is read again: another may be in its place.
 FOLLOWED_FOR = 0.5
-#: Sides that are still believed, as a share of what is known, or was learned.
+#: Sides that are still believed, as a fraction of what is known, or was learned.
 SIDE_TOLERANCE = 0.08
 #: A tag is searched in a picture in which its side has about so many pixels, or all there are.
 SEARCH_SIDE = 36.0
@@ -59,10 +59,10 @@ class TagTracker:
         #: Frames in which there were several of this tag, and none was taken.
         self.undecided = 0
         #: Whether the tag was ever found.
-        self.ever_found = False
+        self.ever_seen = False
 
     @property
-    def found(self) -> None:
+    def seen_colours(self) -> None:
         """A tag has no colours that could be mistaken."""
         return None
 
@@ -84,7 +84,7 @@ class TagTracker:
         pixels = self._ends(placed)
         quality = self._quality(placed, pixels)
         self._motion = Motion.of(None if self._lost else self._motion, time, pixels)
-        self._placed, self._lost, self.ever_found = placed, 0, True
+        self._placed, self._lost, self.ever_seen = placed, 0, True
         apart = self.geometry.separation_of(pixels)
         self._side = apart if self._side is None else self._side
         if self.geometry.separation is None:

@@ -39,7 +39,7 @@ from tracking.markers.pair import (
     lamp_luma,
     middle_of,
 )
-from tracking.markers.palette import Found
+from tracking.markers.palette import SeenColour
 from tracking.markers.survey import Survey
 from tracking.markers.white import Cast, cast_of
 
@@ -102,7 +102,7 @@ class Tracker:
         self.colours = (front, rear)
         self.geometry = geometry or Geometry()
         self._survey = Survey(self.colours, self.geometry, start is not None)
-        self._forgotten: tuple[Found, Found] | None = None
+        self._forgotten: tuple[SeenColour, SeenColour] | None = None
         self._learned: Learned | None = None
         self._motion: Motion | None = None
         self._cast: Cast | None = None
@@ -132,9 +132,9 @@ class Tracker:
         return None if self._learned is None else list(self._learned.looks)
 
     @property
-    def found(self) -> tuple[Found, Found] | None:
+    def seen_colours(self) -> tuple[SeenColour, SeenColour] | None:
         """This camera's colours of front and rear with confidence, once they were found."""
-        return self._survey.found or self._forgotten
+        return self._survey.seen_colours or self._forgotten
 
     def update(self, frame: NDArray, time: float) -> Sighting:
         """Find the pair in the next frame.
@@ -182,11 +182,11 @@ class Tracker:
         all the light that a pixel can have, and lose its colour in more.
         """
         self._cast.update(frame)
-        share = self._cast.level / self._light
-        share = min(share, max(1.0, most / self._light))
-        self._learned.looks = [look.lit(share) for look in self._learned.looks]
-        self._light *= share
-        return abs(math.log(share)) > math.log(LIGHT_CHANGED)
+        fraction = self._cast.level / self._light
+        fraction = min(fraction, max(1.0, most / self._light))
+        self._learned.looks = [look.lit(fraction) for look in self._learned.looks]
+        self._light *= fraction
+        return abs(math.log(fraction)) > math.log(LIGHT_CHANGED)
 
     def _follow_in_other_light(
         self, frame: NDArray, time: float
@@ -208,7 +208,7 @@ class Tracker:
     def _forget(self) -> None:
         self._learned = self._motion = self._cast = None
         self.begun = self._frames
-        self._forgotten = self.found
+        self._forgotten = self.seen_colours
         self._survey = Survey(self.colours, self.geometry)
 
     # Following
@@ -314,12 +314,12 @@ class Tracker:
         learned = self._learned
         learned.frames += 1
         # The first frames count fully, so that one odd first sight does not last.
-        share = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
+        fraction = max(0.03, 1.0 / (learned.frames + 1)) if quality > 0.3 else 0.01
         scale = self._pixels_per_unit(middle_of(pixels))
         for i, measurement in enumerate(measured):
-            learned.looks[i] = learned.looks[i].blend(measurement.look, share)
-            learned.areas[i] += share * (measurement.area / scale**2 - learned.areas[i])
-        learned.separation += share * (self._separation(pixels) - learned.separation)
+            learned.looks[i] = learned.looks[i].blend(measurement.look, fraction)
+            learned.areas[i] += fraction * (measurement.area / scale**2 - learned.areas[i])
+        learned.separation += fraction * (self._separation(pixels) - learned.separation)
 
     def _radii(self, middle: NDArray) -> list[float]:
         scale = self._pixels_per_unit(middle)

@@ -19,7 +19,7 @@ _ACROSS = 48
 _DARK, _CLIPPED = 24, 250
 #: The level of the light is taken from pixels at least so bright in the first picture.
 _LIT = 40
-#: A picture with less light than this, as a share of that of the first, is of a covered lens.
+#: A picture with less light than this, as a fraction of that of the first, is of a covered lens.
 _COVERED = 0.05
 #: Fewer usable pixels say nothing.
 _LEAST = 60
@@ -52,7 +52,7 @@ class Cast:
         self._reference = _grid(frame)
         self._base = base
         self.white = base
-        #: The light of the latest picture, as a share of that of the first.
+        #: The light of the latest picture, as a fraction of that of the first.
         self.level = 1.0
 
     def update(self, frame: NDArray) -> tuple[float, float]:
@@ -86,16 +86,16 @@ def _turned(grid: NDArray, before: NDArray) -> tuple[int, float, float]:
 
 @njit(cache=True, nogil=True)
 def _dimmed(grid: NDArray, before: NDArray) -> tuple[int, float]:
-    """Return how many pixels are lit, and the median of their light as a share of that before."""
-    shares = np.empty(len(grid), np.float32)
+    """Return how many pixels are lit, and the median ratio of their light to that before."""
+    fractions = np.empty(len(grid), np.float32)
     count = 0
     for now, then in zip(grid, before):  # noqa: B905 (compiled: no strict)
         if then.max() > _LIT and max(now.max(), then.max()) < _CLIPPED:
-            shares[count] = now.sum() / then.sum()
+            fractions[count] = now.sum() / then.sum()
             count += 1
     if count == 0:
         return 0, 1.0
-    return count, np.median(shares[:count])
+    return count, np.median(fractions[:count])
 
 
 def _grid(frame: NDArray) -> NDArray:

@@ -87,8 +87,8 @@ def arc_length(displacement: ArrayLike) -> NDArray:
     """Return the length of the constant-twist arc, infinite or huge where there is none."""
     displacement = np.asarray(displacement, float)
     with np.errstate(divide="ignore", invalid="ignore"):
-        way = np.hypot(displacement[..., 0], displacement[..., 1])
-        return way / np.abs(chord(displacement[..., 2]))
+        distance = np.hypot(displacement[..., 0], displacement[..., 1])
+        return distance / np.abs(chord(displacement[..., 2]))
 
 
 def arc(displacement: ArrayLike, fraction: ArrayLike) -> NDArray:

@@ -16,7 +16,7 @@ from neurosim.lab.camera.optics import Optics
 from neurosim.lab.nxt.params import BOARD, CameraParams
 from tracking.camera.cameras import Camera, OnFrame
 
-#: An exposure is looked at at these shares of its duration; between them the robot moves evenly.
+#: An exposure is looked at at these fractions of its duration; between them the robot moves evenly.
 _MOMENTS = (0.0, 0.25, 0.5, 0.75, 1.0)
 #: How much of the exposure each stands for, as the blur asks for (in pixels of movement).
 _STILL = np.array([0.0, 0.0, 1.0, 0.0, 0.0])
@@ -214,7 +214,7 @@ class RoofCamera(Camera):
         return self.params.noise * self._rng.standard_normal(self._ground.shape, np.float32)
 
     def _blur(self, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return as many poses as the movement asks for, and their shares of the exposure."""
+        """Return as many poses as the movement asks for, and their fractions of the exposure."""
         if len(poses) == 1:
             return poses, np.ones(1)
         moved = poses[-1] - poses[0]

@@ -187,9 +187,9 @@ def print_line(picture, light, plane, points, line_width, ink):
                 plane[v, u0 + 1, 0] - plane[v, u0 - 1, 0], plane[v, u0 + 1, 1] - plane[v, u0 - 1, 1]
             )
             away = distance_to(points, plane[v, u, 0], plane[v, u, 1])
-            share = _edge(0.5 * line_width - away, breadth)
+            fraction = _edge(0.5 * line_width - away, breadth)
             for c in range(3):
-                picture[v, u, c] += share * (light[v, u] * ink[c] - picture[v, u, c])
+                picture[v, u, c] += fraction * (light[v, u] * ink[c] - picture[v, u, c])
 
 
 def paint_place(picture, light, plane, place: Place) -> None:
@@ -256,7 +256,7 @@ def paint_robot(
         plane: board coordinates of every pixel's centre at marker height, [H, W, 2] (m).
         window: u from and to, v from and to: nothing of the robot is outside.
         poses: [K, 3] (m, m, rad).
-        weights: share of the exposure at each pose, [K], of sum 1.
+        weights: fraction of the exposure at each pose, [K], of sum 1.
         lamp: the lamp's mean brightness over the exposure, 0..1.
         noise: sensor noise, float32 [N, N, 3], repeated over the picture.
         shift: rows and columns by which the noise is shifted.
@@ -291,7 +291,7 @@ def paint_robot(
                 # The pixel's sides in the robot frame, a quarter of each.
                 ax, ay = 0.25 * (cos[k] * ux + sin[k] * uy), 0.25 * (cos[k] * uy - sin[k] * ux)
                 bx, by = 0.25 * (cos[k] * vx + sin[k] * vy), 0.25 * (cos[k] * vy - sin[k] * vx)
-                share = 0.25 * weights[k] if still else 0.5 * weights[k]
+                fraction = 0.25 * weights[k] if still else 0.5 * weights[k]
                 for sample in range(4 if still else 2):
                     along = 1.0 if sample % 2 == 0 else -1.0
                     down = along if (sample // 2 + k) % 2 == 0 else -along
@@ -299,9 +299,9 @@ def paint_robot(
                     seen = _robot_colour(
                         x + to_x, y + to_y, breadth, under, lit, lamp, cells, plate
                     )
-                    blue += share * seen[0]
-                    green += share * seen[1]
-                    red += share * seen[2]
+                    blue += fraction * seen[0]
+                    green += fraction * seen[1]
+                    red += fraction * seen[2]
             if touched:
                 i, j = (v + shift[0]) % size, (u + shift[1]) % size
                 frame[v, u, 0] = int(min(max(blue + noise[i, j, 0] + 0.5, 0.0), 255.0))
@@ -315,12 +315,12 @@ def _near_body(x, y, margin):
 
 
 @_painted
-def _blend(under, over, share):
-    """Return the colour of a sample that something covers by ``share``."""
+def _blend(under, over, fraction):
+    """Return the colour of a sample that something covers by ``fraction``."""
     return (
-        under[0] + share * (over[0] - under[0]),
-        under[1] + share * (over[1] - under[1]),
-        under[2] + share * (over[2] - under[2]),
+        under[0] + fraction * (over[0] - under[0]),
+        under[1] + fraction * (over[1] - under[1]),
+        under[2] + fraction * (over[2] - under[2]),
     )
 
 
@@ -359,12 +359,12 @@ def _robot_colour(x, y, breadth, under, light, lamp, cells, plate):
     colour = under
     body = _box(x, y, _BODY, breadth)
     if body < 1.0:
-        share = _box(x, abs(y), _WHEEL, breadth)
-        if share > 0.0:
-            colour = _blend(colour, _lit(_WHEEL_COLOUR, light), share)
-        share = _box(x, y, _SENSOR_ARM, breadth)
-        if share > 0.0:
-            colour = _blend(colour, _lit(_SENSOR_COLOUR, light), share)
+        fraction = _box(x, abs(y), _WHEEL, breadth)
+        if fraction > 0.0:
+            colour = _blend(colour, _lit(_WHEEL_COLOUR, light), fraction)
+        fraction = _box(x, y, _SENSOR_ARM, breadth)
+        if fraction > 0.0:
+            colour = _blend(colour, _lit(_SENSOR_COLOUR, light), fraction)
     if body > 0.0:
         colour = _blend(colour, _lit(_BODY_COLOUR, light), body)
     if cells.shape[0] > 0:
@@ -378,14 +378,14 @@ def _robot_colour(x, y, breadth, under, light, lamp, cells, plate):
         radius = 0.5 * MARKER_DIAMETER
         if r2 < (radius + 0.5 * breadth) ** 2:
             r = math.sqrt(r2)
-            share = _edge(radius - r, breadth)
+            fraction = _edge(radius - r, breadth)
             fade = min(max((radius - r) / (radius - _DOT_RADIUS), 0.0), 1.0)
-            colour = _blend(colour, _lit(_blend(rim, _WHITE, fade), light), share)
+            colour = _blend(colour, _lit(_blend(rim, _WHITE, fade), light), fraction)
     r2 = (x - LAMP[0]) ** 2 + (y - LAMP[1]) ** 2
     if r2 < (LAMP_RADIUS + 0.5 * breadth) ** 2:
-        share = _edge(LAMP_RADIUS - math.sqrt(r2), breadth)
+        fraction = _edge(LAMP_RADIUS - math.sqrt(r2), breadth)
         glass = _blend(_lit(_LAMP_GLASS, light), _LAMP_LIT, lamp)
-        colour = _blend(colour, glass, share)
+        colour = _blend(colour, glass, fraction)
     if lamp > 0.0:
         glow = lamp * _GLOW * math.exp(-0.5 * r2 / _GLOW_RADIUS**2)
         colour = (colour[0] + glow, colour[1] + glow, colour[2] + glow)

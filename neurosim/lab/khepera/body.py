@@ -103,8 +103,8 @@ class KheperaBody:
     def set_positions(self, left: int, right: int, limits: tuple[int, int]) -> None:
         """Turn both wheels to counter positions, no faster than ``limits`` (pulses in 10 ms)."""
         for wheel, count in enumerate((left, right)):
-            way = (count + self._zeros[wheel]) / PULSES_PER_METRE
-            self._inputs[U.TARGET + wheel] = way
+            distance = (count + self._zeros[wheel]) / PULSES_PER_METRE
+            self._inputs[U.TARGET + wheel] = distance
             self._inputs[U.LIMIT + wheel] = limits[wheel] * SPEED_UNIT
         self._inputs[U.POSITION : U.POSITION + 2] = 1.0
 
@@ -161,7 +161,7 @@ class KheperaBody:
         return np.clip(np.rint(counts), 0, 1023).astype(int).tolist()
 
     def _pulses(self) -> tuple[int, int]:
-        left, right = self.state[S.WAY : S.WAY + 2] * PULSES_PER_METRE
+        left, right = self.state[S.DISTANCE : S.DISTANCE + 2] * PULSES_PER_METRE
         return math.floor(left), math.floor(right)
 
 

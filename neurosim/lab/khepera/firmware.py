@@ -154,8 +154,8 @@ class KheperaFirmware:
         if len(words) != count or not all(_NUMBER.match(word) for word in words):
             return WRONG
         with self._lock:
-            told = answer(*(int(word) for word in words))
-        return WRONG if told is None else told.encode("ascii") + b"\r\n"
+            reply = answer(*(int(word) for word in words))
+        return WRONG if reply is None else reply.encode("ascii") + b"\r\n"
 
     def _drive(self, left: int, right: int) -> str:
         self._goal = None

@@ -13,7 +13,7 @@ RADIUS, WHEEL_BASE = 0.0275, 0.053
 PULSES_PER_METRE, SPEED_UNIT = 10_000.0, 0.010
 #: Where the sensors sit and look, degrees counter-clockwise from straight ahead; as they are read.
 SENSOR_ANGLES = (80.0, 44.0, 12.0, -12.0, -44.0, -80.0, -168.0, 168.0)
-#: Share of infra-red light that walls and obstacles throw back, all of one white paper.
+#: Fraction of infra-red light that walls and obstacles throw back, all of one white paper.
 WHITE = 0.9
 
 
@@ -68,7 +68,7 @@ class KheperaParams:
         return replace(cls(), **changes)
 
     @classmethod
-    def drawn(cls, seed: int) -> KheperaParams:
+    def sampled(cls, seed: int) -> KheperaParams:
         """Return the robot of this number."""
         rng = np.random.default_rng([seed, 0x6B4E])
         normal = rng.standard_normal

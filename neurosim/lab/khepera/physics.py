@@ -37,7 +37,7 @@ class S(IntEnum):
     Y = 2
     THETA = 3
     SPEED = 4  # of the rim as the encoder sees it, m/s, two places
-    WAY = 6  # of the rim as the encoder sees it, m, two places
+    DISTANCE = 6  # of the rim as the encoder sees it, m, two places
     SLIP = 8  # relative, two places
     SCAN = 10  # pose when the sensors were last scanned, three places
     DRIFT = 13  # of the ambient light, counts
@@ -76,11 +76,11 @@ def _wanted(state, inputs, wheel, motor):
     """Return the speed that a wheel's controller holds, m/s: gain, less what friction takes."""
     target = inputs[U.TARGET + wheel]
     if inputs[U.POSITION + wheel] > 0.0:
-        way = target - state[S.WAY + wheel]
+        missing = target - state[S.DISTANCE + wheel]
         limit = inputs[U.LIMIT + wheel]
-        if abs(way) * PULSES_PER_METRE < 1.0:
+        if abs(missing) * PULSES_PER_METRE < 1.0:
             return 0.0
-        target = max(-limit, min(limit, _POSITION_GAIN * way))
+        target = max(-limit, min(limit, _POSITION_GAIN * missing))
         # Enough to move: a position controller integrates what friction takes.
         return target
     loss = motor[2 + wheel]
@@ -138,7 +138,7 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
     drift_fresh = drift * math.sqrt(1.0 - drift_keep * drift_keep)
     while state[S.TICKS] < until:
         moves = 0.0
-        ways = (0.0, 0.0)
+        distances = (0.0, 0.0)
         for wheel in range(2):
             wanted = _wanted(state, inputs, wheel, motor)
             decay = math.exp(-TICK / motor[4 + wheel])
@@ -146,15 +146,15 @@ def advance(state, inputs, motor, walls, cylinders, rng, until):
             after = wanted + (before - wanted) * decay
             turned = wanted * TICK + (before - wanted) * motor[4 + wheel] * (1.0 - decay)
             state[S.SPEED + wheel] = after
-            state[S.WAY + wheel] += turned
+            state[S.DISTANCE + wheel] += turned
             if fresh > 0.0 and turned != 0.0:
                 state[S.SLIP + wheel] = keep * state[S.SLIP + wheel] + fresh * rng.standard_normal()
-            way = turned * motor[6 + wheel] * (1.0 - state[S.SLIP + wheel])
-            ways = (way, ways[1]) if wheel == 0 else (ways[0], way)
+            distance = turned * motor[6 + wheel] * (1.0 - state[S.SLIP + wheel])
+            distances = (distance, distances[1]) if wheel == 0 else (distances[0], distance)
             moves += abs(turned)
         if moves > 0.0:
-            turn = (ways[1] - ways[0]) / WHEEL_BASE
-            forward = 0.5 * (ways[0] + ways[1])
+            turn = (distances[1] - distances[0]) / WHEEL_BASE
+            forward = 0.5 * (distances[0] + distances[1])
             heading = state[S.THETA] + 0.5 * turn
             half = 0.5 * turn
             chord = forward if abs(half) < 1e-9 else forward * math.sin(half) / half

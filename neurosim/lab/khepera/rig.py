@@ -80,7 +80,7 @@ class VirtualKheperaRig(Served):
         self._seeds = {"robot_seed": robot_seed, "noise_seed": noise_seed}
         rng = np.random.default_rng([noise_seed, robot_seed, 0x6B52])
         self.lab = KheperaLab(
-            KheperaParams.drawn(robot_seed) if params is None else params,
+            KheperaParams.sampled(robot_seed) if params is None else params,
             paper_arena() if place is None else place,
             int(rng.integers(2**31)),
             start,

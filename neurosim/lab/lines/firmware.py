@@ -101,8 +101,8 @@ class LinesFirmware:
         if request == "hello" and not rest:
             self.end()
             lines = self.greeting.lines()
-            told = b"".join(self._say(number, one) for one in lines)
-            return told + self._say(number, f"ok {self._now()} {len(lines)}")
+            answers = b"".join(self._say(number, one) for one in lines)
+            return answers + self._say(number, f"ok {self._now()} {len(lines)}")
         if request == "read" and not rest:
             left = 0 if math.isinf(self.ends) else max(self.ends - self.hardware.time, 0.0)
             values = [self._now(), math.ceil(1000 * left), *self.hardware.values()]

@@ -112,7 +112,7 @@ class PlanarBody:
         self._rng = np.random.default_rng([seed, 0x9A13])
         self._state, self._given, self._slip = np.zeros(7), np.zeros(3), np.ones(3)
         self._state[4:] = self._drives[:, 3]
-        self._way = 0.0
+        self._distance = 0.0
         self._lamp = Lamp(0.004)
         self.driven_at: float | None = None
         self.greeting = Greeting(
@@ -158,7 +158,7 @@ class PlanarBody:
         _advance(self._state, given, self._drives, self._car, self._bends, slip, until)
         moved = self._state[1:3] - before
         heading = self._state[3]
-        self._way += float(moved @ (math.cos(heading), math.sin(heading)))
+        self._distance += float(moved @ (math.cos(heading), math.sin(heading)))
 
     def lamp_light(self) -> float:
         """Return the lamp's light summed over time until now, in seconds of full brightness."""
@@ -182,7 +182,7 @@ class PlanarBody:
 
     def values(self) -> list[int]:
         """Return the counter's pulses, where there is one."""
-        return [math.floor(PER_METRE * self._way)] if self._car else []
+        return [math.floor(PER_METRE * self._distance)] if self._car else []
 
     def lamp(self, on: bool) -> None:
         """Switch the lamp."""

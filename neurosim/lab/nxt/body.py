@@ -22,7 +22,7 @@ from neurosim.lab.nxt.params import (
     PERIMETER_LIGHT,
     PRINT_LIGHT,
     LabParams,
-    printed_share,
+    printed_fraction,
 )
 from neurosim.lab.nxt.physics import S, U
 
@@ -84,11 +84,11 @@ def ground_light(x: float, y: float, spot: float, around: Place = Place()) -> fl
     inside = min(board.length / 2 - abs(x), board.width / 2 - abs(y))
     if board.line_width:
         from_line = abs(inside - board.line_inset)
-        share = _share((board.line_width / 2 - from_line) / spot)
-        light += (PERIMETER_LIGHT - light) * share
+        fraction = _fraction((board.line_width / 2 - from_line) / spot)
+        light += (PERIMETER_LIGHT - light) * fraction
     for line in around.lines:
-        light += (PRINT_LIGHT - light) * printed_share(line, x, y, spot)
-    return FLOOR_LIGHT + (light - FLOOR_LIGHT) * _share(inside / spot)
+        light += (PRINT_LIGHT - light) * printed_fraction(line, x, y, spot)
+    return FLOOR_LIGHT + (light - FLOOR_LIGHT) * _fraction(inside / spot)
 
 
 class NxtBody:
@@ -295,8 +295,8 @@ class NxtBody:
         return 0.0 if wheel is None else math.degrees(self.state[S.ANGLE + wheel])
 
 
-def _share(depth: float) -> float:
-    """Return the share of a spot of unit radius that lies inside an edge at this depth."""
+def _fraction(depth: float) -> float:
+    """Return the fraction of a spot of unit radius that lies inside an edge at this depth."""
     return min(max(0.5 + 0.5 * depth, 0.0), 1.0)
 
 

@@ -25,8 +25,8 @@ BOARD = Board()
 BOARD_LIGHT, PERIMETER_LIGHT, PRINT_LIGHT, FLOOR_LIGHT = 0.55, 0.25, 0.2, 0.35
 
 
-def printed_share(line: Line, x: float, y: float, spot: float) -> float:
-    """Return the share of a round spot around a place that a line covers.
+def printed_fraction(line: Line, x: float, y: float, spot: float) -> float:
+    """Return the fraction of a round spot around a place that a line covers.
 
     Args:
         line: the line.
@@ -39,7 +39,7 @@ def printed_share(line: Line, x: float, y: float, spot: float) -> float:
 
 
 def _of_disc(depth: float) -> float:
-    """Return the share of a unit disc on the near side of an edge, its centre so deep inside."""
+    """Return the fraction of a unit disc on the near side of an edge, its centre so deep inside."""
     d = min(max(depth, -1.0), 1.0)
     return 0.5 + (d * math.sqrt(1.0 - d * d) + math.asin(d)) / math.pi
 
@@ -62,10 +62,10 @@ class LabParams:
     lag_right: float = 0.107
     brake_lag: float = 0.05
     coast_lag: float = 0.25
-    #: Speed regulation: ripple as a share of the speed, and its periods per wheel turn.
+    #: Speed regulation: ripple as a fraction of the speed, and its periods per wheel turn.
     ripple: float = 0.012
     ripple_periods: float = 5.0
-    #: Without regulation: speed lost to the load, as a share of full speed.
+    #: Without regulation: speed lost to the load, as a fraction of full speed.
     load_droop: float = 0.06
     #: Power (%) under which the wheel does not turn, and the push (% s) that a standing wheel
     #: takes to break loose.
@@ -94,7 +94,7 @@ class LabParams:
     #: Seed of the slip field.
     slip_seed: float = 0.0
 
-    #: Caster: distance behind the axle and trail (m); the share of speed it takes when it stands
+    #: Caster: distance behind the axle and trail (m); the fraction of speed it takes when it stands
     #: across; yaw (rad) per metre travelled when across; the push that decides which way it
     #: swings round, and how much that varies from command to command.
     caster_distance: float = 0.09
@@ -126,7 +126,7 @@ class LabParams:
     lamp_lag: float = 0.004
 
     @classmethod
-    def drawn(cls, seed: int) -> LabParams:
+    def sampled(cls, seed: int) -> LabParams:
         """Return a robot of the same make as no other: the one that comes with a lab's seed."""
         rng = np.random.default_rng([seed, 0x0B0D])
         typical = cls()
@@ -194,7 +194,7 @@ class CameraParams:
     tilt: float = 0.05
     pan: float = -0.02
     roll: float = 0.015
-    #: Principal point off the picture's centre, as a share of its width and height.
+    #: Principal point off the picture's centre, as a fraction of its width and height.
     principal: tuple[float, float] = (0.012, -0.009)
     #: Brown-Conrady distortion k1, k2, p1, p2, k3, as OpenCV orders it.
     distortion: tuple[float, float, float, float, float] = (-0.13, 0.03, 0.0006, -0.0004, 0.0)

@@ -87,7 +87,7 @@ class VirtualRig(BoardRig):
         place = put_down(start, rng)
         self.lab = Lab(
             int(rng.integers(2**31)),
-            params=replace(LabParams.drawn(robot_seed), **(changes or {})),
+            params=replace(LabParams.sampled(robot_seed), **(changes or {})),
             camera=CameraParams(size=camera_size, fps=fps) if camera else None,
             start=place,
             wiring=Wiring(),

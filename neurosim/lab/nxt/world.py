@@ -177,7 +177,7 @@ class Lab(LabTime):
         self.seed = seed
         self._push, self._pushed = push, 0
         super().__init__()
-        self.params = LabParams.drawn(seed) if params is None else params
+        self.params = LabParams.sampled(seed) if params is None else params
         self.body: Any = body or NxtBody(self.params, seed, (0.0, 0.0, 0.0), wiring, around)
         self.around = around
         self.place(*start)
@@ -257,8 +257,8 @@ class Lab(LabTime):
         push = self._push
         assert push is not None
         self._pushed += 1
-        way = push.metres / push.STEPS
-        self.body.shove(way * math.cos(push.direction), way * math.sin(push.direction))
+        distance = push.metres / push.STEPS
+        self.body.shove(distance * math.cos(push.direction), distance * math.sin(push.direction))
 
     def _keep_truth(self) -> None:
         if self._kept == len(self._truth):

@@ -179,14 +179,14 @@ class ThymioFirmware:
     def _description(self) -> bytes:
         counts = (len(NAMED), len(EVENTS), len(NATIVES))
         sizes = struct.pack("<7H", 5, PROGRAM, STACK, self._size, *counts)
-        told = _message(DESCRIPTION, _text("thymio-II") + sizes)
+        messages = _message(DESCRIPTION, _text("thymio-II") + sizes)
         for name, size in NAMED.items():
-            told += _message(VARIABLE, struct.pack("<H", size) + _text(name))
+            messages += _message(VARIABLE, struct.pack("<H", size) + _text(name))
         for name in EVENTS:
-            told += _message(EVENT, _text(name) + _text("an event"))
+            messages += _message(EVENT, _text(name) + _text("an event"))
         for name in NATIVES:
-            told += _message(NATIVE, _text(name) + _text("a function") + struct.pack("<H", 0))
-        return told
+            messages += _message(NATIVE, _text(name) + _text("a function") + struct.pack("<H", 0))
+        return messages
 
     def _at_event(self, event: int) -> None:
         """Run the program from where it answers an event, if it does."""

@@ -42,13 +42,13 @@ class Ground:
         build: the robot's true measures.
         lag: time constant with which servos follow their commands, s.
         speed: fastest that a servo turns, rad/s.
-        sag: share of torque and of the servos' speed that is lost from a full battery to an
+        sag: fraction of torque and of the servos' speed that is lost from a full battery to an
             empty one.
         charge: trials from a full battery to an empty one; then it is charged.
         bumps: how many there are in a square metre.
         height: of the highest, m.
         scatter: standard deviations from trial to trial: of the heading at the start, rad; of the
-            friction, a share; of the time that is measured, s.
+            friction, a fraction; of the time that is measured, s.
         seed: of where the bumps are.
     """
 
@@ -236,8 +236,8 @@ class VirtualWalker:
                 torque=self._build.torque * left,
             )
             models.append(compile_model(build))
-            share, most = -np.expm1(-FRAME / place.lag), place.speed * left * FRAME
-            commands[row] = servo(commands[row], standing(), share, most)
+            fraction, most = -np.expm1(-FRAME / place.lag), place.speed * left * FRAME
+            commands[row] = servo(commands[row], standing(), fraction, most)
         poses = self._physics.walk(models, starts, commands, RADIUS)
         away = np.linalg.norm(poses[..., :2] - starts[:, None, :2], axis=-1)
         crossed = np.nan_to_num(away, nan=0.0) >= RADIUS
@@ -248,21 +248,21 @@ class VirtualWalker:
 
 @njit(cache=True)
 def servo(
-    commands: NDArray[np.float64], first: NDArray[np.float64], share: float, most: float
+    commands: NDArray[np.float64], first: NDArray[np.float64], fraction: float, most: float
 ) -> NDArray[np.float64]:
     """Return where servos are driven to, [T, 12] rad: late, and no faster than they can.
 
     Args:
         commands: [T, 12] rad, one a frame.
         first: [12] where they are before, rad.
-        share: of the way that is left, in a frame.
+        fraction: of the way that is left, in a frame.
         most: in a frame, rad.
     """
     reached = np.empty_like(commands)
     for joint in range(commands.shape[1]):
         now = first[joint]
         for frame in range(len(commands)):
-            now += min(max(share * (commands[frame, joint] - now), -most), most)
+            now += min(max(fraction * (commands[frame, joint] - now), -most), most)
             reached[frame, joint] = now
     return reached
 

@@ -144,19 +144,19 @@ class Lines:
 
     def describe(self) -> dict[str, Any]:
         """Return what a recording should say of this robot."""
-        told = self.greeting
+        greeting = self.greeting
         about: dict[str, Any] = {"kind": "lines", "port": self._line.port, "baud": self._line.baud}
-        if told is not None:
+        if greeting is not None:
             about |= {
-                "name": told.name,
-                "firmware": told.firmware,
-                "virtual": told.virtual,
-                "longest": told.longest,
+                "name": greeting.name,
+                "firmware": greeting.firmware,
+                "virtual": greeting.virtual,
+                "longest": greeting.longest,
                 "reboots": self.reboots,
             }
             seen = {
                 one.name: [one.place["x"], one.place["y"]]
-                for one in told.sensors
+                for one in greeting.sensors
                 if {"x", "y"} <= set(one.place)
             }
             about |= {"light_sensors": seen} if seen else {}
@@ -169,21 +169,21 @@ class Lines:
     def __exit__(self, *error: object) -> None:
         self.close()
 
-    def _has(self, told: Greeting) -> None:
+    def _has(self, greeting: Greeting) -> None:
         """Take on the capabilities that the robot has."""
-        self._zeros = [0] * len(told.counters)
-        self._counts = [0] * len(told.counters)
-        if told.lamp:
+        self._zeros = [0] * len(greeting.counters)
+        self._counts = [0] * len(greeting.counters)
+        if greeting.lamp:
             self.lamp = self._switch_lamp
-        if told.battery:
+        if greeting.battery:
             self.battery = self._battery
-        angles = [one.place.get("angle") for one in told.sensors]
+        angles = [one.place.get("angle") for one in greeting.sensors]
         if angles and None not in angles:
             self.angles, self.scan = np.radians(np.array(angles, float)), 0.0
             self.activations = self._activations
-        rates = {one.per_metre for one in told.counters}
-        names = [one.name for one in told.counters]
-        body = told.commands
+        rates = {one.per_metre for one in greeting.counters}
+        names = [one.name for one in greeting.counters]
+        body = greeting.commands
         if body.body == "wheels" and names == ["left", "right"] and len(rates) == 1:
             self.pulses_per_metre = rates.pop()
             radius = body.measures.get("radius", RADIUS)

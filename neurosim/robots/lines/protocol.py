@@ -130,7 +130,7 @@ class Greeting:
         Raises:
             GreetingError: naming the line that is not as it must be.
         """
-        parts = _Found()
+        parts = _GreetingParts()
         for words in lines:
             try:
                 parts.take(words)
@@ -140,7 +140,7 @@ class Greeting:
         return parts.greeting()
 
 
-class _Found:
+class _GreetingParts:
     """What the lines of a greeting have said so far."""
 
     def __init__(self) -> None:

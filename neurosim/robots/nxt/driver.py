@@ -124,7 +124,7 @@ class NXT:
         deadline: Seconds = LATE,
     ):
         self.clock: Clock = SystemClock() if clock is None else clock
-        self._way = {
+        self._address = {
             "host": host,
             "filename": None if filename is None else str(filename),
             "server_host": server_host,
@@ -160,7 +160,7 @@ class NXT:
         """
         if self._brick is not None:
             return
-        brick = open_brick(**self._way, deadline=self._deadline)
+        brick = open_brick(**self._address, deadline=self._deadline)
         self._brick = brick
         try:
             try:
@@ -315,7 +315,9 @@ class NXT:
         return {
             "kind": "nxt",
             **self._about,
-            "link": next((_LINKS[key] for key, way in self._way.items() if way is not None), "USB"),
+            "link": next(
+                (_LINKS[key] for key, given in self._address.items() if given is not None), "USB"
+            ),
             "ports": {
                 "left": self._left.name,
                 "right": self._right.name,

@@ -34,7 +34,7 @@ POST_WITHIN = 0.25
 GARBAGE = "it does not send LEGO's protocol"
 _REPLY, _NO_REPLY = 0x02, 0x80
 
-_WAYS = (
+_CONNECTIONS = (
     "a brick is reached by USB, by Bluetooth (its address, 00:16:53:..), by a device file "
     "(/dev/rfcomm0, or a serial port on macOS) or through nxt-server (host and port)"
 )
@@ -231,7 +231,7 @@ def _open_device(filename: str) -> nxt.brick.Brick:
         from nxt.backend.devfile import DevFileSock
     except ImportError:
         raise RobotError(
-            f"{filename}: this system has no device files for serial lines; {_WAYS}"
+            f"{filename}: this system has no device files for serial lines; {_CONNECTIONS}"
         ) from None
     sock = DevFileSock(filename)
     sock._device = None
@@ -248,12 +248,12 @@ def _open_device(filename: str) -> nxt.brick.Brick:
     except termios.error:
         sock.close()
         raise RobotError(
-            f"{filename} is not a serial line, so no brick can be behind it; {_WAYS}"
+            f"{filename} is not a serial line, so no brick can be behind it; {_CONNECTIONS}"
         ) from None
     except OSError as error:
         sock.close()
         why = {
-            errno.ENOENT: f"there is no such file; {_WAYS}",
+            errno.ENOENT: f"there is no such file; {_CONNECTIONS}",
             errno.EACCES: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EPERM: "you may not open it; on Linux, join its group (dialout) or use sudo",
             errno.EBUSY: "it is busy; another program may hold the line",
@@ -324,7 +324,7 @@ def _open_server(host: str, port: int, deadline: float) -> nxt.brick.Brick:
         raise RobotError(f"no nxt-server reached at {host}:{port}: {why}") from None
     if kind not in (b"usb", b"bluetooth"):
         _quietly_close(sock)
-        raise RobotError(f"the server at {host}:{port} is not nxt-server; {_WAYS}")
+        raise RobotError(f"the server at {host}:{port} is not nxt-server; {_CONNECTIONS}")
     sock.type = "ip" + kind.decode("ascii")
     return nxt.brick.Brick(sock)
 
@@ -334,11 +334,13 @@ def _open_usb() -> nxt.brick.Brick:
         import usb.core
         from nxt.backend.usb import get_backend
     except ImportError:
-        raise RobotError(f"USB needs pyusb (pip install pyusb); {_WAYS}") from None
+        raise RobotError(f"USB needs pyusb (pip install pyusb); {_CONNECTIONS}") from None
     try:
         brick = next(get_backend().find(), None)
     except usb.core.NoBackendError:
-        raise RobotError(f"USB needs the library libusb 1.0, which is not here; {_WAYS}") from None
+        raise RobotError(
+            f"USB needs the library libusb 1.0, which is not here; {_CONNECTIONS}"
+        ) from None
     except (usb.core.USBError, NotImplementedError) as error:
         if getattr(error, "errno", None) in (errno.EACCES, errno.EPERM):
             raise RobotError(
@@ -347,7 +349,7 @@ def _open_usb() -> nxt.brick.Brick:
             ) from None
         raise RobotError(f"the brick on USB cannot be opened: {error}") from None
     if brick is None:
-        raise RobotError(f"no brick found on USB: plug it in and switch it on; {_WAYS}")
+        raise RobotError(f"no brick found on USB: plug it in and switch it on; {_CONNECTIONS}")
     return brick
 
 

@@ -80,17 +80,17 @@ class Bridge:
                 opened = ssl.create_default_context().wrap_socket(opened, server_hostname=end.host)
             opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
-            said = error.strerror or str(error) or type(error).__name__
-            raise RobotError(f"no rosbridge answers at {self.url} ({said}): {why}") from None
+            reason = error.strerror or str(error) or type(error).__name__
+            raise RobotError(f"no rosbridge answers at {self.url} ({reason}): {why}") from None
         self._socket, self._end, self._gone = opened, end, None
         self._answers, self._takers, self._refused = {}, {}, ""
         try:
             self._send()
             self._until(lambda: end.is_open or end.refusal or None, self._timeout)
             if not end.is_open:
-                said = end.refusal or "it does not answer"
+                reason = end.refusal or "it does not answer"
                 raise RobotError(
-                    f"the server at {self.url} is not a rosbridge ({said[:80]}): {why}"
+                    f"the server at {self.url} is not a rosbridge ({reason[:80]}): {why}"
                 ) from None
         except LinkLost:
             raise RobotError(f"the server at {self.url} is not a rosbridge: {why}") from None
@@ -122,9 +122,9 @@ class Bridge:
             )
         values = {} if answer is None else answer.get("values")
         if answer is None or answer.get("result") is not True or not isinstance(values, dict):
-            said = "it does not answer" if answer is None else str(values)[:80]
+            answered = "it does not answer" if answer is None else str(values)[:80]
             raise RobotError(
-                f"the bridge at {self.url} has no service {service} ({said}): start it by its "
+                f"the bridge at {self.url} has no service {service} ({answered}): start it by its "
                 "launch file, which starts rosapi, too"
             )
         return values
@@ -288,8 +288,8 @@ class Bridge:
 
     def _raise_refusal(self) -> None:
         if self._refused:
-            said, self._refused = self._refused, ""
-            raise RobotError(f"the bridge at {self.url} does not take it: {said[:160]}")
+            refusal, self._refused = self._refused, ""
+            raise RobotError(f"the bridge at {self.url} does not take it: {refusal[:160]}")
 
     def _cut(self, why: str) -> LinkLost:
         return self.lose(

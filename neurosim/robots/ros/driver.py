@@ -153,7 +153,7 @@ class Ros:
         self._repeats = clock is None
         self._closed = threading.Event()
         self._seen: NDArray[np.float64] | None = None
-        self._ways, self._zeros = np.zeros(2), np.zeros(2)
+        self._distances, self._zeros = np.zeros(2), np.zeros(2)
         if stops_after is not None:
             self.drive_for = self._drive_for
         if self._odom is not None:
@@ -377,7 +377,7 @@ class Ros:
             moved[2] = se2.wrapped(moved[2])
             forward, _, angle = se2.log(moved)
             aside = angle * self.geometry.wheel_base / 2
-            self._ways += (forward - aside, forward + aside)
+            self._distances += (forward - aside, forward + aside)
         self._seen = now
         return True
 
@@ -390,13 +390,15 @@ class Ros:
         assert self._odom is not None
         with self._lock:
             self._fresh(self._odom)
-            left, right = (round(PER_METRE * way) for way in self._ways - self._zeros)
+            left, right = (
+                round(PER_METRE * distance) for distance in self._distances - self._zeros
+            )
         return left, right
 
     def _set_counts(self, left: int, right: int) -> None:
         """Set both counters, in pulses; the base's odometry goes on."""
         self._read_counts()
-        self._zeros = self._ways - np.array([int(left), int(right)]) / PER_METRE
+        self._zeros = self._distances - np.array([int(left), int(right)]) / PER_METRE
 
     def _read_sensors(self) -> dict[str, float]:
         """Read all sensors, by name, from 0 (nothing within reach) to 1 (at the laser).

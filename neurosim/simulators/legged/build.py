@@ -29,7 +29,7 @@ from neurosim.robots.quadruped import (
 )
 
 #: Share of a leg's mass that is in the upper leg.
-UPPER_SHARE = 0.6
+UPPER_FRACTION = 0.6
 
 
 #: Quantities that are above 0, or not below.
@@ -298,7 +298,7 @@ def _leg(build: Build, index: int) -> str:
             )
         return made
 
-    upper_mass = UPPER_SHARE * build.leg
+    upper_mass = UPPER_FRACTION * build.leg
     return f"""<body name="{leg}_hip" pos="{numbers(HIPS[index])}">
 {joint("swing", "0 1 0", SWING)}{joint("spread", "1 0 0", spread)}
 <geom name="{leg}_upper" type="capsule" fromto="0 0 0 0 0 {-UPPER}" size="0.014"

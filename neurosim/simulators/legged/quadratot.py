@@ -34,7 +34,7 @@ HALF = (0.036, 0.116, 0.016)
 #: Radii of the upper legs and servos, and of the lower legs, m.
 THICK, THIN = 0.018, 0.006
 #: Share of a leg's mass that is in the upper leg: a guess.
-UPPER_SHARE = 0.45
+UPPER_FRACTION = 0.45
 
 
 @dataclass(frozen=True)
@@ -116,7 +116,7 @@ class QuadraTot(LeggedBuild):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        lower = (1.0 - UPPER_SHARE) * self.leg
+        lower = (1.0 - UPPER_FRACTION) * self.leg
         if lower <= SERVO or 4.0 * self.leg >= self.mass:
             raise UserError(
                 f"a leg of {self.leg:g} kg does not fit a robot of {self.mass:g} kg with a servo "
@@ -181,7 +181,7 @@ class QuadraTot(LeggedBuild):
         place = numbers([ahead * HIP[0] - self.light, aside * HIP[1], -HIP[2]])
         heading = 0.5 * np.arctan2(aside, ahead)  # the legs point along the diagonals
         turned = numbers([np.cos(heading), 0.0, 0.0, np.sin(heading)])
-        upper = UPPER_SHARE * self.leg
+        upper = UPPER_FRACTION * self.leg
         inner, outer = (numbers([low - 0.05, high + 0.05]) for low, high in self.limits()[:2])
         return f"""<body name="{leg}_hip" pos="{place}" quat="{turned}">
 <joint name="{leg}_inner" axis="0 -1 0" range="{inner}"/>
