@@ -109,10 +109,10 @@ def _colours(
     seen = np.flatnonzero(values[:, 4] > 0)
     places = seen[np.linspace(0, len(seen) - 1, min(LOOKS, len(seen))).astype(int)]
     frames = [frame for index in places if (frame := video.at(int(index))) is not None]
-    colours = find_colours(frames, colours, geometry) if frames else None
-    if colours is None:
+    seen_colours = find_colours(frames, colours, geometry) if frames else None
+    if seen_colours is None:
         return {"front": {"colour": colours[0].name}, "rear": {"colour": colours[1].name}}
-    front, rear = unless_still(colours, values[:, 0:2], values[:, 2:4])
+    front, rear = unless_still(seen_colours, values[:, 0:2], values[:, 2:4])
     return {"front": front.as_dict(), "rear": rear.as_dict()}
 
 

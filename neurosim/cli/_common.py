@@ -76,8 +76,8 @@ at_line_option = click.option(
     default="end",
     show_default=True,
     help=(
-        "End of a drive if a light sensor meets a line or the robot reaches the board's edge: "
-        "end it, on the robot and in the simulator, or ignore both."
+        "Reaction to a line or the board's edge, on the robot and in the simulator: end the drive, "
+        "or ignore them."
     ),
 )
 

@@ -548,7 +548,10 @@ class SettingsCommand(click.Command):
             with formatter.section(title):
                 formatter.write_dl(records)
         if others := list(self._others(state)):
-            with formatter.section("More options, with --help after these"):
+            with formatter.section("Options of other choices"):
+                formatter.write_text(
+                    f"To read about them: {ctx.command_path} {others[0][0]} --help"
+                )
                 formatter.write_dl(others)
 
     def _others(self, state: _State) -> Iterator[tuple[str, str]]:

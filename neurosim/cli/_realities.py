@@ -71,17 +71,15 @@ def reality_option(default: Default, help: str) -> Callable[[Callable], Callable
             calibration_option("The calibration.json of --camera."),
             click.option(
                 "--camera",
-                help=(
-                    "Camera that films a real robot: a number, a file, or a URL that OpenCV opens."
-                ),
+                help=("Camera above a real robot: a number, a file, or a URL that OpenCV opens."),
             ),
             choice_options(
                 "--reality",
                 "neurosim.trials.realities:NAMED",
                 default=default,
                 help=(
-                    f"{help} One of the lab, by-hand (a person types the fitness), or a robot by "
-                    "the name of its driver."
+                    f"{help} virtual-*: of the lab. by-hand: a person types the fitness. Others: a "
+                    "real robot by its driver."
                 ),
                 skip=("controller", "task", "simulator"),  # which it is given
                 outside=_may_be_real,

@@ -24,7 +24,12 @@ from neurosim.cli._types import PATH, PATTERN, PIXEL, PIXELS, Numbers, Option, R
     help="ArUco dictionary of a ChArUco board's markers.",
 )
 @click.option(
-    "-o", "--out", type=PATH, default=Path("calibration.json"), show_default=True, help="The file."
+    "-o",
+    "--out",
+    type=PATH,
+    default=Path("calibration.json"),
+    show_default=True,
+    help="Output file.",
 )
 @click.option(
     "--pattern",

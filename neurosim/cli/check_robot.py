@@ -24,8 +24,8 @@ _MARKS = {"good": "good ", "wrong": "WRONG", "unknown": "?    "}
 def check_robot(robot: str, robot_options: dict[str, Any], ask: bool, as_json: bool) -> None:
     """Try a robot: how fast it answers, whether it stops by itself, which way it drives.
 
-    The robot drives shortly at 30 % of its limits: give it free space. Each result is one sentence;
-    an error includes what to do. The exit code is 1 if something is wrong.
+    The robot drives for a short time at 30 % of its limits: give it free space. Each result is one
+    sentence; an error includes what to do. The exit code is 1 if something is wrong.
     """
     from neurosim.robots.check import check
     from neurosim.trials.rig import Setup, open_rig

@@ -71,7 +71,7 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "--as-sent",
     is_flag=True,
     help=(
-        "Count displacements from the time when commands were sent, not from the time when the "
+        "Count displacements from the time of sending commands, not from the time when the "
         "motors answered."
     ),
 )
@@ -142,8 +142,8 @@ def _seconds(name: str, default: float, help: str) -> Callable[[Callable], Calla
     "--delay",
     type=ranged(Delay),
     help=(
-        "csv, mrclam: delay of the poses relative to the commands, s.  [default: found, and "
-        "corrected where no robot is so late or early]"
+        "csv, mrclam: delay of the poses relative to the commands, s.  [default: "
+        "estimated from the data]"
     ),
 )
 @json_option

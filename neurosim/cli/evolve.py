@@ -229,8 +229,7 @@ def evolve(
 
     By default a plan of motor commands around nine rectangles (section 6.2 of Pretorius et al.
     2009). For --task obstacle-avoidance, in a simulator with sensors, a network (Lund and Miglino
-    1996). Any controller, task, simulator and optimiser can be combined. --help lists the options
-    of those that you name before it.
+    1996). Any controller, task, simulator and optimiser can be combined.
     """
     from neurosim.evolution.genetic import GeneticSettings
     from neurosim.loop.evolve import evolve as evolve_

@@ -222,8 +222,21 @@ def _commands_for(address: dict[str, str | int]) -> tuple[dict, str]:
 
 @lab.command()
 @click.argument("out", type=PATH)
-@click.option("--count", type=click.IntRange(3, 1000), default=20, show_default=True)
-@click.option("--camera-size", cls=Option, type=SIZE, default="640x480", show_default=True)
+@click.option(
+    "--count",
+    type=click.IntRange(3, 1000),
+    default=20,
+    show_default=True,
+    help="Number of photographs of the chessboard.",
+)
+@click.option(
+    "--camera-size",
+    cls=Option,
+    type=SIZE,
+    default="640x480",
+    show_default=True,
+    help="Width and height of a photograph in pixels.",
+)
 @click.option(
     "--over",
     type=click.Choice(["nxt", "khepera"]),

@@ -13,7 +13,12 @@ from neurosim.cli._types import PATH
 @click.command()
 @click.argument("folders", nargs=-1, required=True, type=PATH)
 @click.option(
-    "-o", "--out", type=PATH, default=Path("report.html"), show_default=True, help="The page."
+    "-o",
+    "--out",
+    type=PATH,
+    default=Path("report.html"),
+    show_default=True,
+    help="Output page, .html.",
 )
 @json_option
 def report(folders: tuple[Path, ...], out: Path, as_json: bool) -> None:

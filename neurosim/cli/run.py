@@ -47,8 +47,8 @@ from neurosim.cli._types import PATH
     "--replan/--no-replan",
     default=None,
     help=(
-        "Plans: replan before every command, from the pose that the camera sees.  [default: for "
-        "the tasks that are about where exactly the robot stops: go-to]"
+        "Plans: replan before every command, from the pose that the camera sees.  [default: only "
+        "for tasks that need an exact end, such as go-to]"
     ),
 )
 @click.option(

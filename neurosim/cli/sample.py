@@ -54,8 +54,7 @@ def _begun(values: dict[str, Any]) -> dict[str, Any]:
 @click.argument("out", type=PATH)
 @robot_option_of(
     "virtual-khepera",
-    "The robot, one with a ring of proximity sensors; that of the virtual lab is put in place by "
-    "the lab",
+    "The robot, with a ring of proximity sensors; the virtual lab puts its own robot in place",
 )
 @settings_options(
     "settings",

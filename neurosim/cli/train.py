@@ -20,8 +20,8 @@ from neurosim.cli._types import PATH
     "neurosim.training.trainers.registry:TRAINERS",
     default="combined",
     help=(
-        "How it is trained. combined fits a drive model, and a Gaussian process to its errors; "
-        "in ga, the paper's, every weight of three networks of whole commands is a gene."
+        "The trainer. combined fits a drive model, and a Gaussian process to its errors. ga, the "
+        "paper's genetic algorithm, evolves the weights of three networks."
     ),
     of=lambda trainer: trainer.settings_type,
 )

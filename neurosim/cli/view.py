@@ -20,7 +20,7 @@ from neurosim.cli._types import NEW, PATH, POSE, Option, ranged
 @click.option(
     "--simulator",
     type=PATH,
-    help="Simulator to drive in, if PLACE is a place; of a trial, the one that samples it.",
+    help="Simulator to drive in, if PLACE is a place; if it is a trial, to sample from.",
 )
 @click.option("--controller", type=PATH, help="Controller of any kind; its path is drawn.")
 @click.option(

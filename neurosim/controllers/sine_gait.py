@@ -29,7 +29,7 @@ class SineGait(Gaits):
     """Gaits of one sine wave for the nine servos of a QuadraTot.
 
     Attributes:
-        seconds: How long a trial is, s, with the ways from the crouch and back.
+        seconds: Duration of a trial, s, with standing up and crouching again.
     """
 
     kind: ClassVar[str] = "sine-gait"

@@ -75,8 +75,8 @@ class EvolveSettings(Checked):
         selection: Start poses from which the best of the last population is chosen, where samples
             are drawn.
         final_draws: Random samples for estimating the probability of success.
-        unsupported: Controllers rank last if they spend a larger fraction of the time than this in
-            commands unlike any in the simulator's data.
+        unsupported: Largest fraction of the time in commands unlike any in the simulator's data;
+            controllers above it rank last.
         extrapolate: Commands may leave the range of the simulator's data; this is only reported.
     """
 

@@ -58,13 +58,13 @@ def build_tables(
         wheel_base: Distance between the wheels of the ideal robot, m; by default a Khepera's, 53
             mm.
         full_speed: Wheel speed of the ideal robot at 100 %, m/s; by default a Khepera's, 100 mm/s.
-        units: Number of whole speeds of the robot, up to full speed; by default as sampled, or 10.
-        radius: Radius of the circle around the robot's body, m; by default that of the robot that
-            sampled itself, or of a Khepera, 27.5 mm, where there are as many sensors as it has.
+        units: Number of the robot's speed steps up to full speed; by default as sampled, or 10.
+        radius: Radius of the robot's body, m; by default as sampled, or 27.5 mm, a Khepera's, with
+            eight sensors.
         place: Place of the robot, a JSON file or a name (from Python also a place); by default the
             arena of the paper, 60 x 35 cm with three obstacles.
-        noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or as wide
-            as the samples' own.
+        noise: Noise on every sensor and displacement: none; uniform, 5 % of the range; or
+            samples, as wide as that of the samples.
         convention: How the samples are read: neurosim, where the object moves to the robot's
             right from row to row; or evorobotpy2, with rows in the opposite order and cylinders
             nearer by twice the first distance.

@@ -22,7 +22,7 @@ class Walking(Task):
     Where there is no pose the robot has fallen. A fall and a stall are failures: no speed at all.
 
     Attributes:
-        seconds: How long a trial is, s.
+        seconds: Duration of a trial, s.
         step: Time between two commands of the joints, s.
         stall: A robot that is slower than this has not walked, m/s.
     """

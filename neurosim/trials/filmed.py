@@ -183,11 +183,11 @@ class VirtualNxt(Driven):
         Args:
             controller: the family.
             task: that is to be done.
-            lab_seed: Which of the virtual lab's robots and boards.
+            lab_seed: Number of the virtual lab's robot and board.
             seed: Random seed of the lab's noise from trial to trial.
-            slip: Mean slip of the wheels on the floor, as a fraction of the distance.  [the lab's
-                own]
-            battery: The battery's voltage before a trial, V.  [that of the robot]
+            slip: Mean slip of the wheels on the floor, as a fraction of the distance.
+                [default: the lab's own]
+            battery: The battery's voltage before a trial, V.  [default: the robot's own]
             worn: Wear of the left wheel, as a fraction of its diameter.
 
         Raises:

@@ -254,7 +254,7 @@ def virtual_khepera(
 
     Args:
         controller, task, simulator: as of :func:`on_floor`.
-        lab_seed: Which of the virtual lab's robots.
+        lab_seed: Number of the virtual lab's robot.
         baud: Speed of its serial line; by default the robot's own, 9600.
         seed: Of the lab's noise.
 

@@ -134,12 +134,12 @@ def virtual(
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's robots and boards.
+        lab_seed: Number of the virtual lab's robot and board.
         lamp: The lamp: A (on motor port A), color:3 (of the colour sensor on port 3), or none.
         push: A hand pushes the robot aside by this distance while it drives, m; the random seed
             chooses the direction.
         push_after: Time of the push after the start of the drive, s.
-        real_time: The lab's time is the wall clock's.
+        real_time: Run the lab in real time, not as fast as the computer can.
 
     Raises:
         UserError: if it cannot be pushed so.
@@ -168,7 +168,7 @@ def virtual_khepera(setup: Setup, *, lab_seed: Seed = 0, baud: Baud | None = Non
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's robots.
+        lab_seed: Number of the virtual lab's robot.
         baud: Speed of its serial line; by default the robot's own, 9600.
     """
     camera = None
@@ -198,7 +198,7 @@ def virtual_car(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's cars.
+        lab_seed: Number of the virtual lab's car.
     """
     with (
         VirtualLinesRig(lab_seed, kind="car", **_common(setup)) as rig,
@@ -216,7 +216,7 @@ def virtual_omni(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's bases.
+        lab_seed: Number of the virtual lab's base.
     """
     with (
         VirtualLinesRig(lab_seed, kind="omni", **_common(setup)) as rig,
@@ -232,7 +232,7 @@ def virtual_thymio(setup: Setup, *, lab_seed: Seed = 0) -> Iterator[Rig]:
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's Thymios.
+        lab_seed: Number of the virtual lab's Thymio.
     """
     with VirtualThymioRig(lab_seed, **_common(setup)) as rig, _connected(rig, setup) as connected:
         yield connected
@@ -252,7 +252,7 @@ def virtual_ros(
 
     Args:
         setup: the rest.
-        lab_seed: Which of the virtual lab's bases.
+        lab_seed: Number of the virtual lab's base.
         laser: Topic of the laser's scans, /scan; none: they are not read.
         laser_sectors: Sensors that a scan is divided into.
         laser_reach: Distance from which on a sensor reads 0, m.

@@ -144,7 +144,8 @@ def test_only_the_options_of_what_is_chosen_are_there():
     assert "How deep, m." in other
     assert "Which one" not in other
     assert shown.endswith(
-        "More options, with --help after these: --task swim --depth, --slow, --task-log"
+        "Options of other choices: To read about them: go --task swim --help "
+        "--task swim --depth, --slow, --task-log"
     )
     assert "--task walk --pace, --side, --goals, --span, --reach, --width, --names" in other
     assert "--task NAME What to do: swim, walk. [default: walk]" in shown

@@ -33,7 +33,7 @@ class Survey:
     def __init__(self, colours: tuple[Colour, Colour], geometry: Geometry, pointed: bool = False):
         self._colours, self._geometry, self._pointed = colours, geometry, pointed
         self._frames, self._next = 0, 1
-        self._colours: list[tuple[SeenColour, SeenColour]] = []
+        self._looked: list[tuple[SeenColour, SeenColour]] = []
         #: What all looks say together; None before the first.
         self.seen_colours: tuple[SeenColour, SeenColour] | None = None
 
@@ -67,7 +67,7 @@ class Survey:
             rivals = self._rivals(frame, white, pixels, radii, coarse)
             rivals = rivals or self._rivals(frame, white, pixels, radii, factor)
         if rivals is None:
-            if self._colours:
+            if self._looked:
                 return
             rivals = (0.0, 0.0)
         close = 1.0
@@ -78,8 +78,8 @@ class Survey:
             seen_colour(colour, look, rival, close)
             for colour, look, rival in zip(self._colours, looks, rivals, strict=True)
         )
-        self._colours.append((front, rear))
-        front, rear = (together(colours) for colours in zip(*self._colours, strict=True))
+        self._looked.append((front, rear))
+        front, rear = (together(colours) for colours in zip(*self._looked, strict=True))
         self.seen_colours = front, rear
 
     def _rivals(

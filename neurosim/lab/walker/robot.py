@@ -180,8 +180,8 @@ class VirtualWalker:
 
         Args:
             controller: a controller whose commands depend on time alone, such as a gait.
-            place: Where it walks: main, carpet or parquet.
-            seed: of the noise from trial to trial.
+            place: The floor: main, carpet or parquet.
+            seed: Random seed of the noise from trial to trial.
             task: that is to be done: walking, or None.
 
         Raises:
