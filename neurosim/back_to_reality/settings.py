@@ -80,8 +80,8 @@ class BackToRealitySettings(Checked):
         super().__post_init__()
         if self.spared and 0 < self.budget <= 1 + self.spared:
             raise UserError(
-                f"a budget of {self.budget} leaves nothing to try: the start is an evaluation, and "
-                f"{self.spared} are kept to confirm the best ones (finalists)"
+                f"a budget of {self.budget} is too small: the start takes 1 evaluation, and "
+                f"{self.spared} are kept to confirm the best (finalists); give a larger budget"
             )
 
     @property
@@ -119,5 +119,5 @@ def settings_named(name: str, **changes: Any) -> BackToRealitySettings:
         UserError: if there are none of this name, or a value is wrong.
     """
     if name not in ("paper", "better"):
-        raise UserError(f"there are the settings paper and better, not {name!r}")
+        raise UserError(f"settings are paper or better, not {name!r}")
     return replace(BackToRealitySettings(), **{**(BETTER if name == "better" else {}), **changes})

@@ -40,7 +40,7 @@ class ClosedLine:
         sides = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1)
         corners = corners[sides > 1e-9]
         if len(corners) < 3:
-            raise UserError("the points of a closed line must be at least three different ones")
+            raise UserError("a closed line needs at least three different points")
         self.points: NDArray[np.float64] = corners
         ends = np.roll(corners, -1, axis=0) - corners
         self._sides = np.linalg.norm(ends, axis=1)

@@ -240,8 +240,8 @@ def _in_metres(strokes: list[_Stroke], page: float | None) -> list[_Stroke]:
         page = scales[0].metres / length
     if page is None:
         raise UserError(
-            "the drawing says nothing of its size: add a line of a known length and name it, such "
-            "as scale-50cm, or give the page's width in mm"
+            "the drawing has no size: add a line of a known length and name it, such as "
+            "scale-50cm, or give the page's width in mm"
         )
     scaled = []
     for stroke in strokes:
@@ -349,7 +349,7 @@ def _board(of: dict[str, list[_Stroke]]) -> Board | None:
     insets = (length - inner[0]) / 2, (width - inner[1]) / 2
     apart = np.abs(line.middle - of["board"][0].middle).max()
     if min(insets) < 0 or max(abs(insets[0] - insets[1]), apart) > 5 * NEAR:
-        raise UserError("the perimeter is not equally far inside the board's edges everywhere")
+        raise UserError("the perimeter must have the same distance from all edges of the board")
     usual = Board.line_width if line.width is None else line.width
     return Board(length, width, line_inset=round(sum(insets) / 2, 6), line_width=round(usual, 6))
 

@@ -605,7 +605,7 @@ def read_csv(
             present = ", ".join(table.columns)
             raise FileError(path, f"this column is missing; found {present}", field=name)
         if table.columns.to_list().count(name) > 1:
-            raise FileError(path, "this column stands twice", line=1, field=name)
+            raise FileError(path, "this column appears twice", line=1, field=name)
     return pd.DataFrame(
         {
             name: pd.Series(

@@ -58,8 +58,8 @@ class Replay:
             arguments = {name: values[row] for name, values in state.items()}
             if arguments.pop("asked") != zlib.crc32(self.ask().data):
                 raise UserError(
-                    "the optimiser asks for other individuals than before the interruption: to "
-                    "be resumed, it must take all random numbers from the seed"
+                    "the optimiser asked for other individuals than before the interruption: to "
+                    "be resumed, it must take all its random numbers from the seed"
                 )
             self.tell(**arguments)
 

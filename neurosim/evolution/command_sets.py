@@ -66,7 +66,9 @@ class PlanPopulation:
             seed: the same seed makes the same children.
         """
         if settings.parents:
-            raise UserError("plans are selected by tournaments: parents must be 0")
+            raise UserError(
+                "plans are selected by tournaments, not by truncation: set parents to 0"
+            )
         self.genes = np.ascontiguousarray(genes, np.float64)
         self._settings = settings
         self._seed = [*seed, 0xB4EED]

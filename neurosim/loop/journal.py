@@ -299,7 +299,9 @@ class _Function:
 
     def __init__(self, function: Any):
         if not callable(function):
-            raise UserError("a reality has trial(genes, number), or is a function of genes")
+            raise UserError(
+                "a reality must be a function of genes, or have a method trial(genes, number)"
+            )
         self._function = function
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:

@@ -127,7 +127,7 @@ class Hand:
                 self._levers, self._heard = None, -math.inf
                 return
             if len(levers) != len(levers_of(self._takes)):
-                raise UserError("this robot has other levers: reload the page")
+                raise UserError("this page has the controls of another robot: reload it")
             self._page, self._heard = page, self._now()
             self._levers, self._speed = tuple(map(float, levers)), min(max(speed, 0.0), 1.0)
 

@@ -41,8 +41,8 @@ class Rounds(Checked):
         super().__post_init__()
         if self.commands <= 2 * self.size:
             raise UserError(
-                f"the first {2 * self.size} commands are random; --guided needs more than that, "
-                f"not {self.commands}: a larger --commands or a smaller --round"
+                f"--guided needs more than the {2 * self.size} random commands of its first round, "
+                f"not {self.commands}: give a larger --commands or a smaller --round"
             )
 
     def numbers(self) -> list[range]:

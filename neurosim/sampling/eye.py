@@ -48,8 +48,8 @@ class Eye:
     ):
         if not model.has_board:
             raise UserError(
-                "the calibration does not say where the camera is above the floor: "
-                "neurosim calibrate needs --points, too"
+                "the calibration has no position of the camera: run neurosim calibrate with "
+                "--points"
             )
         if tuple(model.image_size) != tuple(camera.size):
             raise UserError(

@@ -57,7 +57,7 @@ def full_turn(turns: Turns) -> float:
         if distance == 0 and name not in PIVOTS and len(rows) > 9
     ]
     if not repeats:
-        raise UserError("no turn at the smallest distance was sampled to its end")
+        raise UserError("no full turn was sampled at the smallest distance: continue with --resume")
     return float(np.median(repeats))
 
 
@@ -96,10 +96,9 @@ def _repeats(turned: _Array, readings: _Array) -> float:
     best = int(np.argmin(errors))
     if best in (0, len(periods) - 1):
         raise UserError(
-            f"the sensors' readings do not repeat within {100 * _REACH:.0f} % of a full turn of "
-            "the counters: the number of pulses (10,000 a metre for a Khepera here; 12,000 or "
-            "12,500 in its manuals) or the robot's size is wrong; give --pulses-per-metre and "
-            "sample into a new folder"
+            "the readings do not repeat after a full turn of the counters: the pulses per metre "
+            "or the robot's size is wrong (a Khepera has 10,000 here, 12,000 or 12,500 in its "
+            "manuals); give --pulses-per-metre and sample into a new folder"
         )
     return float(periods[best])
 

@@ -52,7 +52,10 @@ class FollowLine(Task):
             object.__setattr__(self, "place", Place.with_line("rectangle"))
         super().__post_init__()
         if not self.within < self.line.length / 4:
-            raise UserError(f"a line of {self.line.length:g} m is too short to be lost")
+            raise UserError(
+                f"the line is {self.line.length:g} m long: within must be below a quarter of that, "
+                f"not {self.within:g} m"
+            )
 
     @cached_property
     def line(self) -> ClosedLine:

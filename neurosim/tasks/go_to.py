@@ -80,7 +80,10 @@ class GoTo(Task):
         if self.area is not None:
             object.__setattr__(self, "area", tuple(map(float, self.area)))
             if len(self.goals) > 1 or self._solids is not None:
-                raise UserError("random starts need a single goal, without walls: leave out area")
+                raise UserError(
+                    "area (random starts) needs a single goal and a place without walls: leave "
+                    "out area"
+                )
         if self._solids is not None:
             self._solids.check_start(self.start, self.radius)
             for goal in self.goals:

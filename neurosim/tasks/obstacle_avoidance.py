@@ -56,10 +56,10 @@ class ObstacleAvoidance(Task):
         super().__post_init__()
         if self.steps % self.starts:
             raise UserError(
-                f"{self.steps} steps cannot be shared out evenly among {self.starts} starts"
+                f"steps must be a multiple of starts: {self.steps} steps, {self.starts} starts"
             )
         if self.contacts == "end" and self.fitness != "avoidance":
-            raise UserError("contacts that end a drive are those of the fitness avoidance")
+            raise UserError(f"contacts='end' needs fitness='avoidance', not {self.fitness!r}")
 
     @property
     def trial_starts(self) -> int:  # type: ignore[override]

@@ -149,7 +149,8 @@ def driver_of(
     saved = read_controller(controller)
     if saved.controller.open_loop:
         raise UserError(
-            f"{controller} is a {saved.kind}, which drives in open loop: neurosim run records it"
+            f"--by-network needs a closed-loop controller, and {controller} is a {saved.kind}: "
+            "drive it with neurosim run, which records it"
         )
     task = make_task(saved.task)
     driver = Driver(saved, task.episode, source_of(Path(controller)), rig.robot.commands)

@@ -80,9 +80,7 @@ def make_reality(
         robot = ROBOTS.make(name, options)
         return on_robot(robot, **given, camera=camera, calibration=calibration)
     if camera is not None or calibration is not None:
-        raise UserError(
-            f"the reality {name} has no camera of yours: leave out camera and calibration"
-        )
+        raise UserError(f"the reality {name} needs no camera: leave out camera and calibration")
     maker = REALITIES.get(name)
     takes = inspect.signature(maker).parameters if callable(maker) else {}
     given = {key: value for key, value in given.items() if key == "controller" or key in takes}

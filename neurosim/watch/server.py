@@ -267,7 +267,7 @@ class _Handler(BaseHTTPRequestHandler):
                 hand.take(*_levers(asked))
             return *_json(hand.state()), {}
         if not self.viewer.settable:
-            raise UserError("nothing can be set while the robot is recorded")
+            raise UserError("settings cannot be changed during a recording")
         viewer = self.viewer
         if what == "colour":
             message = viewer.set_colour(_one_of(asked, "which", ("front", "rear")), *_place(asked))

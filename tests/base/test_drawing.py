@@ -134,7 +134,7 @@ OUTLINE = '<rect id="outline" width="100" height="100"/>'
     [
         ("", "no element is named as a part of a place"),
         (SCALE + '<rect id="floor" width="5" height="5"/>', "no element is named"),
-        (OUTLINE, "says nothing of its size: add a line of a known length and name it"),
+        (OUTLINE, "has no size: add a line of a known length and name it"),
         (OUTLINE + SCALE + SCALE, "several scales"),
         (OUTLINE + '<line id="scale-1m" x1="3" x2="3"/>', "scale-1m has no length"),
         (SCALE + OUTLINE + OUTLINE, "several elements named outline"),
@@ -151,7 +151,7 @@ OUTLINE = '<rect id="outline" width="100" height="100"/>'
         (
             SCALE + '<rect id="board" width="90" height="60"/>'
             '<rect id="perimeter" x="9" y="3" width="72" height="54"/>',
-            "not equally far inside",
+            "must have the same distance from all edges",
         ),
         (SCALE + OUTLINE + '<circle id="obstacle" cx="900" r="9"/>', "obstacle 0 stands outside"),
     ],

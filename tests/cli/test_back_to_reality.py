@@ -130,10 +130,10 @@ def test_a_robot_is_named_again_to_resume(neurosim, monkeypatch):
     [
         (["--place", "moon"], "there is no place 'moon' in the lab"),
         (["--task", "go-to"], "does the task walking only, not go-to"),
-        (["--budget", "5"], "a budget of 5 leaves nothing to try"),
+        (["--budget", "5"], "a budget of 5 is too small"),
         (["--settings", "best"], "paper and better"),
-        (["--controller", "network", "--inputs", "time"], "gives it no angles of its joints"),
-        (["--task", "go-to", "--controller", "plan"], "angles of its joints"),
+        (["--controller", "network", "--inputs", "time"], "commands no joint angles"),
+        (["--task", "go-to", "--controller", "plan"], "commands no joint angles"),
         (["--simulator", "nowhere"], "no such simulator"),
         (["--start", "gait.json"], "the gait's length is 7, outside of 0.01 to 0.1 m"),
         (["--start", "far.json"], "foot cannot reach"),
@@ -192,4 +192,4 @@ def test_evolution_goes_on_in_the_same_realities(neurosim, tmp_path, monkeypatch
     assert (result["transfer"], len(result["best"]), result["runs"]) == (1, 2, 1)
     assert not (tmp_path / "plan.checkpoint").exists()
     code, _, said = neurosim("evolve", "sim", "-o", "other", "--camera", "0", *words[4:])
-    assert "the reality virtual-nxt has no camera of yours" in said
+    assert "the reality virtual-nxt needs no camera" in said

@@ -215,7 +215,12 @@ def test_options_that_do_not_fit_a_log(refused, words, says):
         ("3,1,", "3,-1,", (), "line 5, field 'duration': expected a number above 0"),
         ("duration", "lasted", (), "field 'duration': there is no such column; found a, lasted"),
         ("dtheta", "turn", (), "field 'dtheta': there is no such column"),
-        ("a,d", "a,d", ("--columns", "a,prev_b=dx"), "prev_b has no column of its command"),
+        (
+            "a,d",
+            "a,d",
+            ("--columns", "a,prev_b=dx"),
+            "prev_b is the command before, but its command has no column",
+        ),
         ("a,d", "a,d", ("--columns", "a,prev_a=dx", "--from-rest"), "leave out --from-rest"),
         ("a,d", "a,d", ("--frame", "world"), "field 'heading0': there is no such column"),
         (

@@ -333,7 +333,7 @@ def test_a_drawn_path_has_a_title_its_fitness_and_its_contacts(folder, tmp_path,
         ),
         (
             ["evolve", "sim", "--task", "obstacle-avoidance", "-o", "x", "--steps", 7],
-            "7 steps cannot be shared out evenly among 5 starts",
+            "steps must be a multiple of starts: 7 steps, 5 starts",
         ),
         (
             [

@@ -238,5 +238,5 @@ def test_realities_have_names(monkeypatch):
         assert isinstance(reality, Counting)
     with pytest.raises(UserError, match="there is no reality 'moon'"):
         make_reality("moon", Push())
-    with pytest.raises(UserError, match="has no camera of yours"):
+    with pytest.raises(UserError, match="needs no camera"):
         make_reality("counting-test", Push(), camera="0")

@@ -243,7 +243,7 @@ def test_an_optimiser_that_does_not_keep_to_its_seed_is_not_resumed(
     interrupting(3)
     run("own", tmp_path / "out")
     interrupting(0)
-    with pytest.raises(UserError, match="asks for other individuals than before"):
+    with pytest.raises(UserError, match="asked for other individuals than before"):
         run("own", tmp_path / "out", resume=True)
 
 

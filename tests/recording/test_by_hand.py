@@ -216,7 +216,7 @@ def test_a_page_that_goes_away_stops_the_robot_at_once():
     assert hand.wish() == (0, 25)
     with pytest.raises(UserError, match="another page drives"):
         hand.take("two", [0.0, 0.0])
-    with pytest.raises(UserError, match="other levers"):
+    with pytest.raises(UserError, match="controls of another robot"):
         hand.take("one", [1.0])
     hand.take("one", None)
     assert hand.wish() is None

@@ -103,7 +103,9 @@ def test_a_tag_of_the_lab_lies_on_the_robot(tmp_path):
     write_markers(tmp_path / "m.json", {**away, "tag": {"dictionary": "4X4_50", "id": 0}})
     markers = marker_settings(str(tmp_path / "m.json"), "virtual")
     with (
-        pytest.raises(UserError, match="a tag of 100 mm in this place does not lie on the virtual"),
+        pytest.raises(
+            UserError, match="a tag of 100 mm at this position does not fit on the virtual"
+        ),
         open_rig("virtual", {}, Setup(markers=markers)),
     ):
         pass

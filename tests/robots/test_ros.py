@@ -443,7 +443,9 @@ def test_a_status_of_the_bridge_is_an_error():
     with a_rig(statuses=True) as rig:
         client = Bridge(rig.address, 10.0)
         client.open()
-        with pytest.raises(RobotError, match="does not take it: publish: Message type geometry_ms"):
+        with pytest.raises(
+            RobotError, match="rejected a message: publish: Message type geometry_ms"
+        ):
             client.publish("/cmd_vel", {"speed": 1})
         client.publish("/cmd_vel", {"linear": {"x": 0.1}})
         assert rig.node.velocities == (0.1, 0.0)

@@ -95,7 +95,7 @@ def test_points_make_a_line_and_the_task_says_so():
         ({"place": {"lines": [{"points": [[0, 0]]}]}}, "at least 3 points, found 1"),
         ({"place": {"lines": [{"points": [[0, 0, 0]] * 3}]}}, r"place.lines\[0\].points\[0\]: "),
         ({"place": {"lines": [{"points": [1, 2, 3]}]}}, r"points\[0\]: expected a list of 2"),
-        ({"within": 2.0}, "too short to be lost"),
+        ({"within": 2.0}, "within must be below a quarter"),
     ],
 )
 def test_what_is_no_task_is_refused(settings, words):

@@ -78,7 +78,7 @@ def test_what_does_not_go_together_is_refused(folder):
     ):
         assert said in str(record(folder, folder / "network", *options).exception)
     refused = str(record(folder, folder / "plan").exception)
-    assert "drives in open loop: neurosim run records it" in refused
+    assert "drive it with neurosim run" in refused
     words = ["record", str(folder / "r"), "--by-hand", "--commands", "5"]
     refused = CliRunner().invoke(cli, words)
     assert "--commands is not for --by-hand: leave it out" in str(refused.exception)

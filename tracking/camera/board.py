@@ -50,7 +50,7 @@ def locate(model: CameraModel, points: str | Path | ArrayLike) -> CameraModel:
     rays = model.undistort(pixels)
     homography, _ = cv2.findHomography(board, rays)
     if homography is None:
-        raise UserError("the marked points do not determine the board's place; mark others")
+        raise UserError("the marked points do not fix the position of the board; mark other points")
     rotation, translation = _pose_of(homography)
     above = np.column_stack([board, np.zeros(len(board))])
     turn, translation = cv2.solvePnPRefineLM(
@@ -145,8 +145,8 @@ def camera_over_board(
     else:
         if not camera(0.2 * usual).position[2] <= height <= camera(5 * usual).position[2]:
             raise UserError(
-                f"no usual camera {height:g} m above the board sees its corners there; check the "
-                "camera's height and the board's measures"
+                f"no usual lens fits these corners at a height of {height:g} m; check the height "
+                "of the camera and the size of the board"
             )
         model = _at_height(camera, 0.2 * usual, 5 * usual, height)
 

@@ -149,9 +149,8 @@ def _place(times: NDArray, signals: NDArray, lines: Sequence[MotorLine]) -> floa
     if others.max() > AMBIGUOUS * agreement[best]:
         rival = int(others.argmax())
         raise UserError(
-            "the clock cannot be found from the motion: it follows the commands from "
-            f"{first - shifts[best]:.2f} s and from {first - shifts[rival]:.2f} s of the video; "
-            "record with the lamp, or cut the video"
+            f"the clock is ambiguous: the motion fits the video at {first - shifts[best]:.2f} s "
+            f"and at {first - shifts[rival]:.2f} s; record with the lamp, or cut the video"
         )
     return float(shifts[best])
 

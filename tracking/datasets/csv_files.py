@@ -239,7 +239,9 @@ def _commands(table: _Table, shape: str) -> list[str]:
         if shape == "log":
             raise UserError(f"a log contains the command before each command; leave out {name}")
         if names and name.removeprefix("prev_") not in names:
-            raise UserError(f"{name} has no column of its command; {_listed(names)}")
+            raise UserError(
+                f"{name} is the command before, but its command has no column; {_listed(names)}"
+            )
     if names:
         return names
     for usual in _USUAL:

@@ -237,8 +237,8 @@ def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
     inside = along and abs(y) + reach <= _SENSOR_ARM[3]
     if not inside:
         raise UserError(
-            f"a tag of {1000 * side:.0f} mm in this place does not lie on the virtual robot; leave "
-            "the places in markers.json as neurosim watch saves them"
+            f"a tag of {1000 * side:.0f} mm at this position does not fit on the virtual robot; "
+            "keep the positions that neurosim watch saved in markers.json"
         )
     return cells, np.array([x, y, cos, sin, plate])
 

@@ -195,7 +195,7 @@ class VirtualWalker:
         if not isinstance(controller, OfTime) or tuple(controller.outputs) != JOINTS:
             raise UserError(
                 "the walking robot of the lab needs a gait; a controller of the kind "
-                f"{controller.kind} gives it no angles of its joints"
+                f"{controller.kind} commands no joint angles"
             )
         if task is not None and task.name != "walking":
             raise UserError(

@@ -289,7 +289,7 @@ class Bridge:
     def _raise_refusal(self) -> None:
         if self._refused:
             refusal, self._refused = self._refused, ""
-            raise RobotError(f"the bridge at {self.url} does not take it: {refusal[:160]}")
+            raise RobotError(f"the bridge at {self.url} rejected a message: {refusal[:160]}")
 
     def _cut(self, why: str) -> LinkLost:
         return self.lose(
