@@ -1,6 +1,6 @@
 """A robot builds its own simulator: record it, learn it, evolve in it, drive it.
 
-What a script needs is here, and imported when it is used::
+Names for scripts, imported when they are used::
 
     import neurosim as ns
 

@@ -548,7 +548,7 @@ def check_optimiser(make: Callable[[SearchSpace], Any]) -> None:
 
 
 def check_reality(reality: Any, genes: Any) -> None:
-    """Check a reality: what it says of itself, and two trials of an individual.
+    """Check a reality: its description, and two trials of an individual.
 
     Args:
         reality: any, see :class:`neurosim.loop.journal.Reality`.

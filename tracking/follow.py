@@ -28,7 +28,7 @@ from tracking.overlay import Overlay, check_overlay
 
 @dataclass(frozen=True)
 class Track:
-    """What was seen in one video, one row a frame; pixels, seconds of the camera's clock.
+    """The robot in one video, one row for each frame; pixels, seconds of the camera's clock.
 
     Attributes:
         frame: [N] index within the video.
@@ -87,7 +87,7 @@ def follow(
     Args:
         path: the video; one that was cut off is read as far as it goes.
         what: to look for; None where there are clicks.
-        geometry: what is known of the pair.
+        geometry: the known geometry of the pair.
         times: camera time [N] of the frames in seconds; without, the container's.
         overlay: write a video with the markers drawn over it here.
         expected_size: the calibration's image size in pixels.
@@ -162,7 +162,7 @@ def _row(sighting: Sighting) -> tuple[float, ...]:
 def _colours(
     path: Path, tracker: Tracker, table: NDArray, geometry: Geometry | None, *, by_hand: bool
 ) -> dict[str, dict[str, Any]]:
-    """Return what was found of two colours; rows before the pair are taken out of the table."""
+    """Return the colours as tracked; rows before the pair are taken out of the table."""
     table[: tracker.begun, 2:] = _row(LOST)
     colours = tracker.seen_colours
     if colours is None or not table[:, 6].any():

@@ -1,7 +1,7 @@
 """Whether the pair that is seen after a loss is the one from before: what its motion can say.
 
-A twin of the robot, of the same colours, sizes and separation, can be told from it by its place
-only: the robot goes on from where it was lost.
+A twin of the robot, of the same colours, sizes and separation, can be distinguished from it by its
+place only: the robot goes on from where it was lost.
 """
 
 from __future__ import annotations

@@ -22,7 +22,7 @@ WAITING = 2
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """One frame and what was seen in it.
+    """One frame and the robot in it.
 
     Attributes:
         index: of the frame within its video.
@@ -31,7 +31,7 @@ class Seen:
         frame: the picture, BGR [H, W, 3] uint8; nobody may write to it.
         sighting: what the tracker found.
         colours: of front and rear as this camera sees them, once they were found.
-        others: numbers of tags that were seen beside the robot's.
+        others: numbers of tags that were seen next to the robot's.
     """
 
     index: int
@@ -49,11 +49,11 @@ class LiveTracker:
     Frames of a camera that waits (one that is rendered) are tracked as they come, in the caller's
     thread: the same frames give the same sightings at the same moments. Others are tracked in a
     thread of their own; frames it cannot keep up with are passed over, and counted.
-    Where a camera's time goes back, a video begins again, and tracking begins anew with it.
+    Where a camera's time goes back, a video begins again, and tracking begins again with it.
 
     Args:
         what: it looks for.
-        geometry: what is known of the pair.
+        geometry: the known geometry of the pair.
         now: the clock for arrival times, in seconds.
         on_seen: called with every frame that was tracked, in the order of the frames.
         waits: whether the camera waits for who takes its frames.

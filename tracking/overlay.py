@@ -1,4 +1,4 @@
-"""A video with what the tracker saw drawn over it."""
+"""A video with the tracked robot drawn over it."""
 
 from __future__ import annotations
 

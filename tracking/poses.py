@@ -16,7 +16,7 @@ from tracking.markers.pair import Geometry
 
 
 def marker_geometry(markers: Mapping[str, Any], camera: CameraModel) -> Geometry:
-    """Return what recording.json's ``markers`` say to the tracker, seen by a camera."""
+    """Return the tracker's geometry from recording.json's ``markers`` and a camera."""
     front, rear = (np.array([markers[m]["x"], markers[m]["y"]], float) for m in ("front", "rear"))
     height = float(markers.get("height", 0.0))
     axis = front - rear

@@ -39,7 +39,7 @@ _INCH = 0.0254
 
 @dataclass(frozen=True)
 class PageSettings(Checked):
-    """What is on the page.
+    """The content of the page.
 
     Attributes:
         markers: colours of the front and of the rear marker, or a kind of tag.

@@ -1,4 +1,4 @@
-"""What was seen while a recording was made: sightings.csv, and the frames that were passed over."""
+"""The sightings of a recording: sightings.csv, and the frames that were passed over."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ LOOKS = 5
 
 
 def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track | None:
-    """Return what was seen of a session while it was recorded, every frame of its video.
+    """Return the sightings of a session, one for every frame of its video.
 
     Frames that the live tracker passed over are looked at in the video now, and only those.
 
@@ -39,7 +39,7 @@ def seen_live(recording: Recording, session: int, camera: CameraModel) -> Track 
         None if the session was not tracked while it was recorded.
 
     Raises:
-        FileError: if sightings.csv or the video are not what they should be.
+        FileError: if sightings.csv or the video are wrong.
     """
     path, times = recording.path / "sightings.csv", recording.frame_times(session)
     if times is None or not path.exists():
@@ -88,7 +88,7 @@ def find_colours(
     Args:
         frames: BGR [H, W, 3] uint8; a handful from anywhere in a video.
         colours: of front and rear as they are named.
-        geometry: what is known of the pair, if anything.
+        geometry: the known geometry of the pair, if anything.
 
     Returns:
         Front and rear; None where no such pair is in any of the frames.
@@ -105,7 +105,7 @@ def find_colours(
 def _colours(
     video: Video, values: NDArray, colours: tuple[Colour, Colour], geometry: Geometry
 ) -> dict[str, dict[str, Any]]:
-    """Return what some of the frames in which the pair was seen say of its colours."""
+    """Return the colours of the pair from some of the frames in which it is in view."""
     seen = np.flatnonzero(values[:, 4] > 0)
     places = seen[np.linspace(0, len(seen) - 1, min(LOOKS, len(seen))).astype(int)]
     frames = [frame for index in places if (frame := video.at(int(index))) is not None]

@@ -302,7 +302,7 @@ def track_tags(
         **options: of :func:`track_video`.
 
     Returns:
-        What :func:`track_video` returns, by the tag's number.
+        The results of :func:`track_video`, by the tag's number.
 
     Raises:
         UserError: if there is no such tag in the video, or as :func:`track_video` does.
@@ -335,7 +335,7 @@ def track_tags(
 
 
 def describe_doubtful(summary: Mapping[str, Any]) -> str | None:
-    """Return what a person should know of doubtful poses, by tracking.json; None without any."""
+    """Return a warning about doubtful poses, from tracking.json; None without any."""
     if not summary["doubtful"]:
         return None
     return (
@@ -413,13 +413,13 @@ def _refusal(path: str | Path, reason: str) -> str:
 def _unclear(
     doubtful: NDArray, times: NDArray, poses: NDArray, lines: Sequence[CommandLine]
 ) -> NDArray:
-    """Return where [N] a pair may not be the robot, less where it moves as the robot was told.
+    """Return where [N] a pair may not be the robot, unless it moves as commanded.
 
     Args:
         doubtful: [N] by its place alone.
         times: [N] on the robot's clock, s.
         poses: [N, 3].
-        lines: what was sent to the motors.
+        lines: commands sent to the motors.
     """
     doubtful = doubtful.copy()
     edges = np.flatnonzero(np.diff(np.pad(doubtful, 1).astype(int)))

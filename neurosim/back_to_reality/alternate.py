@@ -37,7 +37,7 @@ from neurosim.loop.search import part_of
 
 @dataclass
 class Adaptation:
-    """What came of a run.
+    """The result of a run.
 
     Attributes:
         genes: [G] the best individual, as fractions of the controller's range of genes.
@@ -49,7 +49,7 @@ class Adaptation:
         evaluations: used in reality.
         trials: used in reality.
         record: every evaluation in reality, in their order.
-        cycles: what happened, for JSON.
+        cycles: its course, for JSON.
     """
 
     genes: NDArray[np.float64]
@@ -66,7 +66,7 @@ class Alternation:
     """A run under way.
 
     Attributes:
-        cycles: what happened so far, for JSON.
+        cycles: its course so far, for JSON.
     """
 
     def __init__(
@@ -122,7 +122,7 @@ class Alternation:
         self._adapted: dict[int, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
 
     def run(self) -> Adaptation:
-        """Run all cycles and return what came of them.
+        """Run all cycles and return their results.
 
         Raises:
             KeyboardInterrupt: at Ctrl-C; the state was saved.

@@ -1,4 +1,4 @@
-"""What is known of controllers from reality, in the order in which it became known."""
+"""Evaluations of controllers in reality, in their order."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What was known of an individual after an evaluation.
+    """The estimate of an individual's fitness after an evaluation.
 
     Attributes:
         genes: [G] of it.
@@ -50,7 +50,7 @@ class Evaluations:
         return {one.genes.tobytes() for one in self.all}
 
     def latest(self, first: int | None = None) -> list[Evaluation]:
-        """Return what is known of each individual after the first so many evaluations."""
+        """Return the estimate for each individual after the first ``count`` evaluations."""
         known = {one.genes.tobytes(): one for one in self.all[:first]}
         return list(known.values())
 

@@ -118,7 +118,7 @@ def back_to_reality(
     progress: bool = True,
     tensorboard: str | Path | None = None,
 ) -> dict[str, Any]:
-    """Adapt a controller and a simulator to each other, and write what came of it.
+    """Adapt a controller and a simulator to each other, and write the result.
 
     While it runs ``OUT.checkpoint`` holds the trials made so far and the state of the search.
 
@@ -134,7 +134,7 @@ def back_to_reality(
         settings: how; by default our own choices, ``settings_named("better")``.
         seed: random seed.
         resume: go on with the interrupted run of ``out``.
-        options: kept in the checkpoint, for whoever resumes.
+        options: kept in the checkpoint, for resuming.
         ask: asks a person to do something, and returns when it is done.
         patience: a trial in reality that takes longer is given up, s.
         progress: whether to show progress on stderr.
@@ -142,7 +142,7 @@ def back_to_reality(
             ``tensorboard``); None: there are none.
 
     Returns:
-        What ``back-to-reality.json`` holds.
+        The content of ``back-to-reality.json``.
 
     Raises:
         UserError: if they do not fit each other, something stands at ``out``, or what is to be

@@ -90,7 +90,7 @@ class BackToRealitySettings(Checked):
         return self.finalists if self.confirm > 1 else 0
 
 
-#: Our choices beside the paper's, by which it is compared with itself.
+#: Our choices next to the paper's, by which it is compared with itself.
 BETTER: dict[str, Any] = {
     "cycles": 7,
     "search": "cma",

@@ -83,7 +83,7 @@ class Simulated:
     ) -> NDArray[np.float64]:
         """Return the fitness [P] of individuals [P, G] with one set of parameters [K].
 
-        It is what the simulator expects, without noise. A simulation that blows up is worth 0, or
+        It is the expected motion, without noise. A simulation that blows up is worth 0, or
         as little as the worst of the others.
         """
         evaluator = self._evaluator(parameters)

@@ -22,7 +22,7 @@ _DIGEST = "digest"
 
 
 class Checkpoint:
-    """A folder beside the output, ``OUT.checkpoint``, that is there while something long runs.
+    """A folder next to the output, ``OUT.checkpoint``, that is there while something long runs.
 
     ``checkpoint.json`` holds the settings and is written once, before the first generation;
     ``state.safetensors`` holds all the rest and is replaced whole, so that a kill at any moment
@@ -57,11 +57,11 @@ class Checkpoint:
                 self.folder.rmdir()  # nothing came of it
 
     def begin(self, settings: Mapping[str, Any], options: Mapping[str, Any] | None = None) -> None:
-        """Start anew.
+        """Start again.
 
         Args:
             settings: what must be the same when it is resumed.
-            options: kept for whoever resumes, and returned by :meth:`options`.
+            options: kept for resuming, and returned by :meth:`options`.
 
         Raises:
             UserError: if there is a checkpoint of an interrupted run.

@@ -1,6 +1,6 @@
 """The numbers of a robot's command: names, units, limits, and how it would move by them.
 
-A robot says what it takes. Whoever is above its driver goes by that: recordings name their columns
+A robot says what it takes. All code above the driver uses this: recordings name their columns
 by it, guards and clocks ask how the robot moves by a command if it does what it is commanded.
 """
 
@@ -51,7 +51,7 @@ class Number:
 
 @dataclass(frozen=True)
 class Commands:
-    """What a robot takes for a command.
+    """The numbers of a robot's command.
 
     Attributes:
         numbers: of a command, in order.
@@ -236,7 +236,7 @@ class Commands:
 
     @classmethod
     def of(cls, content: Mapping[str, Any] | None) -> Commands:
-        """Return what :meth:`describe` described; of nothing, those of a robot on two wheels.
+        """Return the commands that :meth:`describe` described; by default those of two wheels.
 
         Raises:
             ValueError, TypeError, KeyError: if it describes no commands.

@@ -49,12 +49,12 @@ def keep_compiled(*packages: Path) -> None:
 
     Numba looks at the file of the outermost function alone: after an edit of one that it calls, it
     would go on with the machine code of before. So the folder is another one wherever a source
-    beside compiled functions differs. It is in ``NUMBA_CACHE_DIR``, beside the source, or in the
+    next to compiled functions differs. It is in ``NUMBA_CACHE_DIR``, next to the source, or in the
     user's cache. Where none can be written to, as in an installation that is read-only for a user
     without a home, it is one of this process's own, removed at its end.
 
     Args:
-        packages: folders of the sources; it may be kept beside the first.
+        packages: folders of the sources; it may be kept next to the first.
     """
     name = _PREFIX + _digest(packages)
     asked = os.environ.get("NUMBA_CACHE_DIR")
@@ -76,7 +76,7 @@ def keep_compiled(*packages: Path) -> None:
 
 
 def compiled_ahead() -> Path:
-    """Return the file that says that all that a demo needs is compiled, beside the machine code."""
+    """Return the file next to the machine code that marks all of a demo as compiled."""
     _named_now()
     return Path(os.environ["NUMBA_CACHE_DIR"]) / "compiled-ahead"
 

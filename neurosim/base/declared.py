@@ -243,7 +243,7 @@ def bounded(hint: Any) -> tuple[Any, Meta]:
 
 
 def in_words(hint: Any) -> str:
-    """Return what a declared type is, such as ``a whole number from 1 to 100``."""
+    """Return a declared type in words, such as ``a whole number from 1 to 100``."""
     bare, meta = bounded(hint)
     origin, parts = typing.get_origin(bare), typing.get_args(bare)
     if origin is Literal:
@@ -276,7 +276,7 @@ _WORDS = {
 
 
 def _mismatch(value: Any, kind: Any, message: str, path: str) -> Mismatch:
-    """Return what msgspec says in our words, with the place and what stands there."""
+    """Return an error of msgspec in plain words, with the place and the value there."""
     field = ""
     for name, index in re.findall(r"\.([^.\[]+)|\[(\d+|\.\.\.)\]", path):
         kind, key = _within(value, kind, name or index)

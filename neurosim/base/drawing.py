@@ -1,11 +1,11 @@
 """A place from a drawing in SVG.
 
-What an element is says its name, or that of the nearest group around it: its ``id``, its ``class``
-or the label of its layer (``inkscape:label``). Names are those of the parts of a place, in the
-singular or the plural, with a number behind it where there are several: ``outline``, ``walls``,
-``obstacles``, ``lines``, ``lights``, ``board``, ``perimeter``, ``start``. An element named
-``scale-50cm`` is 50 cm long; without one, the drawing is as large as its page says. Everything
-else is passed over.
+The name of an element, or of the nearest named group around it, gives its meaning: its ``id``, its
+``class`` or the label of its layer (``inkscape:label``). Names are those of the parts of a place,
+in the singular or the plural, with a number behind it where there are several: ``outline``,
+``walls``, ``obstacles``, ``lines``, ``lights``, ``board``, ``perimeter``, ``start``. An element
+named ``scale-50cm`` is 50 cm long; without one, the drawing is as large as its page says.
+Everything else is passed over.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ def read_drawing(path: str | Path) -> tuple[Place, list[str]]:
 
     Raises:
         FileError: if the file is no drawing, has no parts of a place, says nothing of its size, or
-            a part is not what it should be.
+            a part is wrong.
     """
     text = read_text(path, "a drawing in SVG, in UTF-8", most=MOST)
     if "<!ENTITY" in text.upper():

@@ -1,7 +1,7 @@
 """Files that are either whole or absent, and readers that say what is wrong and where.
 
 JSON, CSV and safetensors only: nothing that can run code when it is loaded. Every JSON file
-carries ``format`` and ``version``. A file is written beside its place and then renamed, so
+carries ``format`` and ``version``. A file is written next to its place and then renamed, so
 that a crash leaves the old file or none.
 """
 
@@ -46,9 +46,9 @@ _STALE = 86_400
 
 @contextmanager
 def atomic_path(path: str | Path) -> Iterator[Path]:
-    """Give a path to write to beside ``path``; rename it into place when the block succeeds.
+    """Give a path to write to next to ``path``; rename it into place when the block succeeds.
 
-    What a program that was killed left beside ``path`` is removed after a day.
+    Files that a killed program left next to ``path`` are removed after a day.
 
     Raises:
         UserError: if something stands at ``path`` that is neither file nor folder, such as a
@@ -110,12 +110,12 @@ def _umask() -> int:
 def open_own(path: str | Path, mode: str = "ab") -> BinaryIO:
     """Open a file that grows in place, such as a log; make it where there is none.
 
-    Whoever made the folder may have put something else in its place: a link, of either kind, leads
+    The maker of the folder may have put something else in its place: a link, of either kind, leads
     to a file of somebody else, and a pipe never answers.
 
     Args:
         path: the file.
-        mode: ``ab`` to append, ``wb`` to begin anew, ``xb`` where there must be none yet.
+        mode: ``ab`` to append, ``wb`` to begin again, ``xb`` where there must be none yet.
 
     Raises:
         UserError: if a link or anything but a plain file is there, or, with ``xb``, anything.
@@ -158,8 +158,8 @@ def write_text(path: str | Path, text: str) -> None:
 def new_folder(path: str | Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give an empty folder to fill; it appears at ``path`` only if the block succeeds.
 
-    What a program that was killed had moved aside is put back; what it had begun to write beside
-    ``path`` is removed after a day.
+    A folder that a killed program had moved aside is put back; its unfinished files next to
+    ``path`` are removed after a day.
 
     Raises:
         UserError: if ``path`` exists and is not an empty folder (and ``overwrite`` is not set).
@@ -395,7 +395,7 @@ def read_text(
         expected: what it should be, for messages: ``a CSV file``.
         encoding: of the file.
         most: how large it may be, bytes.
-        not_text: what to do where it is not text; by default what was expected is said.
+        not_text: what to do where it is not text; by default with the expected kind.
 
     Raises:
         FileError: if there is no such file, or it is none, or not text.
@@ -431,7 +431,7 @@ def _json_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def parse_json(text: str) -> Any:
-    """Return what a JSON text says; its numbers are such as a float or 64 bits hold.
+    """Return the content of a JSON text; its numbers are such as a float or 64 bits hold.
 
     Raises:
         json.JSONDecodeError: if it is not JSON.
@@ -501,7 +501,7 @@ def read_json(
 
 
 def made(path: str | Path, field: str, make: Callable[..., Made], settings: Mapping) -> Made:
-    """Return what a function makes of settings in a file.
+    """Return the result of a function called with settings from a file.
 
     Args:
         path: the file, for messages.
@@ -577,15 +577,14 @@ def read_csv(
         columns: column name -> parser (``number``, ``optional_number``, ``integer``, ``flag``,
             ``str``, or any function that raises ValueError).
         drop_torn_line: pass over a last line without a line end: a writer was killed in it.
-        rows: how many there are, where the JSON beside the file says it.
+        rows: how many there are, where the JSON next to the file says it.
 
     Returns:
         The columns, in the order of ``columns``; the index says on which line of the file a row
         stands.
 
     Raises:
-        FileError: naming the line and the field, if something is missing or is not what it
-            should be.
+        FileError: naming the line and the field, if something is missing or is wrong.
     """
     import pandas as pd
 
@@ -728,9 +727,9 @@ class LineLog:
 
     A kill of the program between two lines loses nothing; one within a line leaves a torn last
     line, which ``read_csv(..., drop_torn_line=True)`` passes over and reopening this log removes.
-    What the computer's own failure loses is up to its system (some seconds) until the log is
-    closed, which waits for the disk: a line is written down before a motor is set, and a disk may
-    take longer than a robot can wait.
+    A failure of the computer can lose the last seconds, until the log is closed, which waits for
+    the disk: a line is written down before a motor is set, and a disk may take longer than a robot
+    can wait.
     """
 
     def __init__(self, path: str | Path, columns: Sequence[str]):

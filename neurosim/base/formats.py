@@ -1,4 +1,4 @@
-"""What the JSON files of this program hold: every format, declared once.
+"""The JSON files of this program: every format, declared once.
 
 A reader checks a file against one of these (:func:`neurosim.base.files.read_json`); a key with the
 default None may be missing or null. Keys that are not declared are passed over.
@@ -137,7 +137,7 @@ class Line(Format):
 
 
 class Place(Format):
-    """What a place looks like; lengths in m.
+    """A place; lengths in m.
 
     Attributes:
         outline: corners of the walls around it.
@@ -240,7 +240,7 @@ class Recording(Format):
         videos: file of each session; null without a camera.
         markers: markers on the robot.
         board: board under the robot.
-        place: what stands and lies around the robot.
+        place: the place around the robot.
         camera: the camera.
         settings: settings of the recording.
         commands: names, units and limits of a command's numbers.

@@ -1,4 +1,4 @@
-"""What asks a program to end, Ctrl-C, a kill or a closed terminal, and when that is answered."""
+"""Signals that end a program (Ctrl-C, a kill, a closed terminal), and when they are answered."""
 
 from __future__ import annotations
 
@@ -159,7 +159,7 @@ def _compiles() -> bool:
 def answer_signals() -> None:
     """Have what asks this program to end raise KeyboardInterrupt.
 
-    What is ignored (``nohup``, a shell's background) stays ignored.
+    Signals that are ignored (``nohup``, a shell's background) stay ignored.
     """
     _last[0] = int(signal.SIGINT)
     forget_signals()
@@ -211,7 +211,7 @@ def deferred_interrupt() -> Iterator[Interrupt]:
 
     Compiled code that runs on several cores does not survive an exception that is raised in the
     middle of it. SIGTERM, SIGHUP and SIGQUIT are deferred likewise, where Python handles them.
-    What is ignored (``nohup``, a shell's background) stays ignored.
+    Signals that are ignored (``nohup``, a shell's background) stay ignored.
 
     Raises:
         KeyboardInterrupt: at the second one, also where it came out of compiled code wrapped.
@@ -244,10 +244,10 @@ def uninterrupted() -> Iterator[None]:
     """Let what runs inside end before anything that asks the program to end is answered.
 
     For compiled code that runs on several cores, which does not survive an exception that is
-    raised in the middle of it (:func:`deferred_interrupt` is for a whole generation). What came
-    meanwhile is answered at the end, by whoever would have answered it; the third is answered at
-    once, for what runs inside may be anything. Within another one it does nothing: the outer one
-    answers. Also a decorator.
+    raised in the middle of it (:func:`deferred_interrupt` is for a whole generation). Signals that
+    came meanwhile are answered at the end, by their former handler; the third is answered at once,
+    for what runs inside may be anything. Within another one it does nothing: the outer one answers.
+    Also a decorator.
 
     Raises:
         KeyboardInterrupt: at the end, or at the third.

@@ -12,7 +12,7 @@ def kernel(**options: Any) -> Callable[[Any], Any]:
     """Compile a function that is a part of a loop and makes no arrays.
 
     Numba counts references to each array and each part of one. In a step of a robot that takes as
-    long as the step itself; whoever calls a kernel keeps the arrays, so kernels count none. Only
+    long as the step itself; the caller of a kernel keeps the arrays, so kernels count none. Only
     compiled code can call it: what Python would need to call a function takes long to compile.
     ``inline="always"`` copies a function into each of its callers before types are found, so it is
     for a few lines; ``forceinline`` leaves larger parts to LLVM.

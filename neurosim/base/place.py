@@ -88,7 +88,7 @@ class Line(Checked):
 
 @dataclass(frozen=True)
 class Place(Checked):
-    """What a place looks like; every part may be missing.
+    """A place; every part may be missing.
 
     Attributes:
         outline: x and y of the corners of the walls around it, m, in order.
@@ -208,7 +208,7 @@ class Place(Checked):
         return cls(**parts)
 
     def to_json(self) -> dict[str, Any]:
-        """Return what :meth:`of` takes, without parts that are missing."""
+        """Return the content for :meth:`of`, without missing parts."""
         parts = {name: value for name, value in asdict(self).items() if value not in (None, ())}
         plain: dict[str, Any] = json.loads(json.dumps(parts))  # tuples as lists
         return plain
@@ -218,7 +218,7 @@ class Place(Checked):
         files.write_json(path, FORMAT, VERSION, self.to_json())
 
     def shapes(self) -> list[dict[str, Any]]:
-        """Return what a picture of it shows, as of a task's outline."""
+        """Return its shapes for a picture, in the form of a task's outline."""
         shapes: list[dict[str, Any]] = []
         if self.board is not None:
             shapes += board_shapes(self.board)
@@ -404,7 +404,7 @@ NAMED = {
 
 
 def board_shapes(board: Board) -> list[dict[str, Any]]:
-    """Return what a picture shows of a board: its edge and its perimeter line."""
+    """Return the shapes of a board in a picture: its edge and its perimeter line."""
     sign = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     half = np.array([board.length, board.width]) / 2
     shapes: list[dict[str, Any]] = [{"polygon": (half * sign).tolist()}]
@@ -449,7 +449,7 @@ def _crossings(lines: NDArray) -> NDArray[np.bool_]:
 
 
 def _known(kind: type, content: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a mapping has of the fields of a dataclass.
+    """Return the items of a mapping that are fields of a dataclass.
 
     Raises:
         UserError: if it has anything else, such as a name that is misspelt.

@@ -35,7 +35,7 @@ class Progress:
             )
 
     def advance(self, amount: float = 1.0, note: str = "") -> None:
-        """Add to what is done; ``note`` is a short figure to show beside it."""
+        """Add to what is done; ``note`` is a short figure to show next to it."""
         self.done += amount
         if self._bar is not None:
             if note and note != self._note:

@@ -38,7 +38,7 @@ def _any(answers: Any) -> bool | None:
 
 
 def robot_kind(robot: Mapping[str, Any]) -> str | None:
-    """Return the kind in what a robot said of itself; None where it did not say.
+    """Return the kind from a robot's description; None where it did not say.
 
     A Khepera used to say it under ``robot``.
     """

@@ -1,7 +1,7 @@
 """Random numbers in compiled code: SplitMix64 (Steele, Lea, Flood 2014) of a counter.
 
-A number depends on its seed and its place in the sequence alone, so that whoever counts can draw
-any of them.
+A number depends on its seed and its place in the sequence alone, so that any of them can be
+computed alone.
 """
 
 from __future__ import annotations

@@ -66,7 +66,7 @@ class Registry:
         return name in self._own
 
     def get(self, name: str, others: Sequence[str] = ()) -> Any:
-        """Return what has this name.
+        """Return the object of this name.
 
         Args:
             name: the name.

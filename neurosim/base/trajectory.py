@@ -1,4 +1,4 @@
-"""What a robot did, simulated or driven, how long a trial is, and samples that are drawn."""
+"""Trajectories of simulated and real robots, schedules of trials, and random samples."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class OfTime(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """What robots met, did and where they were; leading axes ``...`` are trials.
+    """Poses, commands and readings of robots; leading axes ``...`` are trials.
 
     A trajectory has T intervals, in each of which one command holds. In a simulation an interval
     is a command; of a robot that was filmed it is the time between two frames, so that several
@@ -132,7 +132,7 @@ class Trajectory:
 
 @dataclass(frozen=True, eq=False)
 class Tracked:
-    """What came of a trial in reality in which poses were tracked.
+    """The result of a trial in reality with tracked poses.
 
     Attributes:
         fitness: the higher the better.
@@ -152,8 +152,8 @@ class Episode:
         step: a controller that sees is asked for a command so often, s.
         steps: how many times.
         rest: in the end the motors are stopped for so long, s; 0: the trial ends moving.
-        goals: [N, 3] poses that are to be reached in turn; a controller may be told where the
-            next one is. None: there are none.
+        goals: [N, 3] poses that are to be reached in turn; a controller may get the position of the
+        next one. None: there are none.
         reach: a goal is reached, and the next one comes, within this distance of it, m.
         readings: whether the fitness needs the sensors' readings.
         contacts: whether it is to be known when the robot touches something.
@@ -185,7 +185,7 @@ class Draws:
         seeds: [R] uint64 of a simulator that draws its noise itself, or None.
         state: [S] of the simulator: the robot is under way, and goes on from this state in every
             sample, but for the pose and the member, which are those above; the command that led
-            to it is over, and what follows begins anew. None: it stands still.
+            to it is over, and what follows begins again. None: it stands still.
     """
 
     starts: NDArray[np.float64]

@@ -45,7 +45,7 @@ class Choices(Protocol):
         ...
 
     def get(self, name: str) -> Any:
-        """Return what has this name; raise UserError if nothing has."""
+        """Return the object of this name; raise UserError if nothing has."""
         ...
 
 
@@ -166,7 +166,7 @@ def documented(source: Callable[..., Any]) -> dict[str, str]:
 
 
 def _entries(doc: str, title: str) -> dict[str, str]:
-    """Return what a section of a docstring says of each name."""
+    """Return the explanations of names in a section of a docstring."""
     entries: dict[str, str] = {}
     inside, names = False, []
     for line in doc.splitlines():
@@ -200,16 +200,16 @@ class Group:
         into: the command's parameter that gets a dict of those that were given.
         source: the callable, or a settings object, whose values are then the defaults; or
             :class:`Choices`, of which an option names one; or, with ``by_choice``, a function from
-            what is chosen to any of these. As text, ``module:attribute``, it is imported when it is
+            the choice to any of these. As text, ``module:attribute``, it is imported when it is
             needed.
-        by_choice: whether ``source`` makes the callable of what is chosen.
+        by_choice: whether ``source`` makes the callable of the choice.
         option: the option that names one, such as ``--task``; None where there is no choice.
-        default: name that is chosen if nobody says otherwise, or a function that says it by what
-            was chosen before.
+        default: name that is chosen if nobody says otherwise, or a function that says it by the
+        choices before.
         help: of the option that names one; the names are added.
         of: makes of what has the name the callable whose parameters are options, or None.
         only: parameters that are options; None: all that can be.
-        skip: parameters that are no options, or a function that says them by what is chosen.
+        skip: parameters that are no options, or a function that says them by the choice.
         optional: parameters without a default that need not be given.
         prefix: before the names of the options.
         names: names of options that differ from their parameters'.
@@ -217,7 +217,7 @@ class Group:
             :data:`neurosim.cli._types.UNITS`; of a pair one for each.
         helps: helps in place of the docstring's.
         kinds: types of options in place of those that the annotations stand for.
-        outside: says by its name whether what is chosen is a thing outside this program, such as a
+        outside: says by its name whether the choice is a thing outside this program, such as a
             robot. ``--resume`` takes neither that nor its options from what is resumed: a file, of
             whomever, does not choose what is opened or driven.
     """
@@ -245,7 +245,7 @@ class Group:
         return (self.option or "").strip("-").replace("-", "_")
 
     def choices(self) -> Choices:
-        """Return what there is to choose from."""
+        """Return the choices."""
         return _loaded(self.source)
 
     def default_name(self, chosen: Chosen) -> str:
@@ -253,7 +253,7 @@ class Group:
         return self.default(chosen) if callable(self.default) else str(self.default)
 
     def chosen_by(self, chosen: Chosen) -> Any:
-        """Return what has the parameters, or None."""
+        """Return the callable with the parameters, or None."""
         if self.option is not None:
             return self.of(self.choices().get(chosen[self.chooser]))
         source = _loaded(self.source)
@@ -264,7 +264,7 @@ class Group:
 
         Args:
             chosen: what is chosen.
-            taken: options of the command; one of the same name is prefixed with what is chosen.
+            taken: options of the command; one of the same name is prefixed with the choice.
         """
         source, made = self.chosen_by(chosen), {}
         skip = self.skip(chosen) if callable(self.skip) else self.skip
@@ -388,7 +388,7 @@ class SettingsCommand(click.Command):
         return {str(group.option): group.choices().names() for group in named}
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the parameters, with the options of what is chosen."""
+        """Return the parameters, with the options of the choice."""
         state = _state(ctx)
         if state.params is None:
             for group in self._groups:
@@ -498,7 +498,7 @@ class SettingsCommand(click.Command):
                         ctx.default_map.pop(option.name, None)
 
     def _of_another(self, error: click.NoSuchOption, state: _State) -> UserError | None:
-        """Return what to say of an option that something else has that can be chosen."""
+        """Return the error for an option that belongs to another choice."""
         flag = error.option_name
 
         def has(chosen: Chosen) -> bool:
@@ -520,7 +520,7 @@ class SettingsCommand(click.Command):
         return None
 
     def _missing(self, error: click.MissingParameter, state: _State) -> UserError | None:
-        """Return what to say where something that was chosen needs an option."""
+        """Return the error for a missing option that a choice needs."""
         for group in self._groups:
             for each in state.options[group.into].values():
                 if each is error.param and group.option is not None:
@@ -532,7 +532,7 @@ class SettingsCommand(click.Command):
     # Help
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write the options, those of what is chosen under headings of their own."""
+        """Write the options, those of the choice under headings of their own."""
         params, state = self.get_params(ctx), _state(ctx)
         apart: dict[str | None, str] = {}
         for group in self._groups:
@@ -571,7 +571,7 @@ class SettingsCommand(click.Command):
 
 @dataclass
 class _State:
-    """What is known of a line while it is read."""
+    """The state of reading a command line."""
 
     chosen: dict[str, str] = field(default_factory=dict)
     params: list[click.Parameter] | None = None

@@ -16,14 +16,14 @@ Default = str | Callable[[Chosen], str]
 
 
 def task_option(default: Default, help: str) -> Callable[[Callable], Callable]:
-    """Return what adds ``--task`` and the options of the task that it names."""
+    """Return a decorator that adds ``--task`` and the options of the chosen task."""
     return choice_options(
         "--task", "neurosim.tasks.files:FILES_AND_TASKS", default=default, help=help
     )
 
 
 def controller_option(default: Default, help: str) -> Callable[[Callable], Callable]:
-    """Return what adds ``--controller`` and the options of the kind that it names."""
+    """Return a decorator that adds ``--controller`` and the options of the chosen kind."""
     return choice_options(
         "--controller",
         "neurosim.controllers:CONTROLLERS",
@@ -58,11 +58,11 @@ def _may_be_real(name: str) -> bool:
 
 
 def reality_option(default: Default, help: str) -> Callable[[Callable], Callable]:
-    """Return what adds ``--reality``, the options of what it names, and the camera's.
+    """Return a decorator that adds ``--reality``, its options, and the camera's.
 
     Args:
         default: a name in :data:`neurosim.trials.realities.REALITIES`, or a driver's, or what says
-            it by what was chosen before.
+            it by the choices before.
         help: of the option; the names are added.
     """
 

@@ -16,7 +16,7 @@ def _is_real(name: str) -> bool:
 
 
 def robot_option_of(default: str, help: str) -> Callable[[Callable], Callable]:
-    """Return what adds ``--robot`` and the options of the robot that it names.
+    """Return a decorator that adds ``--robot`` and the options of the chosen robot.
 
     Args:
         default: the robot's name; see :mod:`neurosim.trials.rig`.

@@ -205,7 +205,7 @@ class Stage:
             raise self.wrong(str(error)) from None
 
     def _params(self) -> list[click.Parameter]:
-        """Return the parameters of the command, with those of what is chosen."""
+        """Return the parameters of the command, with those of the choice."""
         choosers = self.command.choices() if isinstance(self.command, SettingsCommand) else ()
         chosen = [
             f"{flag}={self.options[flag[2:]]}" for flag in choosers if flag[2:] in self.options

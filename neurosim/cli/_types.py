@@ -1,4 +1,4 @@
-"""What a word on the command line can stand for."""
+"""Types of words on the command line."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ from neurosim.cli._types import PATH
 
 
 class _Named:
-    """What ``--settings`` takes."""
+    """The settings by name, for ``--settings``."""
 
     def names(self) -> list[str]:
         """Return the names."""

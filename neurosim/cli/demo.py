@@ -130,7 +130,7 @@ def _steps(out: Path, commands: int, seed: int) -> Iterator[list[Any]]:
 
 
 def _settings(out: Path, commands: int, seed: int) -> tuple[int, int]:
-    """Return what a demo was begun with; write it down where it begins."""
+    """Return the options of an interrupted demo; write it down where it begins."""
     path, now = out / "demo.json", {"commands": commands, "seed": seed}
     if not path.exists():
         if not is_empty(out):

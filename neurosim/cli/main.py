@@ -94,7 +94,7 @@ def run_plugin(path: Path) -> None:
         raise FileError(path, "is not a Python file; its name must end in .py")
     module = importlib.util.module_from_spec(spec)
     sys.modules[spec.name] = module
-    sys.path.append(str(path.resolve().parent))  # what it imports may stand beside it
+    sys.path.append(str(path.resolve().parent))  # what it imports may stand next to it
     try:
         spec.loader.exec_module(module)
     except UserError as error:
@@ -144,7 +144,7 @@ for command in (
 
 def main() -> None:
     """Run the command line; the only place where errors become exit codes."""
-    # OpenCV's own complaints stand beside the one sentence and say less.
+    # OpenCV's own complaints stand next to the one sentence and say less.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # What NumPy says of a division or an overflow in here is for programmers; a number that makes

@@ -108,7 +108,7 @@ class _Run:
                 raise FileError(self.log.path, error.what, line=line, field=error.field) from None
 
     def point(self, point: Mapping[str, Any]) -> dict[str, Any]:
-        """Run all stages with a combination of swept values; return what came of each."""
+        """Run all stages with a combination of swept values; return the result of each."""
         made: dict[str, Made] = {}
         stages = {}
         for stage in self.experiment.at(point):
@@ -161,7 +161,7 @@ class _Run:
         return row, now
 
     def _about(self, stage: Stage, line: Line, made: Mapping[str, Made]) -> dict[str, Any]:
-        """Return what a stage is done with, and the key that stands for it."""
+        """Return the inputs of a stage, and their digest."""
         inputs = {
             key: [{"path": str(path), "sha256": self._digest(path)} for path in paths]
             for key, paths in line.inputs.items()

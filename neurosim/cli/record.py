@@ -245,7 +245,7 @@ def _check_who_drives(**drivers: bool) -> None:
 
 
 def _summary(out: Path, commands: int | None, made: list[Recording]) -> dict[str, Any]:
-    """Return what was recorded; without a number of commands, those that were sent count."""
+    """Return a summary of a recording; without a number of commands, those that were sent count."""
     from tracking.markers.palette import least_confident
 
     lines = [part.commands() for part in made]
@@ -287,7 +287,7 @@ def _next(out: Path, tracked: bool, calibration: Path | None) -> str:
 def _page(
     wanted: bool, camera: Any, settings: Any, calibration: Path | None, hand: Hand | None = None
 ) -> Iterator[Callable[[Any], None] | None]:
-    """Serve a page with what is seen while a recording is made; give what to show it with.
+    """Serve a page with the camera's picture during a recording; give what to show it with.
 
     With a hand, the robot is driven there.
     """

@@ -146,7 +146,7 @@ def run(
 def _replanning(
     saved: Any, wanted: bool | None, simulator: Path | None, settings: dict[str, Any]
 ) -> Any:
-    """Return in which simulator a plan is planned again, and how; None: it is not."""
+    """Return in which simulator a plan is replanned, and how; None: it is not."""
     from neurosim.loop.replan import ReplanSettings
     from neurosim.simulators import read_simulator
     from neurosim.tasks.registry import make_task
@@ -191,7 +191,7 @@ def _place(saved: Any, robot: str) -> Any:
 
 
 def _text(out: Path, controller: Path, report: dict[str, Any]) -> str:
-    """Return what happened, for people."""
+    """Return the result in words."""
     done = "completed" if report["actual"]["completes"] else "did not complete"
     predicted = report["predicted"].get("fitness")
     expected = "" if predicted is None else f", predicted {predicted:.4g}"

@@ -138,7 +138,7 @@ def sample(
 
 
 def _place(rig: Rig, poses: dict[str, tuple[float, float, float]]) -> Callable[[str], None]:
-    """Return what has the robot put in place: by the lab, or by a person."""
+    """Return a function that has the robot placed: by the lab, or by a person."""
 
     def by_lab(where: str) -> None:
         assert rig.place is not None

@@ -201,7 +201,7 @@ def _is_file(markers: str | None) -> bool:
 def _track_all(
     video: Path, known: dict[str, Any], out: Path, as_json: bool, **options: Any
 ) -> None:
-    """Track every tag of a dictionary in a video, and print what was found of each."""
+    """Track every tag of a dictionary in a video, and print a summary of each."""
     from tracking.track import track_tags
 
     tracked = track_tags(video, known["tag"]["dictionary"], out, **options)

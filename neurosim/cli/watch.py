@@ -1,4 +1,4 @@
-"""``neurosim watch``: what the camera sees, on a page; colours, board and place set by clicking."""
+"""``neurosim watch``: the camera's picture on a page; colours, board and place set by clicking."""
 
 from __future__ import annotations
 

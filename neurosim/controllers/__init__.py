@@ -1,4 +1,4 @@
-"""Controllers: what a robot is told to do next, given what it observes; and their files."""
+"""Controllers: the next command of a robot, given its observations; and their files."""
 
 from neurosim.controllers.base import Controller
 from neurosim.controllers.files import SavedController, read_controller

@@ -1,4 +1,4 @@
-"""What every controller offers: genes <-> controller, and what it does at each step.
+"""The protocol of controllers: genes <-> controller, and what it does at each step.
 
 A controller here is a family: which inputs it has, which commands it gives, and how many genes say
 all the rest. An individual is a row of genes. A batch of B individuals acts at once.
@@ -35,7 +35,7 @@ class Controller(Checked):
 
     Attributes:
         kind: its name in files and on the command line.
-        inputs: what it observes, by name: readings of sensors as the simulator and the robot name
+        inputs: its observations, by name: readings of sensors as the simulator and the robot name
             them, or :data:`POSE_INPUTS`, :data:`GOAL_INPUTS`, :data:`POLAR_INPUTS`,
             :data:`TIME_INPUTS`.
         outputs: columns of the commands that it gives, without a duration: a controller that sees
@@ -121,11 +121,11 @@ class Controller(Checked):
         """
 
     def arrays(self) -> NetworkArrays | None:
-        """Return what compiled rollouts compute with; None: there are none for this kind."""
+        """Return the compiled form; None: there are none for this kind."""
         return None
 
     def settings(self) -> dict[str, Any]:
-        """Return what makes the same family again, for JSON."""
+        """Return the settings of the family, for JSON."""
         return {}
 
 
@@ -160,7 +160,7 @@ def observe(
     goal: Tensor | None,
     time: float,
 ) -> Tensor:
-    """Return what controllers observe, [B, len(inputs)].
+    """Return the observations of controllers, [B, len(inputs)].
 
     Args:
         inputs: names, in order.

@@ -1,6 +1,6 @@
 """Controllers on disk: a folder with ``controller.json``, and weights where there are any.
 
-What was predicted of a controller stands beside it, so that a trial can be held against it. For a
+A controller's folder has its prediction, so that a trial can be compared with it. For a
 plan these are the pose after each given command, at the instant when the next one takes over, and
 the pose at rest, once the motors have run down after the last.
 """
@@ -94,7 +94,7 @@ class SavedController:
 
         Args:
             folder: where.
-            overwrite: whether to replace what stands there.
+            overwrite: whether to replace an existing one.
 
         Raises:
             UserError: if there is something at ``folder`` that is not to be replaced, a plan gives

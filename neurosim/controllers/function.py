@@ -13,7 +13,7 @@ from torch import Tensor
 
 from neurosim.controllers.base import WHEELS, Controller
 
-#: Takes what is observed, name -> [B], and where the controller has genes these, [B, G]; returns
+#: Takes the observations, name -> [B], and where the controller has genes these, [B, G]; returns
 #: one array (or number) for each output.
 Rule = Callable[..., Sequence[ArrayLike]]
 

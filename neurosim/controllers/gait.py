@@ -214,7 +214,7 @@ class Gaits(Controller):
     Genes are the parameters' fractions of their ranges.
 
     Attributes:
-        parameters: what the genes are.
+        parameters: the genes' meaning.
     """
 
     parameters: ClassVar[tuple[GaitParameter, ...]]

@@ -1,4 +1,5 @@
-"""Which goal of an episode is the next: what a controller is told in a simulator and on a robot."""
+"""Which goal of an episode is the next: the goal inputs of a controller in a simulator and on a
+robot."""
 
 from __future__ import annotations
 

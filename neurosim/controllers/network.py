@@ -31,7 +31,7 @@ class Network(Controller):
     """Feed-forward networks.
 
     Attributes:
-        inputs: Names of what it observes: readings, and x, y, cos_heading, sin_heading or goals.
+        inputs: Names of its observations: readings, and x, y, cos_heading, sin_heading or goals.
         hidden: Units of each hidden layer; the paper has none.
         outputs: Columns of the command.
         scale: Largest command, percent: one number, or a list of one for each output.
@@ -105,7 +105,7 @@ class Recurrent(Controller):
     """Recurrent networks of one hidden layer, Elman's or continuous-time.
 
     Attributes:
-        inputs: Names of what it observes: readings, and x, y, cos_heading, sin_heading or goals.
+        inputs: Names of its observations: readings, and x, y, cos_heading, sin_heading or goals.
         units: Hidden units.
         dynamics: How its hidden units change: elman, or ctrnn (in continuous time).
         outputs: Columns of the command.

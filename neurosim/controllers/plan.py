@@ -1,4 +1,4 @@
-"""Plans: command sets that are driven blindly, Pretorius et al. 2009, section 6.2."""
+"""Plans: command sets, driven in open loop (Pretorius et al. 2009, section 6.2)."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ def make_controller(
 
 
 def usual_inputs(simulator: Any, task: Any) -> tuple[str, ...]:
-    """Return what is observed if nothing else is said: all sensors, and where the next goal is."""
+    """Return the default observations: all sensors, and where the next goal is."""
     goals = GOAL_INPUTS if task is not None and task.episode.goals is not None else ()
     return (*simulator.reading_names, *goals)
 

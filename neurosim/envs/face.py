@@ -1,4 +1,4 @@
-"""What an environment shows of a task: spaces, observations, actions and rewards.
+"""Observations and actions of an environment: spaces, observations, actions and rewards.
 
 It is the same for a simulator and for the robot: a learner cannot tell them apart.
 """
@@ -51,7 +51,7 @@ class Face:
         outputs: of the columns of an action.
         reads: whether the sensors are to be read.
         record: [B, W] of the task, one for each trial.
-        judged: what trials are worth now.
+        judged: the fitness of trials now.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class Face:
         Args:
             simulator, task: see the class.
             count: trials.
-            names: what is observed; by default all sensors and where the next goal is, or, where
+            names: the observations; by default all sensors and where the next goal is, or, where
                 there are neither, pose and time.
 
         Raises:
@@ -128,11 +128,11 @@ class Face:
         readings: NDArray | None,
         times: NDArray[np.float64],
     ) -> NDArray[np.float32]:
-        """Return what is observed [K, len(names)], within the limits of the space.
+        """Return the observations [K, len(names)], within the limits of the space.
 
         Args:
             rows: K of the trials.
-            poses: [K, 3] (m, m, rad); of a robot that is nowhere NaN, which are told as 0.
+            poses: [K, 3] (m, m, rad); NaN of a robot with unknown pose, which become 0.
             readings: [K, S] in 0..1, or None.
             times: [K] since the start, s.
         """

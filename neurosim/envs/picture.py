@@ -49,7 +49,7 @@ class Picture:
         self._window: Any = None
 
     def begin(self, rows: Sequence[int] | NDArray, poses: NDArray[np.float64]) -> None:
-        """Begin anew in rows [K], at poses [K, 3]."""
+        """Begin again in rows [K], at poses [K, 3]."""
         for row, pose in zip(rows, poses, strict=True):
             self._paths[row] = [np.array(pose)]
 

@@ -70,7 +70,7 @@ class RobotEnv(gymnasium.Env[NDArray[np.float32], NDArray[np.float32]]):
             camera: a camera's number or URL; in the virtual lab its own.
             place: puts the robot at a pose (m, m, rad) before each trial; by default the virtual
                 lab does, or a person is asked to at the terminal.
-            observe: names of what is observed.
+            observe: names of the observations.
             render_mode: None, rgb_array or human.
             settings: of a task that is named.
 

@@ -143,7 +143,7 @@ def made(
     """Return simulator, in the task's place, and task of what environments are made of.
 
     Raises:
-        UserError: if one of them is not what it should be.
+        UserError: if one of them is wrong.
     """
     if isinstance(task, Task) and settings:
         raise UserError(

@@ -16,7 +16,7 @@ from neurosim.base.errors import UserError
 class StableBaselinesEnvs(VecEnv):
     """A vector environment that begins the next trial in the last step of the one before.
 
-    What there is to know of a trial's end stands in its ``info``: ``terminal_observation``,
+    The end of a trial is described in its ``info``: ``terminal_observation``,
     ``TimeLimit.truncated``, and what the environment itself says, such as ``is_success``.
     """
 
@@ -35,7 +35,7 @@ class StableBaselinesEnvs(VecEnv):
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> NDArray:
-        """Begin all trials; return what is observed."""
+        """Begin all trials; return the observations."""
         seeds: Any = self._seeds  # one for each environment
         seen, _ = self.envs.reset(seed=seeds)
         self._reset_seeds()

@@ -20,7 +20,8 @@ BLOCK = 16
 
 
 class Samples:
-    """What each trial of a batch meets: start, member of the ensemble, and seed of its noise.
+    """The random conditions of each trial of a batch: start, member of the ensemble, and seed of
+    its noise.
 
     Each row draws from a generator of its own, so that it meets the same in a batch of any size.
     """
@@ -41,7 +42,7 @@ class Samples:
         self._next = np.full(count, BLOCK)
 
     def forget(self, row: int) -> None:
-        """Draw anew for a row, whose generator is another one now."""
+        """Draw again for a row, whose generator is another one now."""
         self._next[row] = BLOCK
 
     def take(
@@ -94,11 +95,11 @@ class Trials:
             simulator: where they are made.
             task: which is tried.
             count: trials at once.
-            observe: names of what is observed; see :class:`Face`.
-            noise: whether each trial is a random sample: where the robot is put down, as
-                which member of the ensemble it moves, and its noise; if not, it is what the
-                simulator expects.
-            placing: how exactly the robot is put down where a trial starts at a mark: standard
+            observe: names of the observations; see :class:`Face`.
+            noise: whether each trial is a random sample: where the robot is placed, as
+                which member of the ensemble it moves, and its noise; if not, it is the expected
+                motion.
+            placing: error in placing the robot where a trial starts at a mark: standard
                 deviations in x and y (m) and in heading (rad).
         """
         self.face = Face(simulator, task, count, observe)
@@ -121,7 +122,7 @@ class Trials:
         return self.state[:, :3]
 
     def forget(self, row: int) -> None:
-        """Draw samples anew in a row, whose generator is another one now."""
+        """Draw samples again in a row, whose generator is another one now."""
         self._samples.forget(row)
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
@@ -206,7 +207,7 @@ class Trials:
         return kept
 
     def see(self, rows: Rows = slice(None)) -> NDArray[np.float32]:
-        """Return what is observed in rows [K], [K, I]; to be asked once after a step."""
+        """Return the observations of rows [K], [K, I]; to be asked once after a step."""
         readings = None if self._readings is None else self._readings[rows]
         times = np.minimum(self._steps[rows], self.face.episode.steps) * self.face.episode.step
         return self.face.observation(rows, self.state[rows, :3], readings, times)

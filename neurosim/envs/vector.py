@@ -38,7 +38,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
     Attributes:
         trials: all of them.
         autoreset_mode: when the next trial begins: in the step after the last (with any action and
-            no reward), in the last step itself, or when :meth:`reset` is told to.
+            no reward), in the last step itself, or when :meth:`reset` is called for it.
     """
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"]}  # noqa: RUF012
@@ -104,7 +104,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:  # type: ignore[override]
-        """What they were seeded with."""
+        """The seeds of the environments."""
         return tuple(self._rng_seeds)
 
     def reset(
@@ -156,7 +156,7 @@ class TaskVectorEnv(VectorEnv[NDArray[np.float32], NDArray[np.float32], NDArray]
 
         Raises:
             UserError: if an action is not of the action space, or a trial is over and its
-                environment is not told to begin another one.
+            environment was not reset.
         """
         self._check_open()
         if not self._begun.all():

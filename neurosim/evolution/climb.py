@@ -1,4 +1,4 @@
-"""An optimiser under way: what it was told is kept, and is all that resuming needs."""
+"""An optimiser under way: its answers are kept, and are all that resuming needs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from neurosim.evolution.space import Optimiser
 
 
 class Replay:
-    """Any optimiser, and what it was told: told the same again, a new one is where this one was.
+    """Any optimiser with the answers that it got; a new one with the same answers is equal.
 
     Attributes:
         optimiser: the optimiser.
         hints: names of what its ``tell`` takes besides the fitness.
-        told: of every generation the fitness, the hints, and a checksum of what was asked.
+        answers: of every generation the fitness, the hints, and a checksum of the population.
     """
 
     def __init__(self, optimiser: Optimiser):
@@ -44,7 +44,7 @@ class Replay:
         self.optimiser.tell(fitness, **hints)
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that was told, as arrays."""
+        """Return all answers, as arrays."""
         names = self.answers[0] if self.answers else ()
         return {name: np.stack([one[name] for one in self.answers]) for name in names}
 
@@ -88,7 +88,7 @@ class Climb(Replay):
         Args:
             optimiser: of one run, [P, G] or [1, P, G].
             evaluate: returns the fitness [P] of a population [P, G].
-            hints: returns what else the optimiser is to be told of it, [P, ...] by name.
+            hints: returns the optimiser's hints about it, [P, ...] by name.
 
         Raises:
             UserError: if the optimiser wants hints, and there are none.

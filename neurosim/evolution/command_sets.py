@@ -47,7 +47,7 @@ class PlanPopulation:
 
     Attributes:
         genes: [N, P, G K] in 0..1, the population of each of N runs; treat as read-only.
-        hints: what :meth:`tell` wants to know beside the fitness.
+        hints: arguments of :meth:`tell` in addition to the fitness.
     """
 
     hints = ("keys",)
@@ -80,7 +80,7 @@ class PlanPopulation:
         return self.genes
 
     def state(self) -> dict[str, NDArray]:
-        """Return all that the next generations depend on: far less than all that was told."""
+        """Return all that the next generations depend on: far less than all answers."""
         return {"genes": self.genes, "generation": np.array([self._generation])}
 
     def load(self, state: Mapping[str, NDArray]) -> None:
@@ -176,8 +176,8 @@ def cross(a, b, keys_a, keys_b, eta, state):
 def mutate(genes, width, probability, scale, insertion, state):
     """Change each gene of a plan with ``probability``, in place.
 
-    A speed or duration gets normally distributed noise or is drawn anew, one as often as the
-    other. A command whose null gene is hit becomes null. One that was null comes back drawn anew,
+    A speed or duration gets normally distributed noise or is drawn again, one as often as the
+    other. A command whose null gene is hit becomes null. One that was null comes back drawn again,
     for what it was before has not been selected for since; with ``insertion`` at any place of the
     plan, where the others make room: a plan that lacks a command need not have its null one there.
 

@@ -1,7 +1,7 @@
 """The genetic algorithm of Pretorius et al. 2009 (Table 1), ask and tell.
 
-It knows only fitness: whoever evaluates a population asks for it, evaluates it in any way, and
-tells what came out.
+It knows only fitness: the caller asks for a population, evaluates it in any way, and tells its
+fitness.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ class GeneticAlgorithm:
         ga.best
 
     Attributes:
-        best: the best individual told of so far, [..., G].
+        best: the best individual so far, [..., G].
         best_fitness: its fitness, [...], float64.
     """
 

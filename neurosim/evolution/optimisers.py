@@ -1,8 +1,8 @@
 """The optimisers by name: ask and tell, knowing only fitness.
 
 Each is made of a :class:`~neurosim.evolution.space.SearchSpace`, and searches wherever one is
-named: in evolution and in back to reality. It is resumed by telling a new one again what the first
-was told, see :class:`neurosim.evolution.climb.Replay`.
+named: in evolution and in back to reality. It is resumed by giving a new one the same answers, see
+:class:`neurosim.evolution.climb.Replay`.
 """
 
 from __future__ import annotations

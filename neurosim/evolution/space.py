@@ -1,4 +1,4 @@
-"""What an optimiser is made of, and what it must be able to do."""
+"""Search spaces, and the protocol of optimisers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from neurosim.evolution.genetic import GeneticSettings
 
 @dataclass(frozen=True, eq=False)
 class SearchSpace:
-    """What an optimiser is to search, and where it begins; N independent runs of it.
+    """The space that an optimiser searches, and its start; N independent runs of it.
 
     Attributes:
         start: [N, G] where each run begins.
@@ -58,12 +58,12 @@ class SearchSpace:
 
 @runtime_checkable
 class Optimiser(Protocol):
-    """Asked for a population, told its fitness; N independent runs of it at once, or one.
+    """An optimiser, which asks for populations and gets their fitness; one run or N at once.
 
     An optimiser of your own needs ``ask`` and ``tell``, and all its random numbers from the seed.
     Two things may be there besides: ``hints``, names of what else ``tell`` takes as keywords
     (``keys``, by which crossover of plans pairs commands), and ``state()`` with ``load(state)``,
-    arrays by name, where these are smaller than all that it was told.
+    arrays by name, where these are smaller than all its answers.
     """
 
     def ask(self) -> Any:

@@ -12,7 +12,7 @@ from neurosim.robots.base import Clock
 
 
 class Firmware(Protocol):
-    """Takes bytes as they come, and gives what the robot answers."""
+    """Takes bytes as they come, and gives the robot's answers."""
 
     def feed(self, data: bytes) -> bytes:
         """Take bytes; return the answers to the commands that are whole."""
@@ -26,7 +26,7 @@ class SerialCable:
     taken when the answer has left.
 
     Args:
-        firmware: what answers.
+        firmware: the answering object.
         clock: the lab's.
         byte: time that a byte takes, s.
     """
@@ -66,7 +66,7 @@ class PtyCable(PtyEnd):
             self.say(self.cable.exchange(data))
 
     def say(self, data: bytes) -> None:
-        """Send bytes to whoever is on the line."""
+        """Send bytes to the client on the line."""
         if data:
             self._write(data)
 
@@ -92,13 +92,13 @@ class SocketCable(SocketEnd):
             self._client = None
 
     def say(self, data: bytes) -> None:
-        """Send bytes to whoever is on the line."""
+        """Send bytes to the client on the line."""
         if self._client is not None:
             send(self._client, data)
 
 
 def serve_cable(cable: SerialCable, device: str | None, port: int) -> PtyCable | SocketCable:
-    """Return what serves a robot: a pseudo-terminal, or a socket where there are none.
+    """Return the server of a robot: a pseudo-terminal, or a socket where there are none.
 
     Args:
         cable: to the robot.
@@ -115,7 +115,7 @@ def serve_cable(cable: SerialCable, device: str | None, port: int) -> PtyCable |
 
 
 def address_of(server: PtyCable | SocketCable) -> str:
-    """Return what a driver takes as its port."""
+    """Return the port for a driver."""
     if isinstance(server, PtyCable):
         return server.path
     host, port = server.address

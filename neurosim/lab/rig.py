@@ -1,4 +1,4 @@
-"""What all virtual robots on the board have in common: how they are put there, and their lab."""
+"""The common part of all virtual robots on the board: how they are put there, and their lab."""
 
 from __future__ import annotations
 
@@ -100,9 +100,9 @@ class BoardRig(Served):
         return body, seed
 
     def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
+        """Return the settings that make the same lab again."""
         return dict(self._about)
 
     def write_truth(self, folder: Path, session: int) -> None:
-        """Keep the lab's truth beside a recording, under ``truth``, which no learner reads."""
+        """Keep the lab's truth next to a recording, under ``truth``, which no learner reads."""
         self.lab.write_truth(folder, session)

@@ -152,7 +152,7 @@ class SocketEnd(Server):
         raise NotImplementedError
 
     def _client_left(self) -> None:
-        """Do what is due after a client has left."""
+        """Do the due steps after a client has left."""
 
     def _close(self) -> None:
         self._listener.close()
@@ -160,7 +160,7 @@ class SocketEnd(Server):
 
 
 def receive(client: socket.socket) -> bytes:
-    """Return what has come, or nothing where the client left, politely or not."""
+    """Return the received bytes, or none if the client left."""
     try:
         return client.recv(4096)
     except OSError:

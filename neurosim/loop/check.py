@@ -1,4 +1,4 @@
-"""What to expect of a controller before the robot moves."""
+"""Predictions for a controller before the robot moves."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Failure:
 
 @dataclass(frozen=True)
 class Check:
-    """What a simulator predicts for a controller, over random samples.
+    """The prediction for a controller, over random samples.
 
     Attributes:
         probability: fraction of samples that complete the task.
@@ -94,7 +94,7 @@ def check(
         task: a task or its name; by default the one that the controller was made for.
         draws: how many samples.
         seed: random seed.
-        placing: how exactly the robot is put down: standard deviations in x and y (m), in heading
+        placing: error in placing the robot: standard deviations in x and y (m), in heading
             (rad).
         extrapolate: whether commands of a plan may lie outside the simulator's domain; they count
             as unsupported then.

@@ -48,7 +48,7 @@ class Evaluator:
 
     Attributes:
         simulator, task, controller: the three; the task ends trials at the simulator's perimeter.
-        placing: how exactly the robot is put down where a trial starts at a mark: standard
+        placing: error in placing the robot where a trial starts at a mark: standard
             deviations in x and y (m) and in heading (rad); for random samples alone.
         rollouts: what drives them: the simulator's own compiled ones, or step by step.
         workers: who judges the parts of a population; None: this process.
@@ -72,7 +72,7 @@ class Evaluator:
             workers: see :func:`neurosim.loop.workers.workers_named`.
 
         Raises:
-            UserError: if one needs what another does not offer: commands, sensors, goals; or
+            UserError: if one needs something that another lacks: commands, sensors, goals; or
                 there are no such workers.
         """
         simulator = task.placed(simulator)
@@ -106,7 +106,7 @@ class Evaluator:
         )
 
     def expectation(self, seed: int = 0) -> Draws:
-        """Return what stands for no noise at all: the mean, from the task's start or starts."""
+        """Return samples without any noise: the mean, from the task's start or starts."""
         starts, _ = self.starts(self.task.trial_starts, np.random.default_rng(seed))
         member = np.full(len(starts), -1) if self.simulator.members > 1 else None
         return Draws(starts, member)
@@ -135,7 +135,7 @@ class Evaluator:
         hints: Sequence[str] = (),
         unsupported: float | None = None,
     ) -> tuple[Merit, dict[str, NDArray]]:
-        """Return what individuals [P, G] are worth over samples; in parts, to bound memory.
+        """Return the merit of individuals [P, G] over samples; in parts, to bound memory.
 
         Args:
             genes: a row for each individual.
@@ -167,7 +167,7 @@ class Evaluator:
         hints: Sequence[str],
         unsupported: float | None,
     ) -> tuple[Merit, list[NDArray]]:
-        """Return what one part of a population is worth, and its hints; see :meth:`merit`."""
+        """Return the merit of one part of a population, and its hints; see :meth:`merit`."""
         trajectory = self.run(genes, draws, reuse=True)
         merit = objective_named(objective)(self.task, trajectory, self.scored(trajectory))
         if unsupported is not None and self.simulator.knows_gaps:
@@ -399,16 +399,16 @@ def evaluate(
         task: what counts as good: the task or its name.
         controller: the family whose genes are judged, or its kind; by default the task's usual one.
         samples: trials that each individual is tried in, drawn once and met by all alike; 0:
-            what the simulator expects, without noise.
+            the expected motion, without noise.
         objective: ``fitness``, ``probability`` of success, or ``progress``, a fitness without
             steps.
-        placing: how exactly the robot is put down: standard deviations, m and rad.
+        placing: error in placing the robot: standard deviations, m and rad.
         seed: of the draws.
         workers: who judges: local, this process; or ray, the workers of a Ray cluster. The
             fitness is the same.
 
     Raises:
-        UserError: if one of the three needs what another does not offer, or samples are asked
+        UserError: if one of the three needs something that another lacks, or samples are asked
             of a simulator in which nothing is uncertain.
 
     Example:

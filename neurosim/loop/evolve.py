@@ -1,6 +1,6 @@
 """From a simulator to controllers: any simulator, task, controller and optimiser.
 
-Evolution has a first stage, on what the simulator expects or over samples drawn anew, and may go
+Evolution has a first stage, on the expected motion or over samples drawn again, and may go
 on robustly: over random samples from the first stage's populations. While it runs,
 ``OUT.checkpoint`` holds what an interrupted evolution goes on from.
 """
@@ -221,8 +221,8 @@ class Evolution:
         Args:
             interrupted: whether evolution was stopped before its last generation.
             made_in: names the simulator.
-            about: of the evolution, beside ``run``, ``interrupted`` and ``history``: best and mean
-                of every generation; after robust evolution also ``robust_best`` and
+            about: of the evolution, in addition to ``run``, ``interrupted`` and ``history``: best
+                and mean of every generation; after robust evolution also ``robust_best`` and
                 ``robust_mean``, of what it maximised.
         """
         evaluator, settings, task = self.evaluator, self.settings, self.evaluator.task
@@ -400,7 +400,7 @@ def evolve(
         seed: random seed.
         keep_all: write the best of every run, not only the best of all.
         resume: go on with the interrupted evolution of ``out``.
-        options: kept in the checkpoint, for whoever resumes.
+        options: kept in the checkpoint, for resuming.
         reality: where evolution goes on after the simulator (Lund and Miglino 1996), or None.
         real_generations: how many generations there.
         ask: asks a person to do something, and returns when it is done.
@@ -523,7 +523,7 @@ def evolve(
 
 
 def _in_reality(real: Transfer | None, reality: Reality | None, seed: int) -> dict[str, Any]:
-    """Return what is said of generations in reality, and paths to compare once they are over."""
+    """Return the description of generations in reality, and the paths to compare after them."""
     if real is None or real.chosen is None:
         return {}
     mean, spread = float(real.again.mean()), float(real.again.std(ddof=1))

@@ -1,9 +1,9 @@
 """Trials in reality: each is written down before it is used, and none is made twice.
 
 A reality is anything with ``trial(genes, number)`` that returns a fitness, and poses besides where
-it is tracked (:class:`~neurosim.base.trajectory.Tracked`). Whoever searches in reality asks an
-optimiser, has the journal evaluate what it asks for, and tells it; after an interruption the same
-is done again, and the journal answers what it knows.
+it is tracked (:class:`~neurosim.base.trajectory.Tracked`). A search in reality asks an optimiser,
+has the journal evaluate the answer, and tells its fitness; after an interruption the same is done
+again, and the journal answers what it knows.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ class Reality(Protocol):
 
 @runtime_checkable
 class Comparing(Protocol):
-    """A reality that shows its path beside the simulator's."""
+    """A reality that shows its path next to the simulator's."""
 
     def compare(self, genes: NDArray[np.float64], seed: int) -> list[dict[str, list]]:
         """Return paths of an individual [G], each ``simulated`` and ``robot`` from one start."""
@@ -210,7 +210,7 @@ class Journal:
             raise KeyboardInterrupt
 
     def _answer(self, call: Callable[[], Any], trials: int, number: int) -> Any:
-        """Return what a call returns, unless it takes too long."""
+        """Return the result of a call, unless it takes too long."""
         if self._instruction is not None and getattr(self._reality, "patient", False):
             return call()
         box: queue.Queue[tuple[Any, BaseException | None]] = queue.Queue()
@@ -283,12 +283,12 @@ class Journal:
 
 
 def about_reality(reality: Any) -> dict[str, Any]:
-    """Return what a reality says of itself; nothing of one that says nothing."""
+    """Return the description of a reality; nothing of one that says nothing."""
     return reality.describe() if hasattr(reality, "describe") else {}
 
 
 class _Trial(NamedTuple):
-    """What came out of a trial: its fitness, and poses [K, 3] if it was tracked."""
+    """The answer to a trial: its fitness, and poses [K, 3] if it was tracked."""
 
     fitness: float
     poses: NDArray[np.float64] | None
@@ -305,7 +305,7 @@ class _Function:
         self._function = function
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
-        """Return what the function returns."""
+        """Return the result of the function."""
         return self._function(genes)
 
 

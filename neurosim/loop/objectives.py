@@ -1,4 +1,4 @@
-"""What evolution maximises: from the trajectories of individuals to one number for each."""
+"""Objectives of evolution: from the trajectories of individuals to one number for each."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ APART = 0.2
 
 
 class Merit(NamedTuple):
-    """What individuals are worth.
+    """The merit of individuals.
 
     Attributes:
         merit: [P] what is maximised.

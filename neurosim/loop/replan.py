@@ -1,9 +1,9 @@
-"""Receding horizon: a plan that is planned again after every command, in a learned simulator.
+"""Receding horizon: a plan that is replanned after every command, in a learned simulator.
 
-Before each command the robot is looked at. Where it is, after what it was told, the rest of the
-plan is searched again: from the rest of the plan so far, over random samples, for the probability
-that the task will be done. The first command of what is found is given; then all of it is done
-again. So errors do not add up, and a robot that was pushed finds another way.
+Before each command the robot is looked at. From the robot's pose, after the commands that it got,
+the rest of the plan is searched again: from the rest of the plan so far, over random samples, for
+the probability that the task will be done. The first command of what is found is given; then all of
+it is done again. So errors do not add up, and a robot that was pushed finds another way.
 
 Mayne, Rawlings, Rao and Scokaert, Constrained model predictive control: stability and optimality,
 Automatica 36, 2000, describe the principle; the search is the genetic algorithm of plans.
@@ -54,7 +54,7 @@ GENETIC = GeneticSettings(population=80, tournament=5, mutation=0.15, eta=2.0, m
 
 @dataclass(frozen=True)
 class ReplanSettings(Checked):
-    """How a plan is planned again.
+    """How a plan is replanned.
 
     Attributes:
         generations: Most generations of a search.
@@ -76,7 +76,7 @@ class ReplanSettings(Checked):
 
 
 class Foreseen(NamedTuple):
-    """What was known as a command was given.
+    """The state of knowledge when a command was given.
 
     Attributes:
         pose: [3] where the robot was expected to be as the command began (m, m, rad).

@@ -1,12 +1,12 @@
 """A stage of evolution: generations of an optimiser's population, judged by the one loop.
 
-A controller that is evolved on what the simulator expects does it along the edge of what the task
+A controller that is evolved on the expected motion does it along the edge of what the task
 allows, and fails wherever the robot does a little otherwise. Where samples are drawn, every
-individual of a generation meets the same (common random numbers: where the robot was put down,
+individual of a generation meets the same (common random numbers: where the robot was placed,
 which member of the ensemble it moves as, the noise of every step), so that two individuals differ
-by what they are and not by their luck. New ones are drawn every few generations, lest individuals
-be fitted to them; the one that is kept of each run is chosen on other samples again, and its
-probability of success estimated from still others.
+by what they are and not by their luck. New ones are drawn every few generations, so that
+individuals do not overfit them; the one that is kept of each run is chosen on other samples again,
+and its probability of success estimated from still others.
 
 Sources: Jin and Branke, Evolutionary optimization in uncertain environments, IEEE Trans.
 Evolutionary Computation 9, 2005; Jakobi, Husbands and Harvey, Noise and the reality gap, ECAL 1995.
@@ -35,7 +35,7 @@ from neurosim.loop.settings import EvolveSettings
 #: Of a stage with random samples so many candidates of each run are looked at again: the best of
 #: the last population, and the best of each set of samples before.
 FINALISTS = 24
-#: What a stage is resumed from, beside the optimiser's own state.
+#: State of a stage, in addition to the optimiser's own.
 _STATE = ("best", "mean", "population", "merit", "top", "top_merit")
 
 
@@ -117,7 +117,7 @@ class Search:
         return self._evaluator.draw(self._samples, rng, repeats)
 
     def _judge(self, genes: NDArray, draws: Draws) -> tuple[Merit, dict[str, NDArray]]:
-        """Return what populations [N, P, G] are worth, [N, P] each, and what else is to be told."""
+        """Return the merit [N, P] of populations [N, P, G], and the hints."""
         runs, size, _ = genes.shape
         merit, hints = self._evaluator.merit(
             genes.reshape(runs * size, -1), draws, self._objective, self._hints, self._unsupported
@@ -183,7 +183,7 @@ class Search:
 
 
 def part_of(state: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-    """Return what stands in a state under names with this prefix, without it."""
+    """Return the items of a state whose names have this prefix, without the prefix."""
     return {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
 
 

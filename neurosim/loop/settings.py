@@ -36,8 +36,8 @@ class RobustSettings(Checked):
             The latter often prefers plans that stop halfway and are safe.
         generations: Generations of --robust, after those without noise.
         draws: Random samples for every individual of a generation of --robust.
-        refresh: new samples are drawn every so many generations, lest individuals be fitted to
-            them.
+        refresh: new samples are drawn every so many generations, so that individuals do not overfit
+        them.
         selection_draws: samples on which the individual to keep is chosen in the end.
         genetic: the genetic algorithm; its mutation is finer than before.
     """
@@ -108,8 +108,8 @@ class EvolveSettings(Checked):
 def default_settings(controller: Controller, task: Task, **changes: Any) -> EvolveSettings:
     """Return the settings of the paper that a controller is from, and some changed.
 
-    Plans are evolved as in section 6.2 of Pretorius et al. 2009, on what the simulator expects.
-    Controllers that see are evolved as by Lund and Miglino 1996, in trials drawn anew for every
+    Plans are evolved as in section 6.2 of Pretorius et al. 2009, on the expected motion.
+    Controllers that see are evolved as by Lund and Miglino 1996, in trials drawn again for every
     generation, from random starts where the task has them; else for graded progress.
     """
     if controller.open_loop:

@@ -1,4 +1,4 @@
-"""What a script needs beside evolution: read any artefact, drive commands or a controller."""
+"""Shortcuts for scripts: read any artefact, drive commands or a controller."""
 
 from __future__ import annotations
 

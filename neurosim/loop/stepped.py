@@ -77,11 +77,11 @@ class _Trial:
         self._readings: list[Tensor] = []
 
     def _each(self, sample: Tensor) -> Tensor:
-        """Return what belongs to samples [R, ...] for every row [P R, ...]."""
+        """Return values of samples [R, ...] repeated for every row [P R, ...]."""
         return sample.expand(self._shape[0], *sample.shape).flatten(0, 1)
 
     def _random(self, step: int) -> dict[str, Any]:
-        """Return what ``step`` and ``sense`` take for their noise."""
+        """Return the noise for ``step`` and ``sense``."""
         if self._noise is not None:
             return {"z": self._each(self._noise[:, step])}
         return {} if self._generator is None else {"generator": self._generator}

@@ -26,7 +26,7 @@ class Transfer(Climb):
     """The generations in reality of one run.
 
     Attributes:
-        chosen: [G] the individual that was best in trials anew; None before these.
+        chosen: [G] the individual that was best in new trials; None before these.
         again: its fitness in them, [T].
     """
 

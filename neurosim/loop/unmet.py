@@ -1,4 +1,4 @@
-"""What a controller that avoids obstacles does in arenas that it was not evolved in."""
+"""A controller that avoids obstacles, in arenas in which it was not evolved."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ ARENAS, DRIVES = 10, 20
 
 @dataclass(frozen=True)
 class Unmet:
-    """What came of drives in arenas that the controller was not evolved in.
+    """The result of drives in arenas in which the controller was not evolved.
 
     Attributes:
         drives: how many there were.
@@ -59,7 +59,7 @@ def in_unmet_arenas(evaluator: Evaluator, genes: NDArray, seed: int) -> list[Unm
     A hand-written vehicle drives there, too, if the robot has two wheels.
 
     Returns:
-        What came of each; None where the task is another than avoiding obstacles, or the simulator
+        The result of each; None where the task is another than avoiding obstacles, or the simulator
         knows of no arenas.
     """
     task, own = evaluator.task, evaluator.simulator

@@ -1,6 +1,6 @@
 """Who judges the parts of a population: this process, or the workers of a Ray cluster.
 
-A population is cut into the same parts whoever judges them, and a part depends on nothing but its
+A population is cut into the same parts for all workers, and a part depends on nothing but its
 genes and the samples that were drawn. So the result is the same for any number of workers, and a
 part whose worker was lost is judged again by another.
 """

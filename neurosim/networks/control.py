@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-#: What a controller may be told beside the readings of sensors. The pose is in the board's frame;
+#: Inputs of a controller in addition to the readings of sensors. The pose is in the board's frame;
 #: the next goal is in the robot's: ahead and to the left (m), and how much it must turn there.
 POSE_INPUTS = ("x", "y", "cos_heading", "sin_heading")
 GOAL_INPUTS = ("goal_x", "goal_y", "goal_cos", "goal_sin")

@@ -1,4 +1,4 @@
-"""What a network does at every step of a trial, compiled: for the loops of the simulators.
+"""A network at every step of a trial, compiled: for the loops of the simulators.
 
 They compute what :meth:`neurosim.controllers.Controller.act` and
 :func:`neurosim.controllers.base.observe` do for batches of tensors.

@@ -8,7 +8,7 @@ is computed (:meth:`ProductSummationNetwork.forward` is the plain form):
 - the cosine of a product unit depends only on which of a row's inputs are negative. There are few
   such sign patterns, and with the rows sorted by them there is a cosine a pattern, none a row.
 
-What remains is one exponential a product unit and row. On a CPU the loop over rows is a compiled
+One exponential for each product unit and row remains. On a CPU the loop over rows is a compiled
 kernel; elsewhere it is done in tensors.
 """
 
@@ -62,7 +62,7 @@ class PopulationError:
     def __call__(self, genes: Tensor) -> Tensor:
         """Return the mean squared error [O, P] (float64) of networks [O, P, G].
 
-        What overflows single precision is infinite.
+        Values beyond single precision are infinite.
         """
         genes = genes.float()
         return self._compiled(genes) if self.kernel else self._tensors(genes)

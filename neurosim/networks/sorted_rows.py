@@ -13,7 +13,7 @@ _BLOCK = {"cpu": 1 << 20, "cuda": 1 << 27}
 
 
 class SortedRows:
-    """What the product units of all networks see alike.
+    """The inputs that the product units of all networks share.
 
     Attributes:
         order: the rows' places in the data, [N].

@@ -1,7 +1,7 @@
 """Driving by hand: what a person wants, by keys or sticks.
 
 A person has levers, from -1 to 1: forward and turn of a robot on two wheels, else one for each
-number of a command. Whoever shows them (a page) says ten times a second or more where they are;
+number of a command. The page that shows them sends their positions ten times a second or more;
 where nobody does, the robot is stopped (:mod:`.hand_session`).
 """
 
@@ -63,7 +63,7 @@ def command_of(takes: Commands, levers: Sequence[float], max_speed: float) -> tu
     """Return the command for some levers, within the robot's limits.
 
     Args:
-        takes: what the robot takes for a command.
+        takes: the numbers of the robot's command.
         levers: of each lever, -1 to 1.
         max_speed: of a lever at its end, percent of the robot's limit; angles go to their limit.
     """
@@ -104,7 +104,7 @@ class Hand:
         self._ended: float | None = None
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording says of where its commands are from."""
+        """Describe the source of the commands for a recording."""
         return {"kind": BY_HAND, "max_speed": self._max_speed}
 
     # The page
@@ -138,7 +138,7 @@ class Hand:
                 self._ended = self._now()
 
     def state(self) -> dict[str, Any]:
-        """Return what the page shows."""
+        """Return the state for the page."""
         with self._lock:
             now = self._now() if self._ended is None else self._ended
             takes = self._takes

@@ -59,7 +59,7 @@ class Deadlines:
 
 
 def missing(source: SeeingSource, robot: Robot, *, sees: bool) -> list[str]:
-    """Return what a robot lacks for a controller, a sentence for each; none: it can be driven.
+    """Return the inputs of a controller that a robot lacks, a sentence for each.
 
     Args:
         source: the controller.

@@ -59,7 +59,7 @@ class CommandSource(Protocol):
 
 @dataclass(frozen=True)
 class Observation:
-    """What a robot sees before a command.
+    """The observations of a robot before a command.
 
     Attributes:
         time: since the first command was due, s.
@@ -104,7 +104,7 @@ class SeeingSource(Protocol):
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of it."""
+        """Describe it for a recording."""
         ...
 
 
@@ -118,7 +118,7 @@ class RandomCommands(Checked):
         straight: Fraction of commands that do not turn.
         stopped: Fraction of commands with all speeds zero. The rest is random.
         seed: Random seed.
-        takes: what the robot takes for a command.
+        takes: the numbers of the robot's command.
     """
 
     max_speed: Percent = 50.0

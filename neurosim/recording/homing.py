@@ -1,4 +1,4 @@
-"""Which way is inside, for a robot that knows only what it was told to do.
+"""The direction to the inside, for a robot that knows only its commands.
 
 The place where the perimeter line encloses is convex: from a point on the line, straight ahead to
 any point where the robot has been is inside. Where it has been is dead-reckoned from its

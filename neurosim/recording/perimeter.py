@@ -21,7 +21,7 @@ MEMORY = 5.0
 
 @dataclass(frozen=True)
 class Stop:
-    """What made the guard stop the robot.
+    """The reason why the guard stopped the robot.
 
     Attributes:
         code: of :data:`neurosim.base.perimeter.ENDS`.
@@ -47,7 +47,7 @@ class Stop:
 
     @classmethod
     def of(cls, content: Mapping[str, Any]) -> Stop:
-        """Return what :meth:`describe` described."""
+        """Return the reason that :meth:`describe` described."""
         pose = content.get("pose")
         return cls(**{**content, "pose": None if pose is None else tuple(pose)})
 

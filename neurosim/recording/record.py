@@ -63,11 +63,11 @@ def record(
             kept on the board by its position, and poses.csv is there when the recording ends.
         on_seen: is shown every frame that was tracked; without live tracking every frame.
         resume: go on where the recording stopped, in a new session.
-        options: kept in recording.json, for whoever resumes.
+        options: kept in recording.json, for resuming.
         say: takes messages for the user.
 
     Raises:
-        UserError: if ``out`` is not what it should be, or a setting differs from those of the
+        UserError: if ``out`` is wrong, or a setting differs from those of the
             recording to be resumed; if a robot lacks what a source that sees needs.
         LinkLost: if the robot stopped answering; what was recorded stays.
         BatteryLow: if the battery fell below the limit.

@@ -567,8 +567,8 @@ def _waiting(recording: Recording, settings: RecordSettings) -> deque[_Todo]:
 def _filmed_until(recording: Recording, lines: list[CommandLine]) -> dict[int, float]:
     """Return until when the robot was filmed in each session, s on the robot's clock.
 
-    A kill loses frames that were still to be written into the video, though they are counted. What
-    was tracked live is kept without the video.
+    A kill loses frames that were still to be written into the video, though they are counted. Live
+    tracking is kept without the video.
     """
     until = {line.session: math.inf for line in lines}
     ended = {line.session for line in lines if line.kind == "end"}

@@ -1,4 +1,4 @@
-"""What a recording is made with, beside robot, camera and commands."""
+"""Settings of a recording, in addition to robot, camera and commands."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class Rig:
 
 @dataclass(frozen=True)
 class RecordSettings(Checked):
-    """What a recording is made with, beside robot, camera and commands.
+    """Settings of a recording, in addition to robot, camera and commands.
 
     Attributes:
         commands: Number of commands to send.
@@ -95,7 +95,7 @@ class RecordSettings(Checked):
         full_speed: Wheel speed at 100 %, m/s. Only to find back inside, as the next.
         track: Track width, the distance between the wheels, m.
         markers, board: as in recording.json.
-        place: What stands and lies around the robot, or None; its board is then the ``board``.
+        place: The place around the robot, or None; its board is then the ``board``.
         readings: Read the sensors all the time and keep the readings, so that a simulator can learn
             them.
     """

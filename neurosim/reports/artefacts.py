@@ -82,7 +82,7 @@ class Artefact:
 
     @property
     def sampled(self) -> bool:
-        """Whether this is a simulator made of what a robot's own sensors and motors said."""
+        """Whether this is a simulator from samples of a robot's own sensors and motors."""
         sensors = getattr(self.content, "sensors", None)
         return hasattr(sensors, "bearings") and hasattr(self.content, "motors")
 

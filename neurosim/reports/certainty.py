@@ -42,8 +42,8 @@ def with_probability(trials: Sequence[Trial]) -> list[Trial]:
 def brier(trials: Sequence[Trial]) -> tuple[float, float]:
     """Return the Brier score of the probabilities, and that of always saying the base rate.
 
-    The score is the mean squared difference between the probability said and what happened, 0
-    or 1 (Brier 1950); the smaller the better.
+    The score is the mean squared difference between the predicted probability and the result, 0 or
+    1 (Brier 1950); the smaller the better.
     """
     predicted = np.array([trial.meta["predicted"]["probability"] for trial in trials])
     happened = np.array([trial.completes for trial in trials], float)

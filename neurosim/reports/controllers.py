@@ -119,7 +119,7 @@ def by_task(controllers: Sequence[Artefact]) -> list[list[Artefact]]:
 
 
 def history(controller: Artefact) -> dict[str, Any]:
-    """Return what a controller's file says of its generations.
+    """Return the history of a controller's generations from its file.
 
     ``best`` and ``mean`` of each, ``robust_best`` and ``robust_mean`` of those of robust
     evolution, and ``transfer``, the number of generations before the robot took the simulator's
@@ -281,7 +281,7 @@ def _evolutions(controllers: Sequence[Artefact]) -> list[Picture]:
 
 
 def _shown(controller: Artefact, prefix: str) -> str:
-    """Return what a history shows, in words."""
+    """Describe a history in words."""
     settings = controller.meta["evolution"].get("settings")
     part = settings if isinstance(settings, dict) else {}
     if prefix:

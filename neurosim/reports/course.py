@@ -24,7 +24,7 @@ Shape = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """What a picture shows beside the robot, all in m.
+    """The parts of a picture around the robot, in m.
 
     Attributes:
         task: shapes of the task's outline, see :meth:`neurosim.tasks.base.Task.outline`.
@@ -64,7 +64,7 @@ class Scene:
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """What a picture shows of a robot.
+    """A robot in a picture.
 
     Attributes:
         predicted: [K + 1, 3] poses (m, m, rad): before the first and after each command where
@@ -311,7 +311,7 @@ def bounds(scene: Scene, paths: Iterable[NDArray]) -> tuple[NDArray, NDArray]:
 
 
 def _numbers(axes: Axes, ends: NDArray, scale: float) -> None:
-    # Beside the path, on the side away from where it goes next.
+    # Next to the path, on the side away from where it goes next.
     for number in range(1, len(ends)):
         heading = ends[number, 2] + np.pi / 2
         axes.annotate(

@@ -35,7 +35,7 @@ NOSE = ((1.0, 0.0), (-0.6, 0.6), (-0.25, 0.0), (-0.6, -0.6))
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """What moves, frame by frame; poses are NaN where nothing is known.
+    """The moving parts, frame by frame; poses are NaN where nothing is known.
 
     Attributes:
         times: [N] since the first command, s.

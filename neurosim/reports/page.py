@@ -1,4 +1,4 @@
-"""What a page is made of, and how it becomes HTML."""
+"""The parts of a page, and their HTML."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a simulator says of held-out commands, beside what the robot did."""
+"""Predictions of held-out commands, next to the robot's motion."""
 
 from __future__ import annotations
 

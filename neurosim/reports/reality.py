@@ -68,7 +68,7 @@ def growth(artefacts: Artefacts) -> Section | None:
                 ]
             )
         )
-        if len(trials) > 1:  # one alone has its errors beside its commands
+        if len(trials) > 1:  # one alone has its errors next to its commands
             blocks.append(_growth_table(position, heading))
         blocks.append(
             Text(
@@ -101,7 +101,7 @@ def final(trials: Sequence[Trial], column: int) -> NDArray:
 
 
 def label(trial: Trial) -> str:
-    """Return what to call a trial: its folder's name, with its parent's if that says more."""
+    """Return the title of a trial: its folder's name, with its parent's if that says more."""
     parent = trial.path.resolve().parent.name
     return f"{parent}/{trial.name}" if trial.name == "trial" and parent else trial.name
 

@@ -33,8 +33,8 @@ def write_report(folders: Sequence[str | Path], out: str | Path) -> dict[str, An
 
     Args:
         folders: any mix of recording, dataset, simulator, controller and trial folders,
-            recognised by the JSON in them. What is missing is left out of the page, with a line
-            that says what to add to see it.
+            recognised by the JSON in them. Missing parts are left out of the page, with a line that
+            names the folder to add.
         out: the HTML file; an older one is replaced.
 
     Returns:

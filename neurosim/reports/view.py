@@ -74,7 +74,7 @@ def draw_view(
         ran into something; ``note``, a sentence on what could not be done, or None.
 
     Raises:
-        UserError: if a file is not what it should be, the robot does not fit where it is to
+        UserError: if a file is wrong, the robot does not fit where it is to
             start, a controller does not fit the simulator, there is a controller and no
             simulator, or a picture is not to be replaced.
     """
@@ -192,7 +192,7 @@ def _title(
     controller: str | Path | None,
     result: dict[str, Any],
 ) -> str:
-    """Return what stands above the picture: who drives where, and what came of it."""
+    """Return the text above the picture: who drives where, and what came of it."""
     where = Path(place).resolve().name
     if controller is None:
         return where
@@ -312,8 +312,8 @@ def _path(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64] | None]:
     """Return the poses [N, 3] on the way, and of a plan those at the ends of commands [K, 3].
 
-    What happens during a command is what the simulator says of its pieces, where that leads to
-    the same place; else the arc of constant twist.
+    The motion during a command is predicted in pieces, if they lead to the same pose; else the arc
+    of constant twist.
     """
     assert trajectory.poses is not None
     poses = trajectory.poses[0, 0]

@@ -1,7 +1,7 @@
-"""What robots can do, each as a protocol, and the clock that a robot owns.
+"""Abilities of robots, each as a protocol, and a robot's clock.
 
 A driver is one file. It follows :class:`Robot` and as many of the capabilities as its robot has;
-whoever needs one asks for it, ``isinstance(robot, Lamp)``, never which driver it is. A driver from
+code asks for an ability, ``isinstance(robot, Lamp)``, never for a driver. A driver from
 another package is added by an entry point in the group ``neurosim.robots``: its name is what
 ``--robot`` takes, its value a function that takes the options as keywords and returns a robot that
 is not connected yet.
@@ -75,7 +75,7 @@ class Robot(Protocol):
 
     @property
     def commands(self) -> Commands:
-        """What the robot takes for a command; known once it is connected, at the latest."""
+        """The numbers of the robot's command; known once it is connected, at the latest."""
         ...
 
     def drive(self, command: Sequence[float]) -> None:
@@ -91,12 +91,12 @@ class Robot(Protocol):
         ...
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot: its kind, name, ports, versions.
+        """Describe this robot for a recording: its kind, name, ports, versions.
 
-        ``kind`` is what ``--robot`` takes. What a command means (ports, a dialect, what full speed
-        is) stands here, so that recordings of different robots are told apart. Ready for JSON.
-        ``virtual``, once connected, says whether the robot is one of the virtual lab, as far as
-        the robot itself tells.
+        ``kind`` is what ``--robot`` takes. It has the meaning of a command (ports, dialect, full
+        speed), so that recordings of different robots differ. Ready for JSON. ``virtual``, once
+        connected, says whether the robot is one of the virtual lab, as far as the robot itself
+        tells.
         """
         ...
 

@@ -231,7 +231,7 @@ class PybricksPort:
             raise OSError(self._gone)
 
     def _wait(self, work: Coroutine[Any, Any, T], seconds: float) -> T:
-        """Return what is done in the thread of Bluetooth.
+        """Return the result of a task in the thread of Bluetooth.
 
         Raises:
             OSError: saying why it failed.

@@ -255,9 +255,9 @@ class SerialLine:
                     time.sleep(FAREWELL_EVERY)
 
     def lose(self, why: str) -> LinkLost:
-        """Close the line for good and return the error, which whoever uses it again meets too.
+        """Close the line for good and return the error, which later calls raise again.
 
-        First it is told the farewell: that nothing comes back does not mean that nothing arrives.
+        First the farewell is sent: that nothing comes back does not mean that nothing arrives.
         """
         self.say_farewell()
         self.close()

@@ -1,4 +1,4 @@
-"""What a robot sampled of itself becomes a table simulator: Lund and Miglino 1996."""
+"""The samples of a robot become a table simulator: Lund and Miglino 1996."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def build_tables(
     """Make a table simulator of samples.
 
     How late the robot answers, its radius, its whole speeds and the speed of its serial line are
-    read from the ``sampling.json`` beside the motor samples, if there is one.
+    read from the ``sampling.json`` next to the motor samples, if there is one.
 
     Args:
         samples: ``.sample`` files of a wall and of a cylinder, one name or the other in the file's
@@ -140,7 +140,7 @@ def sampled_reaction(folder: str | Path) -> Reaction:
     """Return the reaction that was measured in a sampling; none where a folder is not one.
 
     Raises:
-        FileError: if ``sampling.json`` is not what it should be.
+        FileError: if ``sampling.json`` is wrong.
     """
     path = Path(folder) / "sampling.json"
     if not path.exists():
@@ -155,7 +155,7 @@ def sampled_baud(folder: str | Path) -> int | None:
     """Return the speed of the line over which a sampling was made; None where it is not known.
 
     Raises:
-        FileError: if ``sampling.json`` is not what it should be.
+        FileError: if ``sampling.json`` is wrong.
     """
     path = Path(folder) / "sampling.json"
     if not path.exists():
@@ -169,7 +169,7 @@ def sampled_body(folder: str | Path) -> tuple[int | None, float | None]:
     None each where it is not known.
 
     Raises:
-        FileError: if ``sampling.json`` is not what it should be.
+        FileError: if ``sampling.json`` is wrong.
     """
     path = Path(folder) / "sampling.json"
     if not path.exists():

@@ -40,7 +40,7 @@ def sample_motors(
         levels: speeds of either wheel.
         measure: how the robot moves: :class:`Counters` or an
             :class:`~neurosim.sampling.eye.Eye`.
-        in_the_open: has the robot put down where nothing is near.
+        in_the_open: has the robot placed where nothing is near.
         seed: of the choice of settings held out.
     """
     full = robot.full_speed
@@ -114,7 +114,7 @@ def _drive(
 
 
 def interpolation_cost(folder: str | Path) -> dict[str, Any] | None:
-    """Return what a grid's interpolation misses at the settings held out; None without any.
+    """Return the error of a grid's interpolation at the held-out settings; None without any.
 
     Median and largest absolute error of the speed forward (m/s) and of the turn (rad/s).
     """

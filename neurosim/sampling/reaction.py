@@ -29,8 +29,8 @@ def sample_reaction(out: Path, robot: Sampler, in_the_open: Callable[[], None]) 
     """Start from rest, again and again, and write down what the counters say when.
 
     ``reaction.csv``: seconds from when the command was sent to when the counters were asked for,
-    pulses since then, forward. What was sampled before is kept; ``in_the_open`` has the robot
-    put down where nothing is near.
+    pulses since then, forward. Samples from before are kept; ``in_the_open`` has the robot
+    placed where nothing is near.
     """
     path, clock = out / "reaction.csv", robot.clock
     with files.LineLog(path, _COLUMNS) as log:

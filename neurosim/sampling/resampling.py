@@ -5,9 +5,9 @@ again. On the spot that gives the distance between the wheels, as the floor has 
 wheel, how large the other is. So it knows a wheel that is larger than its fellow, which counters
 alone do not show.
 
-Two wheels are never equal, so a robot that turns on the spot goes round a point beside its middle;
-its counters are integrated to where it is. What its wheels slip meanwhile they do not see, but the
-sensors do: they say something else of the same direction after the way back.
+Two wheels are never equal, so a robot that turns on the spot goes round a point off its middle;
+its counters are integrated to where it is. The wheels' counters do not show slip, but the sensors
+do: they say something else of the same direction after the way back.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _repeats(turned: _Array, readings: _Array) -> float:
 
 
 def _turned(rows: _Array, sizes: tuple[float, float] = (1.0, 1.0)) -> _Array:
-    """Return how far the robot had turned to the left since it was put down, in counts [N]."""
+    """Return how far the robot had turned to the left since it was placed, in counts [N]."""
     return (sizes[1] * rows[:, 1] - sizes[0] * rows[:, 0]) / 2
 
 
@@ -126,7 +126,7 @@ def write_samples(
 ) -> list[Path]:
     """Write the samples of all objects and repeats, interpolated between readings.
 
-    However the robot was put down before an object, its sensors look where they do: the samples
+    However the robot was placed before an object, its sensors look where they do: the samples
     are turned to agree in that, to the mean of them all.
 
     Args:
@@ -151,7 +151,7 @@ def write_samples(
 
 
 class _Seen:
-    """What a robot saw of an object at all distances.
+    """The readings near an object at all distances.
 
     Attributes:
         directions: [S] see :func:`_directions`, at the smallest distance.

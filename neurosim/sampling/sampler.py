@@ -56,7 +56,7 @@ def sample(
         progress: whether to show progress on stderr.
         eye: a camera that measures the motors' settings; without it the counters do.
         lab: what makes the same virtual lab again, of a virtual robot.
-        options: kept in ``sampling.json``, for whoever resumes.
+        options: kept in ``sampling.json``, for resuming.
 
     Returns:
         ``samples`` (files), ``wheel_base`` (m, measured), ``wheel_sizes`` (left and right
@@ -150,7 +150,7 @@ def _sample(
 
 
 def _once(place: Place, where: str) -> Callable[[], None]:
-    """Return what asks for a place the first time that it is called."""
+    """Return a function that asks for a place when it is first called."""
     return cache(lambda: place(where))
 
 

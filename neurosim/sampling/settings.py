@@ -1,4 +1,4 @@
-"""What a robot samples of itself, and what it must be able to for that."""
+"""The samples that a robot takes, and the abilities that it needs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Sampler(Robot, Proximity, Counters, WholeSpeeds, Protocol):
 
 @dataclass(frozen=True)
 class SampleSettings(Checked):
-    """What to sample.
+    """The samples to take.
 
     Attributes:
         angles: Number of angles of a full turn in the .sample files.
@@ -35,7 +35,7 @@ class SampleSettings(Checked):
         grid: Drive a grid with this number of speeds of each motor, and some other settings to
             measure the interpolation error; 0: every whole speed of the robot. Evenly from full
             speed backward to full speed forward.
-        held_out: Settings beside a grid that are driven to see what interpolation costs.
+        held_out: Settings in addition to a grid, driven to measure the interpolation error.
         duration: Duration of a motor sample, s.
     """
 

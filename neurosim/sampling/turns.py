@@ -2,7 +2,7 @@
 
 It turns as far back after every turn, so that neither cable nor errors wind up, and reads on the
 way back too. Last it turns in front of the wall around either wheel, which says how large its
-wheels are. What is made of it all is :mod:`.resampling`'s business.
+wheels are. :mod:`.resampling` evaluates the readings.
 """
 
 from __future__ import annotations
@@ -113,7 +113,7 @@ def reading_times(folder: str | Path) -> NDArray[np.float64]:
 
 
 class _Whereabouts(Odometry):
-    """Where the robot is by its counters, from where it was put down."""
+    """Where the robot is by its counters, from where it was placed."""
 
     def __init__(self, robot: Sampler):
         super().__init__(robot, np.zeros(3))

@@ -1,4 +1,4 @@
-"""What every simulator offers."""
+"""The protocol of simulators."""
 
 from __future__ import annotations
 
@@ -79,9 +79,9 @@ class Rollouts(Protocol):
         """Draw samples, one from each of ``starts`` [R, 3].
 
         Args:
-            starts: poses where the robot is put down.
+            starts: poses where the robot is placed.
             rng: source of all that is drawn, or a seed.
-            placing: the robot is put down that exactly: standard deviations in x and y (m) and in
+            placing: error in placing the robot: standard deviations in x and y (m) and in
                 heading (rad). None: it stands there already.
         """
         ...
@@ -250,7 +250,7 @@ class Simulator:
         return self.start_as(pose, torch.from_numpy(member)).numpy()
 
     def over(self, state: Tensor) -> Tensor:
-        """Return states [B, S] in which the last command is over: given again, it begins anew."""
+        """Return states [B, S] in which the last command is over: given again, it begins again."""
         return state
 
     def free_poses(self, count: int, rng: np.random.Generator) -> NDArray[np.float64] | None:
@@ -265,7 +265,7 @@ class Simulator:
         return None
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return what a picture of the place shows, shapes as of a task's outline; [] for none."""
+        """Return the shapes of the place for a picture, as a task's outline; [] for none."""
         return []
 
     def elsewhere(self, count: int, seed: int) -> Simulator:
@@ -279,9 +279,9 @@ class Simulator:
         )
 
     def conditions(self) -> dict[str, Any]:
-        """Return what may have been changed since the simulator was read, such as its noise.
+        """Return settings that may differ from those in its file, such as its noise.
 
-        It is written beside what was evolved in it, and is the same when that is resumed.
+        It is written next to what was evolved in it, and is the same when that is resumed.
         """
         return {}
 
@@ -318,7 +318,7 @@ class Simulator:
     def rollouts(self, controller: Any, episode: Episode) -> Rollouts | None:
         """Return compiled rollouts of a controller, where there are any; None: it is stepped.
 
-        What they compute is held to :meth:`step` by a test, for the same samples.
+        A test compares their results with :meth:`step`, for the same samples.
         """
         outputs = tuple(controller.outputs)
         timed = outputs if controller.open_loop else (*outputs, "duration")

@@ -8,7 +8,7 @@ its *model*, and for models of that class two functions compiled by Numba (:func
 
 :func:`drive` is the one loop. It is compiled once for each class, with the functions of that class
 in the place of :func:`_step` and :func:`_sense`, and kept on disk. Functions that are handed over
-as arguments would be compiled anew in every session (Numba's issue 6264).
+as arguments would be compiled again in every session (Numba's issue 6264).
 
 Robots that have had the same commands since the start are stepped together: what depends on the
 commands alone, such as a motion network's prediction, is computed once for all of them.
@@ -126,7 +126,7 @@ def _sense(model, state, z, work, out):
 
 
 class Room(NamedTuple):
-    """What a core writes to while it drives."""
+    """The working memory of a core."""
 
     work: Any  #: of ``scratch``
     values: np.ndarray  #: of the network's units

@@ -58,7 +58,7 @@ def export(
         to: the form: onnx (float32, extra ``onnx``) or torch (``torch.export``, float64).
 
     Returns:
-        What export.json says.
+        The content of export.json.
 
     Raises:
         UserError: if this kind of simulator cannot be exported, a package is missing, or something
@@ -119,7 +119,7 @@ def trace(simulator: Simulator) -> torch.export.ExportedProgram:
 def describe(
     simulator: Simulator, to: Literal["onnx", "torch"], source: dict[str, Any]
 ) -> dict[str, Any]:
-    """Return what export.json says: columns, units and limits of what goes in and comes out.
+    """Return the content of export.json: columns, units and limits of what goes in and comes out.
 
     Args:
         simulator: that is exported.
@@ -247,7 +247,7 @@ for command in COMMANDS:
 
 
 def _page(about: dict[str, Any]) -> str:
-    """Return the page that lies beside a program."""
+    """Return the page that lies next to a program."""
     columns = "\n".join(
         f"| `{one['name']}` | {_shown(one['lowest'])} | {_shown(one['highest'])} |"
         for one in about["command"]

@@ -19,8 +19,7 @@ class Stepper:
     """Steps whole batches in NumPy, each row with random numbers of its own.
 
     It asks the simulator's own ``step`` and ``sense``; the compiled one is a subclass, held to this
-    one by a test. What a row meets follows from its own seed and step alone, however many other
-    rows there are.
+    one by a test. The noise of a row depends on its own seed and step alone, not on other rows.
 
     Attributes:
         simulator: whose steps they are.

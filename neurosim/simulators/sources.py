@@ -1,4 +1,4 @@
-"""What simulators and controllers were made of, and whether that is from the virtual lab."""
+"""The sources of simulators and controllers, and whether they are from the virtual lab."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _ABOUT = {"sampling.json": ("neurosim-sampling", 2), "dataset.json": ("neurosim-
 
 
 def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
-    """Return what simulator.json says of the files that it was made of.
+    """Describe the source files of a simulator for simulator.json.
 
     A ``.sample`` file has no place to say of which robot it is; the ``sampling.json`` that
-    ``neurosim sample`` writes beside it does.
+    ``neurosim sample`` writes next to it does.
 
     Args:
         paths: sample files, files of motor samples, or datasets.
@@ -50,13 +50,13 @@ def sources(paths: Sequence[str | Path]) -> dict[str, Any]:
 
 
 def named(simulator: str | Path) -> dict[str, Any]:
-    """Return what a controller says of the simulator that it was made in.
+    """Describe the simulator of a controller for its file.
 
     Returns:
         ``path``, ``sha256`` of simulator.json, and ``virtual`` where the simulator says.
 
     Raises:
-        FileError: if simulator.json is not what it should be.
+        FileError: if simulator.json is wrong.
     """
     path = Path(simulator) / "simulator.json"
     virtual = is_virtual(read_json(path, FORMAT, VERSION))

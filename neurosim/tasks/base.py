@@ -1,4 +1,4 @@
-"""What every task offers: where a trial starts, how long it is, and how it is scored.
+"""The protocol of tasks: where a trial starts, how long it is, and how it is scored.
 
 A task scores a trial in one way, step by step: :meth:`Task.first_record` makes a record of each
 trial, :meth:`Task.advance` adds an interval to it, and :meth:`Task.worth` says what the trial is
@@ -126,13 +126,13 @@ class Task(Checked):
         highest_fitness: no trial is worth more; None: nothing is known of that.
         stop_penalty: taken off the fitness of a trial that the guard ends.
         perimeter: where the guard ends trials; None: nowhere. See :meth:`within_perimeter`.
-        place: what the place of the trials looks like; None: as the simulator has it. A task that
+        place: the place of the trials; None: as the simulator has it. A task that
             has it as a field takes a :class:`neurosim.base.place.Place`, and anything that
             :meth:`neurosim.base.place.Place.of` takes.
         longest_arc: farther than a robot drives in one command, m; pictures of plans go by it.
         fitness_unit: of the fitness, if it has one.
-        replanned: whether a plan is to be planned again after every command where nothing else is
-            said, because no open-loop one does the task.
+        replanned: whether a plan is to be replanned after every command by default, because no
+        open-loop one does the task.
         scored_by: which parts of a trajectory the score needs: ``poses``, ``commands``,
             ``readings``.
 
@@ -198,7 +198,7 @@ class Task(Checked):
         record[:, 7] += interval.duration
 
     def worth(self, record: NDArray[np.float64]) -> Judgement:
-        """Return what trials with records [K, W] are worth if they end now.
+        """Return the fitness of trials with records [K, W] if they end now.
 
         ``over`` and ``segment`` need not be given: :meth:`score` and :meth:`judge` fill them in.
         """
@@ -371,7 +371,7 @@ class Task(Checked):
         return (x * 2001 + y).T
 
     def outline(self) -> list[dict[str, Any]]:
-        """Return what a picture of the task shows, in m: a list of shapes.
+        """Return the shapes of the task for a picture, in m: a list of shapes.
 
         Each is ``{"polygon": [[x, y], ...]}`` (of two points, a line; with a ``width``, a printed
         one), ``{"circle": [x, y, radius]}`` or ``{"text": str, "at": [x, y]}``; what the robot must

@@ -1,4 +1,4 @@
-"""What ``--task`` takes: a name, or a file with name and settings."""
+"""Tasks from ``--task``: a name, or a file with name and settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ FORMAT, VERSION = "neurosim-task", 1
 
 
 class FilesAndTasks:
-    """What ``--task`` takes."""
+    """A task from ``--task``."""
 
     def names(self) -> list[str]:
         return TASKS.names()

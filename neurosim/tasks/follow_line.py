@@ -79,7 +79,7 @@ class FollowLine(Task):
 
     @property
     def usual_controller(self) -> str:
-        """A network: nobody follows a line blindly."""
+        """A network: a line cannot be followed in open loop."""
         return "network"
 
     def draw_starts(

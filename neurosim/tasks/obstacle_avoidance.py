@@ -25,7 +25,7 @@ _NONE = -(2.0**60)
 class ObstacleAvoidance(Task):
     """The task: drive fast and straight and keep away from everything.
 
-    The paper knows no success beside the fitness; here it is a fitness of at least ``enough`` from
+    The paper has no success besides the fitness; here it is a fitness of at least ``enough`` from
     a start.
 
     Attributes:
@@ -34,7 +34,7 @@ class ObstacleAvoidance(Task):
         steps: Steps of a trial, over all its starts together.
         starts: Random poses from which a trial starts, each for an equal share of the steps.
         duration: Duration of a step, s.
-        contacts: What touching something costs: free, nothing, as in the paper; or end: what comes
+        contacts: The cost of a contact: free, nothing, as in the paper; or end: what comes
             after the first contact counts nothing. On a robot nobody knows of contacts.
         enough: Fitness from one start that counts as success; by default, for avoidance, half of
             its steps, and 0 for other fitness.

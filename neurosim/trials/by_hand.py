@@ -1,4 +1,4 @@
-"""A reality in which a person runs the robot and types what came out."""
+"""A reality in which a person runs the robot and types the result."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class ByHand:
     and stopped where it crosses it.
 
     Attributes:
-        instruction: what the person is asked to do before every trial.
+        instruction: the person's task before every trial.
         patient: a person may take any time.
     """
 
@@ -41,7 +41,7 @@ class ByHand:
         self._asked = f"Fitness{unit and f' in {unit}'} (0 if it fell): "
 
     def describe(self) -> dict[str, Any]:
-        """Return what it is."""
+        """Describe it."""
         return {"kind": "by-hand", "virtual": False}
 
     def trial(self, genes: NDArray[np.float64], number: int) -> float:
@@ -61,6 +61,6 @@ class ByHand:
 
 
 def answer_to(message: str) -> str:
-    """Return what a person types."""
+    """Return the number that a person types."""
     print(message, end="", file=sys.stderr, flush=True)
     return input()

@@ -55,12 +55,12 @@ class Driver:
         saved: the controller.
         episode: of the task.
         about: what names the controller in the recording.
-        takes: what the robot takes for a command.
+        takes: the numbers of the robot's command.
 
     Attributes:
         sensors: names of the sensors that the controller reads.
         reads: whether the sensors are read, by the controller or for the task.
-        needs_pose: whether the controller is told the pose, or where a goal is from there.
+        needs_pose: whether the controller gets the pose, or the position of a goal relative to it.
         steps, rest, start: as a session takes them.
     """
 
@@ -135,7 +135,7 @@ def driver_of(
     calibration: str | Path | None = None,
     steps: int | None = None,
 ) -> Driver:
-    """Return what drives a robot with a saved controller in closed loop, for a recording.
+    """Return a driver that runs a saved closed-loop controller, for a recording.
 
     Args:
         controller: its folder.
@@ -162,21 +162,21 @@ def driver_of(
 
 
 def source_of(folder: Path) -> dict[str, str]:
-    """Return what names a controller: where it is, and what its files hold."""
+    """Return the source of a controller: where it is, and what its files hold."""
     source = {"path": str(folder), "sha256": sha256(folder / "controller.json")}
     weights = folder / "weights.safetensors"
     return {**source, "weights_sha256": sha256(weights)} if weights.exists() else source
 
 
 class Replanned:
-    """Drives a robot with a plan that is planned again after every command.
+    """Drives a robot with a plan that is replanned after every command.
 
     It is a :class:`~neurosim.recording.commands.SeeingSource`, as :class:`Driver` is.
 
     Args:
         saved: a plan.
         task: that is to be done.
-        simulator: in which it is planned again.
+        simulator: in which it is replanned.
         settings: how.
         clock: the robot's.
         about: what names the controller in the recording.
@@ -226,7 +226,7 @@ class Replanned:
         return None if command is None else Command.of(command)
 
     def describe(self) -> dict[str, Any]:
-        """Return how it is planned again, and the origin of the plan."""
+        """Return how it is replanned, and the origin of the plan."""
         return {"kind": "replanned", "controller": self._about, **asdict(self.settings)}
 
 
@@ -239,7 +239,7 @@ def missing(
     calibration: str | Path | None = None,
     source: SeeingSource | None = None,
 ) -> list[str]:
-    """Return what is missing for a trial, a sentence for each thing; none: it can be made.
+    """Return the missing parts of a trial, a sentence for each; none: it can be made.
 
     Args:
         saved: the controller.

@@ -44,7 +44,7 @@ class Driven:
     Attributes:
         controller: the family.
         task: judges the trials, and says where they start.
-        instruction: what a person does before each trial, or None.
+        instruction: a person's task before each trial, or None.
     """
 
     instruction: str | None

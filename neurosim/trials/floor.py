@@ -44,7 +44,7 @@ class OnFloor:
     """Tries controllers on a robot, one after the other, in the robot's own time.
 
     Nobody puts the robot down between trials: it wanders away from what is near, in a direction
-    drawn anew, stands still, and the next trial starts from there. Every step begins with a
+    drawn again, stands still, and the next trial starts from there. Every step begins with a
     reading; the command that follows from it is sent a fixed time later, so that the robot is as
     late in every step as it is in the simulator.
 

@@ -37,7 +37,7 @@ class _Named:
         return [*REALITIES.names(), *ROBOTS.names()]
 
     def get(self, name: str) -> Callable[..., Any]:
-        """Return what has the options as keywords.
+        """Return the callable whose keywords are the options.
 
         Raises:
             UserError: if nothing has this name.

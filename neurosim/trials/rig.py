@@ -42,7 +42,7 @@ Side = Annotated[int, Meta(ge=120, le=8192)]
 
 @dataclass(frozen=True)
 class Setup(Checked):
-    """What a rig is to be, beside the robot's own options.
+    """Settings of a rig, in addition to the robot's own options.
 
     Attributes:
         camera: A camera's number, a file or URL that OpenCV opens, lab for the virtual lab's, or
@@ -54,7 +54,7 @@ class Setup(Checked):
             rad); None: where that lab puts it.
         place: The place that a virtual robot drives in; by default that of its lab: a board, or the
             arena of the Khepera's paper.
-        markers: What a virtual robot carries, as recording.json has it; by default its two colours.
+        markers: The markers of a virtual robot, as in recording.json; by default its two colours.
         real_time: The virtual lab's time is the wall clock's, as where a person drives.
     """
 
@@ -264,7 +264,7 @@ def virtual_ros(
 
 
 def _common(setup: Setup) -> dict[str, Any]:
-    """Return what rigs on the board have in common."""
+    """Return the common settings of rigs on the board."""
     return {
         "noise_seed": setup.seed,
         "start": _start(setup, (0.0, 0.0, 0.0)),
@@ -283,7 +283,7 @@ def _start(setup: Setup, usual: Pose) -> Pose:
 
 
 def _paced(lab: Any, real_time: bool) -> AbstractContextManager[Any]:
-    """Return what keeps a lab in step with the wall clock, where it is to be."""
+    """Return the pacer that keeps a lab in step with the wall clock, if it is asked for."""
     return Pacer(lab) if real_time else nullcontext()
 
 
@@ -329,7 +329,7 @@ class Rigs:
         return name in _VIRTUAL
 
     def get(self, name: str) -> Callable[..., Any]:
-        """Return what has the robot's options as its keywords.
+        """Return the callable whose keywords are the robot's options.
 
         Raises:
             UserError: if nothing has this name.

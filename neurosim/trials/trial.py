@@ -1,6 +1,6 @@
-"""Run a controller on a robot and hold what happened against what was predicted.
+"""Run a controller on a robot and hold what happened against the prediction.
 
-A trial is a recording of a controller at work, with ``trial.json`` beside it. Where the robot was a
+A trial is a recording of a controller at work, with a ``trial.json``. Where the robot was a
 camera says, or the counters of its wheels. For plans this is section 7.2 of Pretorius, du Plessis
 and Cilliers (2009), Figures 6 and 7; for controllers that see, see
 :class:`~neurosim.trials.driver.Driver`.
@@ -39,7 +39,7 @@ from tracking.datasets.displacements import Track
 from tracking.datasets.recordings import CommandLine, Observations, Poses, Recording
 
 FORMAT, VERSION = "neurosim-trial", 1
-#: Beside a plan that was planned again after every command stands what was known at each.
+#: The state of knowledge at each command of a replanned plan.
 FORESEEN, FORMAT_FORESEEN = "foreseen.json", "neurosim-foreseen"
 
 #: x (m), y (m), heading (rad), or None where nobody knows.
@@ -60,7 +60,7 @@ def run_trial(
 ) -> dict[str, Any]:
     """Drive a robot with a controller, record and track it, and compare.
 
-    A plan is sent as it is, or planned again after every command; a controller that sees is asked
+    A plan is sent as it is, or replanned after every command; a controller that sees is asked
     at the steps of its task. Where the robot is a camera says, or, without one, the counters of its
     wheels from the start pose on.
 
@@ -74,16 +74,17 @@ def run_trial(
         track: tracks the recording in a folder, where it was not tracked as it was made.
         calibration: the camera's.
         guard: of the perimeter line.
-        settings: of :class:`~neurosim.recording.record.RecordSettings`, beside commands and guard.
-        replan: the simulator in which a plan is planned again after every command, and how; None:
+        settings: of :class:`~neurosim.recording.record.RecordSettings`, in addition to commands and
+        guard.
+        replan: the simulator in which a plan is replanned after every command, and how; None:
             it is not.
         seed: of that.
 
     Returns:
-        What trial.json says.
+        The content of trial.json.
 
     Raises:
-        UserError: if anything on the way is not what it should be; before anything moves, if the
+        UserError: if anything on the way is wrong; before anything moves, if the
             robot lacks what the controller or the task needs.
     """
     saved, robot, camera = read_controller(controller), rig.robot, rig.camera
@@ -216,16 +217,16 @@ def compare(controller: str | Path, out: str | Path) -> dict[str, Any]:
 
 
 def _write_foreseen(path: Path, foreseen: list[Foreseen]) -> None:
-    """Write what was known as each command of a plan that is planned again was given."""
+    """Write the state of knowledge at each command of a replanned plan."""
     commands = [one._asdict() for one in foreseen]
     write_json(path, FORMAT_FORESEEN, VERSION, {"commands": commands})
 
 
 def _read_foreseen(path: Path) -> dict[str, Any] | None:
-    """Return what was predicted of a plan that was planned again: poses, and the rest.
+    """Return the prediction of a plan that was replanned: poses, and the rest.
 
     The poses are where it was to begin, and where each command was expected to lead as it was
-    given. None: it was not planned again.
+    given. None: it was not replanned.
     """
     if not path.exists():
         return None
@@ -239,7 +240,7 @@ def _read_foreseen(path: Path) -> dict[str, Any] | None:
 
 @dataclass(frozen=True)
 class _Drive:
-    """What was driven in a recording, and where the robot was.
+    """The commands of a recording, and the robot's poses.
 
     Attributes:
         sent: the commands.
@@ -293,7 +294,7 @@ class _Drive:
         return cls(sent, boundaries, cut, None, nowhere, None, np.empty((0, 4)), looks)
 
     def trajectory(self, timed: bool, stops: bool) -> Trajectory:
-        """Return what a task judges.
+        """Return the trajectory for the task.
 
         Args:
             timed: whether commands have their duration as a column.
@@ -355,7 +356,7 @@ def _by_camera(poses: Poses, boundaries: list[float]) -> tuple[list[Pose], Pose,
 
 
 def _by_counters(looks: Observations, count: int) -> tuple[list[Pose], Pose, NDArray]:
-    """Return where the counters said that the robot was, as a camera does."""
+    """Return the poses by the counters, in the form of a camera's."""
     # A look for every command, one as the motors stop, and one at rest.
     path = np.column_stack([looks.time, looks.pose])
     at = [pose.tolist() for pose in looks.pose[: count + 1]]
@@ -373,7 +374,7 @@ def _perimeter_of(saved: SavedController) -> Perimeter | None:
 
 
 def _guard_of(recording: Recording) -> str:
-    """Return what a recording's guard did at the perimeter."""
+    """Return the guard's stop at the perimeter in a recording."""
     guard = recording.meta.get("settings", {}).get("guard") or {}
     return str(guard.get("at_line", "end"))
 

@@ -1,7 +1,7 @@
 """The page's server: for this computer's own browser, and for nobody else.
 
 It listens on the loopback address alone. Whatever else runs on this computer, or is open in its
-browser, is kept out: every address holds a secret that is drawn anew for each run; a request
+browser, is kept out: every address holds a secret that is drawn again for each run; a request
 must name this server as its host, so that a foreign name that resolves to this computer gets
 nothing (DNS rebinding); and one that a page of another site makes is refused. The page may load
 nothing from anywhere else, and no other page may frame it.
@@ -223,7 +223,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def _checked(self) -> str:
-        """Return what is asked for, below the secret, of a request that may ask."""
+        """Return the path of an allowed request, below the secret."""
         if self.over.is_set():
             raise _Refused(HTTPStatus.SERVICE_UNAVAILABLE, "neurosim has ended")
         own = {f"{name}:{self.port}" for name in (HOST, "localhost")}

@@ -1,4 +1,4 @@
-"""What the page shows, and what is set on it: two colours, four corners and a place."""
+"""The page's picture and its settings: two colours, four corners and a place."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ LookFor = Callable[[Sought, CameraModel | None], None]
 
 
 class Viewer:
-    """Keeps the newest picture and what was seen in it, for any number of readers.
+    """Keeps the newest picture and the robot in it, for any number of readers.
 
     Args:
         size: of the camera's pictures.
@@ -227,7 +227,7 @@ class Viewer:
         }
 
     def _seen_colour(self, which: str) -> SeenColour | None:
-        """Return what the tracker found of a marker's colour, if it is in sight."""
+        """Return a marker's colour as tracked, if the robot is in view."""
         if self._seen is None or self._seen.colours is None or not self._seen.sighting.in_view:
             return None
         return self._seen.colours[("front", "rear").index(which)]

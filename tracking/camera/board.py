@@ -110,10 +110,10 @@ def camera_over_board(
     """Return the camera that sees points of the board where a person pointed at them.
 
     Without a lens the camera is taken for a usual one. Points on a plane that is seen from
-    straight above say nothing of its focal length; with the camera's height it is found. What is
-    stated as uncertain is what positions change by where focal length (or height), axis and bending
-    are off by a standard deviation of usual lenses, to either side, with the spread of the clicks.
-    Most of it is the bending, of which four corners cannot tell.
+    straight above say nothing of its focal length; with the camera's height it is found. The stated
+    uncertainty is the change of positions if focal length (or height), axis and bending are off by
+    a standard deviation of usual lenses, to either side, with the spread of the clicks. Most of it
+    is the bending, of which four corners cannot tell.
 
     Args:
         image_size: width and height in pixels.

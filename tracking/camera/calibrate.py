@@ -61,7 +61,7 @@ def calibrate(
     other photographs bring. What half of them find is spread about what all of them find as that
     is about the truth (McCarthy 1969). Fewer than 12 photographs have no halves to calibrate
     with; they are left out one by one instead (the jackknife, Tukey 1958), which states about a
-    sixth too little. Of three nothing can be said.
+    sixth too little. Three photographs are too few.
 
     Corners that were found in a wrong place, and photographs that do not fit the others, are left
     out: see :func:`tracking.camera.lens.fit_robustly`.
@@ -118,7 +118,7 @@ def _halves(count: int) -> list[NDArray]:
 def _uncertainty(
     model: CameraModel, others: list[CameraModel], method: str, points: NDArray | None
 ) -> dict[str, Any] | None:
-    """Return what :attr:`CameraModel.uncertainty` holds, or None where it cannot be known."""
+    """Return :attr:`CameraModel.uncertainty`, or None if it cannot be estimated."""
     if not others:
         return None
 

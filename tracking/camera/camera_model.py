@@ -157,7 +157,7 @@ class CameraModel:
         """Read calibration.json.
 
         Raises:
-            FileError: naming the field that is missing or is not what it should be.
+            FileError: naming the field that is missing or is wrong.
         """
         path = Path(path)
         document = read_json(path, FORMAT, VERSION, formats.Calibration)

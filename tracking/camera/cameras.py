@@ -61,7 +61,7 @@ class Camera:
         raise NotImplementedError
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this camera."""
+        """Describe this camera for a recording."""
         raise NotImplementedError
 
 
@@ -126,7 +126,7 @@ class OpenCVCamera(Camera):
             self._begin()
 
     def _begin(self) -> None:
-        """Read frames from now on, for whoever takes them."""
+        """Read frames from now on."""
         capture = self._capture
 
         def read() -> None:
@@ -279,7 +279,7 @@ class VideoSink:
         self._queue.put((time, frame))
 
     def close(self) -> int:
-        """Write what is left, close the file and return the number of frames.
+        """Write the rest, close the file and return the number of frames.
 
         Raises:
             UserError: if a frame could not be written.
@@ -344,7 +344,7 @@ class Film:
             self._begin()
 
     def close(self) -> int:
-        """Write what is left, close the file and return the number of frames.
+        """Write the rest, close the file and return the number of frames.
 
         Raises:
             UserError: if a frame could not be written.

@@ -48,7 +48,7 @@ def fit_robustly(views: list[View], size: tuple[int, int]) -> tuple[CameraModel,
     """Return the lens that fits the views but for what is wrong in them, and what was kept.
 
     In each round the photograph that fits worst is left out, or in every photograph the corner
-    that fits worst, if it is wrong; then the lens is fitted anew. One at a time, as a wrong one
+    that fits worst, if it is wrong; then the lens is fitted again. One at a time, as a wrong one
     makes its neighbours look wrong, too.
 
     Args:
@@ -88,7 +88,7 @@ def fit_robustly(views: list[View], size: tuple[int, int]) -> tuple[CameraModel,
 
 
 def describe_left_out(left_out: dict[str, Any]) -> str:
-    """Return what a person should know of a corner or a photograph that was left out."""
+    """Describe a corner or a photograph that was left out."""
     if "u" in left_out:
         return (
             f"{left_out['photograph']}: the corner at {left_out['u']:.0f},{left_out['v']:.0f} is "

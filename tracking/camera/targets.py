@@ -1,4 +1,4 @@
-"""What a camera's lens is learned from: a chessboard, or a ChArUco board, in a picture."""
+"""Calibration targets: a chessboard, or a ChArUco board, in a picture."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Target(Protocol):
     name: str
 
     def find(self, grey: NDArray) -> View | None:
-        """Return what is seen of it in a picture [H, W], or None."""
+        """Return its corners in a picture [H, W], or None."""
         ...
 
 

@@ -49,7 +49,7 @@ def fit_clock_to_motion(times: ArrayLike, poses: ArrayLike, lines: Sequence[Moto
     Args:
         times: camera times [N] of the frames, s.
         poses: [N, 3], m, m, unwrapped rad; NaN where the robot was not seen.
-        lines: what was sent to the motors in this session, in order.
+        lines: commands sent to the motors in this session, in order.
 
     Raises:
         UserError: if too few commands change the speeds, the motion does not follow the
@@ -177,7 +177,7 @@ def follows_commands(times: ArrayLike, poses: ArrayLike, lines: Sequence[MotorLi
     Args:
         times: [N] of the poses, s, on the clock of the commands.
         poses: [N, 3], m, m, unwrapped rad; NaN where nothing was seen.
-        lines: what was sent to the motors in this session, in order.
+        lines: commands sent to the motors in this session, in order.
     """
     times, signals = signals_of(times, poses)
     if len(times) < 10 or not lines:

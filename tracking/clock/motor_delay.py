@@ -1,6 +1,6 @@
 """When a robot was seen to answer its commands: the dead time and the lag of its motors.
 
-A wheel that is told another speed goes on as before for a dead time d (the radio's, the
+A wheel that gets another speed continues as before for a dead time d (the radio's, the
 brick's) and then approaches the new speed as exp(-t / T). The path and the heading around the
 instant of a command are therefore
 
@@ -86,7 +86,7 @@ def motion_delay(times: ArrayLike, poses: ArrayLike, lines: Iterable[MotorLine])
     Args:
         times: [N] of the poses, on the clock of the commands, s.
         poses: [N, 3], m, m, unwrapped rad; NaN where the robot was not seen.
-        lines: what was sent to the motors, in order.
+        lines: commands sent to the motors, in order.
 
     Returns:
         The delay, within 0.15 s of the commands' times; None if too few commands changed the
@@ -206,7 +206,7 @@ def _seen_in(around: NDArray, length: float, interval: float) -> bool:
 
 
 def _misfit(around: NDArray, seen: NDArray, shape: NDArray) -> NDArray[np.float64]:
-    """Return what a straight line and a multiple of a shape leave of a signal, [D, T].
+    """Return a signal less a straight line and a multiple of a shape, [D, T].
 
     Args:
         around: times [N] of the signal, s.

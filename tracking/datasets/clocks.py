@@ -1,4 +1,4 @@
-"""By how much the poses of a log are late, beside its commands.
+"""The delay of a log's poses relative to its commands.
 
 A robot answers a command a little later, never earlier. If poses are stamped by another clock, or
 by the time at which they arrived, they seem to answer much later, or before. The motion is
@@ -112,7 +112,7 @@ def _lagged(commands: NDArray, step: float, lag: float) -> NDArray:
 
 
 def _features(speeds: NDArray) -> NDArray:
-    """Return what motion is linear in: a constant, speeds (K, C), and their products."""
+    """Return the regressors of motion: a constant, speeds (K, C), and their products."""
     count = speeds.shape[1]
     speeds = speeds / np.maximum(np.abs(speeds).max(0), 1e-30)
     pairs = [speeds[:, i] * speeds[:, j] for i in range(count) for j in range(i, count)]

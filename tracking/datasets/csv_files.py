@@ -31,7 +31,7 @@ from tracking.datasets.dataset import OUTPUTS, Dataset, make
 from tracking.datasets.sessions import check_labels, sessions_of
 from tracking.datasets.suspicious import TIMES, Conventions
 
-#: Columns of a log, beside the commands.
+#: Columns of a log, in addition to the commands.
 LOG = ("time", "x", "y", "heading")
 #: How long a command of a file of rows lasted, and what it did to the robot.
 LASTED = ("duration",), ("start", "end")
@@ -91,7 +91,7 @@ def import_csv(
         The dataset; what is odd about its numbers stands in ``meta["warnings"]``, a sentence each.
 
     Raises:
-        FileError: naming file, line and column of what is missing or wrong.
+        FileError: naming the file, and the missing or wrong line and column.
         UserError: if columns or units make no sense, no row is left, or ``out`` is taken.
 
     Example:
@@ -296,7 +296,7 @@ def _in_degrees(table: _Table) -> bool:
 def _explain(
     path: Path, log: logs.Log, left_out: Mapping[str, int], settings: logs.Settings
 ) -> None:
-    """Say why a whole log gives no row, where that can be said.
+    """Give the reason why a whole log gives no row, if there is a single one.
 
     Raises:
         UserError: if so.
@@ -453,7 +453,7 @@ class _Table:
         return self.columns.get(name, name) in self._header
 
     def has_any(self, names: Sequence[str]) -> bool:
-        """Return whether any of our names has a column, or is said to have one."""
+        """Return whether any of our names has a column, in the file or by --columns."""
         return any(name in self.columns or self.has(name) for name in names)
 
     def array(self, names: Sequence[str], *, optional: bool = False) -> NDArray:

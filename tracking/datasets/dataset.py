@@ -277,7 +277,7 @@ def build(
         correct_delay: whether displacements count from when the motors were seen to answer
             rather than from when the commands were sent.
         mixed: whether recordings may be of different robots.
-        doubtful: whether poses of what may not be the robot count as well.
+        doubtful: whether doubtful poses count, too.
         windows: whether rows follow one another, to be learned from by windows; None: where a
             person gave the commands, or most of a recording's last less than 0.5 s and fewer than
             100 of all last longer.

@@ -70,7 +70,7 @@ class Settings(Checked):
 
 @dataclass
 class Displacements:
-    """What one recording gives.
+    """The rows of one recording.
 
     Attributes:
         rows: one dict per usable command, keys command, the numbers of the command and, with
@@ -199,7 +199,7 @@ def displacements(
         recording: a tracked recording.
         settings: how displacements are taken.
         correct_delay: whether the motors' delay counts.
-        doubtful: whether poses of what may not be the robot count as well.
+        doubtful: whether doubtful poses count, too.
 
     Raises:
         FileError: if commands.csv or poses.csv is missing, wrong somewhere, or its clock goes

@@ -38,7 +38,7 @@ def logs_of(
         recording: tracked.
         name: of it, for the rows.
         settings: as for any log.
-        doubtful: whether poses of what may not be the robot count as well.
+        doubtful: whether doubtful poses count, too.
 
     Returns:
         Logs, and a sentence for whatever was odd about their poses.

@@ -37,7 +37,7 @@ AFTER = 0.5
 
 @dataclass(frozen=True)
 class _Episode:
-    """What one session is: N frames.
+    """One session: N frames.
 
     Attributes:
         columns: feature -> [N, D] float32.
@@ -243,7 +243,7 @@ def _sensors(
 
 
 def _task(recording: Recording) -> str:
-    """Return what the robot did, in words."""
+    """Describe the robot's task in words."""
     path = recording.path / "trial.json"
     if path.exists():
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -253,7 +253,7 @@ def _task(recording: Recording) -> str:
 
 
 def _stats(values: NDArray) -> dict[str, list]:
-    """Return what the format keeps of a feature [N, D]."""
+    """Return the format's statistics of a feature [N, D]."""
     values = values.astype(np.float64)
     kept = {name: getattr(values, name)(axis=0).tolist() for name in ("min", "max", "mean", "std")}
     return {**kept, "count": [len(values)]}

@@ -1,4 +1,4 @@
-"""Rows of a dataset from a log: commands sampled over time, and poses beside them.
+"""Rows of a dataset from a log: commands sampled over time, and poses next to them.
 
 A command is held from its sample to the first sample that differs. Such a run, cut from its
 beginning into pieces of at most 3 s, gives one row for every piece of at least 0.5 s; the
@@ -56,7 +56,7 @@ class Settings(Checked):
         windows: whether rows follow one another, to be learned from by windows; None: where
             there are few held commands (:func:`any_rows_of`).
         keep: poses whose headings do not fit the motion are kept.
-        delay: by how much poses are late beside the commands, s; None: found from the motion, and
+        delay: delay of the poses relative to the commands, s; None: found from the motion, and
             corrected where no robot can be so late or so early.
     """
 
@@ -254,8 +254,8 @@ def chained_rows_of(
 ) -> tuple[list[dict[str, Any]], dict[str, int]]:
     """Turn a log into rows that follow one another, as :func:`rows_of`.
 
-    A row whose ``command`` is one more than that of the row above begins where that one ended. What
-    came before the first is taken from how the robot moves: it stood, or did what it is told.
+    A row whose ``command`` is one more than that of the row above begins where that one ended. The
+    command before the first is inferred from the robot's motion: it stood, or obeyed its commands.
     """
     first = log.before if log.before is not None else _first(log)
     # From the first pose to the last one.

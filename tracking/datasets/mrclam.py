@@ -4,8 +4,8 @@ K. Leung, Y. Halpern, T. Barfoot, H. Liu, "The UTIAS multi-robot cooperative loc
 mapping dataset", IJRR 30(8), 2011. Text files of numbers between blanks, comments after ``#``:
 an odometry file with time (s), commanded forward velocity (m/s) and angular velocity (rad/s),
 and a ground-truth file with time (s), x, y (m) and heading (rad). Times may be unix times, and
-the two files need have neither times nor rates in common. How such a log becomes rows is said in
-:mod:`tracking.datasets.logs`; poses within commands are taken at samples of the odometry.
+the two files need have neither times nor rates in common. :mod:`tracking.datasets.logs` makes rows
+of such a log; poses within commands are taken at samples of the odometry.
 """
 
 from __future__ import annotations
@@ -40,14 +40,14 @@ def import_mrclam(
 
     Args:
         paths: the odometry and the ground-truth file, in either order, or one folder with
-            both. They are told apart by name (``...Odometry...``, ``...Groundtruth...``) or
+            both. They are distinguished by name (``...Odometry...``, ``...Groundtruth...``) or
             by their number of columns.
         out: the folder to write; inputs prev_v, prev_w, v, w, duration.
         settings: how runs become rows.
 
     Raises:
         FileError: if a file is missing, or wrong in some line.
-        UserError: if the two files cannot be told apart or share no time, no row is left, or
+        UserError: if the two files cannot be distinguished or share no time, no row is left, or
             ``out`` is taken.
     """
     settings = settings or Settings()
@@ -88,7 +88,7 @@ def read_numbers(path: Path, columns: Sequence[str]) -> NDArray:
         (N, len(columns)), the first column, time, never decreasing.
 
     Raises:
-        FileError: naming the line and the column of what is wrong.
+        FileError: naming the wrong line and column.
     """
     lines = {line: " ".join(fields) for line, fields in _fields(path)}
     table = files.table_of_lines(path, " ".join(columns), lines, " ")

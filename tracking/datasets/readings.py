@@ -51,7 +51,7 @@ def readings_of(recording: Recording, name: str, *, doubtful: bool = False) -> p
     Args:
         recording: tracked.
         name: of it, in the table.
-        doubtful: whether poses of what may not be the robot count as well.
+        doubtful: whether doubtful poses count, too.
     """
     observed = recording.observations()
     if observed is None or not observed.names:
@@ -132,7 +132,7 @@ def read(path: Path, expected: Any) -> pd.DataFrame:
         expected: how many dataset.json says that there are, None where it says nothing.
 
     Raises:
-        FileError: naming line and field of what is wrong, or if readings are missing.
+        FileError: naming the wrong line and field, or if readings are missing.
     """
     if not path.exists() and not expected:
         return no_readings()

@@ -149,13 +149,14 @@ class Poses:
 
 @dataclass(frozen=True)
 class Observations:
-    """What a controller saw, one row a look; seconds on the session's robot clock, metres, radians.
+    """A controller's observations, one row for each; seconds on the session's robot clock, metres,
+    radians.
 
     Attributes:
         session: [N] int.
         command: [N] int, the command that followed from it; -1 where none did.
         time: [N] when the robot was at the pose.
-        pose: [N, 3], NaN where nothing said it.
+        pose: [N, 3], NaN if it was unknown.
         names: of the sensors.
         readings: [N, S] of the sensors, 0..1.
     """
@@ -237,7 +238,7 @@ class Recording:
 
     @property
     def takes(self) -> Commands:
-        """What the robot takes for a command.
+        """The numbers of the robot's command.
 
         Raises:
             FileError: if recording.json says something else there.
@@ -345,7 +346,7 @@ class Recording:
         """Read observations.csv; None where no controller saw anything.
 
         Raises:
-            FileError: naming line and field of what is wrong.
+            FileError: naming the wrong line and field.
         """
         path = self.path / "observations.csv"
         if not path.exists():
@@ -408,10 +409,10 @@ class Recording:
         return (self.path / "poses.csv").exists()
 
     def tracked_sessions(self) -> list[dict[str, Any]]:
-        """Return what tracking.json says of the sessions that were tracked; none without it.
+        """Return the tracked sessions from tracking.json; none without it.
 
         Raises:
-            FileError: if it is not what it should be.
+            FileError: if it is wrong.
         """
         path = self.path / "tracking.json"
         if not path.exists():

@@ -1,4 +1,4 @@
-"""What looks wrong with numbers that people import: a sentence each, with what mends it.
+"""Signs of wrong numbers in imported files: a sentence each, with what mends it.
 
 Commands are compared with the motion that they are followed by. Where a command has a unit (v in
 m/s, w in rad/s), it says how fast the robot is to be; otherwise speeds and sizes are held to those
@@ -39,7 +39,7 @@ _ALWAYS = 0.9
 
 @dataclass(frozen=True)
 class Conventions(Checked):
-    """What the numbers of a file mean.
+    """The conventions of a file.
 
     Attributes:
         length: unit of x, y, dx, dy: m, cm or mm.
@@ -131,7 +131,7 @@ def suspicions(
         moved: commands and motion.
         names: of the commands.
         units: of the commands.
-        given: what the user says of the numbers.
+        given: the conventions that the user gave.
         read: what the motion was read by, if not that.
     """
     if len(moved.twist) < 8:

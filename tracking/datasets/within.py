@@ -1,4 +1,4 @@
-"""Poses at instants within commands, beside the displacement at each command's end.
+"""Poses at instants within commands, next to the displacement at each command's end.
 
 A camera sees the robot in every frame, also while a command is going on: how the robot gets up
 to speed, and which way round it goes. ``within.csv`` in the folder of a dataset holds a few of
@@ -63,7 +63,7 @@ def choose_instants(times: NDArray, duration: float) -> NDArray:
 
 
 def poses_within(times: NDArray, start: NDArray, poses: NDArray) -> list[dict[str, float]]:
-    """Return what a row of a dataset has as ``within``.
+    """Return the ``within`` of a dataset's row.
 
     Args:
         times: (K,) s since the command's beginning.
@@ -89,7 +89,7 @@ def none_within() -> pd.DataFrame:
 
 
 def part_of(within: pd.DataFrame, first: int, last: int) -> pd.DataFrame:
-    """Return the poses of a run of rows of a dataset, numbered anew from 0.
+    """Return the poses of a run of rows of a dataset, numbered again from 0.
 
     Args:
         within: the poses of the whole dataset.
@@ -101,7 +101,7 @@ def part_of(within: pd.DataFrame, first: int, last: int) -> pd.DataFrame:
 
 
 def rows_of(within: pd.DataFrame, kept: NDArray[np.bool_]) -> pd.DataFrame:
-    """Return the poses of the rows of a dataset that are kept, numbered anew from 0.
+    """Return the poses of the rows of a dataset that are kept, numbered again from 0.
 
     Args:
         within: the poses of the whole dataset.
@@ -127,7 +127,7 @@ def read(path: Path, expected: Any, table: pd.DataFrame) -> pd.DataFrame:
         table: the rows of the dataset.
 
     Raises:
-        FileError: naming line and field of what is wrong, or if poses are missing.
+        FileError: naming the wrong line and field, or if poses are missing.
     """
     if not path.exists() and not expected:
         return none_within()

@@ -35,7 +35,7 @@ def rate(
     Args:
         pair: patches of the front's and of the rear's colour.
         colours: that were named.
-        geometry: what is known of the pair.
+        geometry: the known geometry of the pair.
         start: pixels [2, 2] of a point on or close to front and rear, or None.
     """
     front, rear = pair

@@ -36,7 +36,7 @@ LEAST_AREA, LEAST_SMOOTHED_AREA = 6, 28
 class Blob:
     """A patch of one colour in a frame; pixels of the full frame.
 
-    ``contrast`` is how dark the patch's surroundings are beside it: 1 black, 0 as bright.
+    ``contrast`` is how dark the patch's surroundings are next to it: 1 black, 0 as bright.
     """
 
     centre: NDArray
@@ -53,7 +53,7 @@ class Blob:
 
 @dataclass(frozen=True)
 class Look:
-    """What one marker looks like to this camera in this light.
+    """The appearance of one marker to this camera in this light.
 
     Attributes:
         direction: unit vector of its hue in the chroma plane.

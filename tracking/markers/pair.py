@@ -19,7 +19,7 @@ SEARCH_EVERY_FRAME, SEARCH_CADENCE = 30, 4
 
 @dataclass(frozen=True)
 class Geometry:
-    """What is known of the pair before the first frame.
+    """The geometry of the pair that is known before the first frame.
 
     Attributes:
         to_plane: pixels [N, 2] to coordinates [N, 2] in which the separation is constant; board
@@ -55,7 +55,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Sighting:
-    """What the tracker saw in one frame.
+    """The robot in one frame.
 
     Attributes:
         front, rear: pixels [2] of the two centres, NaN where the pair was not found.
@@ -79,7 +79,7 @@ LOST = Sighting(np.full(2, np.nan), np.full(2, np.nan), 0.0, math.nan)
 
 @dataclass
 class Learned:
-    """What was learned of the pair; areas in plane units squared."""
+    """The learned properties of the pair; areas in plane units squared."""
 
     looks: list[Look]
     areas: list[float]

@@ -49,7 +49,7 @@ class SeenColour:
     reason: str = ""
 
     def as_dict(self) -> dict[str, Any]:
-        """Return what files hold of it."""
+        """Return it for JSON."""
         return {
             "colour": self.colour.name,
             "rgb": self.rgb,
@@ -61,7 +61,7 @@ class SeenColour:
 
 
 def seen_colour(colour: Colour, look: Look, rival: float, together: float = 1.0) -> SeenColour:
-    """Return what a look says of a named colour.
+    """Return a named colour as a camera sees it.
 
     Args:
         colour: as it was named.
@@ -88,7 +88,7 @@ def seen_colour(colour: Colour, look: Look, rival: float, together: float = 1.0)
 
 
 def together(colours: Sequence[SeenColour | None]) -> SeenColour | None:
-    """Return what several pictures say together; None where none shows the colour."""
+    """Return the result of several pictures; None where none shows the colour."""
     seen = [colour for colour in colours if colour is not None]
     if not seen:
         return None
@@ -107,7 +107,7 @@ def together(colours: Sequence[SeenColour | None]) -> SeenColour | None:
 def unless_still(
     colours: Sequence[SeenColour], front: NDArray, rear: NDArray
 ) -> tuple[SeenColour, ...]:
-    """Return what was found, less confident where the pair, [N, 2] each (pixels), never moves."""
+    """Return the colours, less certain if the pair, [N, 2] each (pixels), never moves."""
     apart = np.nanmedian(np.hypot(*(front - rear).T))
     both = np.concatenate([front, rear], axis=1)
     reach = np.max(np.nanmax(both, axis=0) - np.nanmin(both, axis=0))
@@ -132,7 +132,7 @@ def least_confident(sessions: Sequence[Mapping[str, Any]]) -> Mapping[str, Mappi
 
 
 def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return what files hold of the colours of ``front`` and ``rear``, or of a tag, in a line."""
+    """Describe the colours of ``front`` and ``rear``, or a tag, in a line."""
     tag = markers.get("tag")
     if tag:
         others = ", ".join(map(str, tag.get("others") or ()))
@@ -148,7 +148,7 @@ def describe_markers(markers: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def warning(markers: Mapping[str, Mapping[str, Any]]) -> str | None:
-    """Return what a person should know of colours of low confidence; None where there are none."""
+    """Return a warning about colours of low confidence; None where there are none."""
     reasons: dict[str, list[str]] = {}
     for where, seen in markers.items():
         if seen.get("reason"):

@@ -23,7 +23,7 @@ DOT_RADIUS = 4.0
 DEAD, PLAIN_DEAD = 0.15, 0.25
 #: As many times the marker's ratio of light to chroma are its own, with a white dot and without.
 FULL, PLAIN_FULL = 2.0, 3.5
-#: Beside a brighter neighbour: more than this many times as bright as a marker's mean is not of it.
+#: Next to a brighter neighbour: pixels above this multiple of a marker's mean are not of it.
 GLARE = 1.2
 _ROOT = math.sqrt(0.75)
 
@@ -309,7 +309,7 @@ def measure_marker(frame, u, v, radius, margin, p, q, chroma, light, blue_gain, 
         )
     if total <= 0.0 or area <= 0.0:
         return none
-    # Something bright beside the marker pulls at its light, something of its colour at both.
+    # Something bright next to the marker pulls at its light, something of its colour at both.
     ou, ov = bu, bv
     if math.hypot(bu - cu, bv - cv) < near:
         cu, cv = bu, bv

@@ -1,4 +1,4 @@
-"""What a person points at in a picture: a marker's colour."""
+"""Pointing at a marker in a picture: a marker's colour."""
 
 from __future__ import annotations
 

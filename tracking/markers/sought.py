@@ -1,4 +1,4 @@
-"""What a robot is found by, two colours or a tag, and the tracker that looks for it."""
+"""The markers of a robot, two colours or a tag, and their tracker."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _ENDS = (80, 220, 80), (60, 160, 240)
 
 
 def sought(markers: Mapping[str, Any]) -> Sought:
-    """Return what a robot is found by.
+    """Return the markers of a robot.
 
     Args:
         markers: as in recording.json.
@@ -43,7 +43,7 @@ def tracker_of(
 
     Args:
         what: it looks for.
-        geometry: what is known of the pair of markers, or of a tag's ends.
+        geometry: the known geometry of the pair of markers, or of a tag's ends.
         start: of two colours: see :class:`tracking.markers.tracker.Tracker`.
     """
     return TagTracker(what, geometry) if isinstance(what, Tag) else Tracker(*what, geometry, start)

@@ -26,7 +26,7 @@ class Survey:
 
     Args:
         colours: of front and rear, as they were named.
-        geometry: what is known of the pair.
+        geometry: the known geometry of the pair.
         pointed: whether a person pointed at the pair, so that no other can be meant.
     """
 

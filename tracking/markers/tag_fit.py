@@ -21,7 +21,7 @@ from tracking.markers.tags import QUIET, Tag
 _TEXELS = 8
 #: Blur of a picture by pixels and lens together, px (standard deviation).
 _BLUR = 0.5
-#: Of the white around the square so much counts, in cells: what is beside it blurs into the rest.
+#: Of the white around the square so much counts, in cells: what is next to it blurs into the rest.
 _RIM = 0.6
 #: A tag whose side has more pixels is looked at in a smaller picture.
 MOST_PIXELS = 56.0

@@ -38,12 +38,12 @@ MOST_ENLARGED, MOST_PIXELS = 3, 2_500_000
 class TagTracker:
     """Tracks one tag through the frames of one video part, in order.
 
-    What is seen of it is the middles of the front and the rear edge of its black square: a pair of
+    Its two points are the middles of the front and the rear edge of its black square: a pair of
     points, as two markers are. Front is the upper edge, as the tag is printed.
 
     Args:
         tag: which.
-        geometry: what is known of the pair; its separation is the side of the black square.
+        geometry: the known geometry of the pair; its separation is the side of the black square.
     """
 
     def __init__(self, tag: Tag, geometry: Geometry | None = None):

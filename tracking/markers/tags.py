@@ -1,4 +1,4 @@
-"""Printed tags: AprilTag and ArUco squares, found and told apart by OpenCV's detector."""
+"""Printed tags: AprilTag and ArUco squares, found and identified by OpenCV's detector."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Tag:
         return f"tag {self.number} of {self.dictionary}"
 
     def as_dict(self) -> dict[str, str | int]:
-        """Return what files hold of it."""
+        """Return it for JSON."""
         return {"dictionary": self.dictionary, "id": self.number}
 
     @cached_property

@@ -62,7 +62,7 @@ FORGET_AFTER = 2.0
 #: What fits elsewhere so soon after the pair was lost (s) is another pair.
 ELSEWHERE_WITHIN = 0.3
 
-#: The image's scale is worked out anew after the pair moved by this many pixels.
+#: The image's scale is worked out again after the pair moved by this many pixels.
 SCALE_REACH = 4.0
 #: The cast is looked at every so many frames.
 CAST_CADENCE = 8
@@ -73,7 +73,7 @@ CAST_TRIED = 1.06
 LIGHT_CHANGED = 1.1
 
 #: With nothing known of the separation, a pair that was seen in fewer frames and then lost for so
-#: many is forgotten, and the whole is begun anew.
+#: many is forgotten, and the whole is begun again.
 PASSING, DROP_AFTER = 15, 8
 
 #: A patch of fewer pixels is no sign that a marker of its colour was ever in view.
@@ -85,7 +85,7 @@ class Tracker:
 
     Args:
         front, rear: the markers' colours.
-        geometry: what is known of the pair.
+        geometry: the known geometry of the pair.
         start: pixels [2, 2] of a point on front and on rear in the first frame. Another pair is
             never taken: where the first frame has none there, none is found.
     """
@@ -437,7 +437,7 @@ class Tracker:
         return None
 
     def _pointed_at(self, measured: list[Measurement]) -> bool:
-        """Return whether a pair is where a person said that it is, if one did."""
+        """Return whether a pair is at the place that a person gave, if any."""
         return self._start is None or all(
             on_marker(m.centre, math.sqrt(m.area / math.pi), click)
             for m, click in zip(measured, self._start, strict=True)

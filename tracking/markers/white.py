@@ -1,8 +1,8 @@
 """A camera's colour cast and the level of the light: guessed from one picture, and followed.
 
 A camera that balances its whites by itself, or a lamp that is switched on, turns all colours
-alike. What most of the picture does between two frames is taken for such a turn, and taken out
-before a marker's hue is looked at: a robot or a hand is a small part of the picture.
+alike. The change of most of the picture between two frames is taken for such a turn, and removed
+before a marker's hue is compared: a robot or a hand is a small part of the picture.
 """
 
 from __future__ import annotations

@@ -93,7 +93,7 @@ class RoofCamera(Camera):
         return self.params.fps
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this camera."""
+        """Describe this camera for a recording."""
         return {
             "kind": "virtual roof camera",
             "size": list(self.size),
@@ -154,7 +154,7 @@ class RoofCamera(Camera):
             self._on_frame(stamp, self.render(self._poses, lamp))
 
     def clock_at(self, time: float) -> float:
-        """Return what the camera's clock reads at a lab time (s), without jitter."""
+        """Return the time of the camera's clock at a lab time (s), without jitter."""
         return self.params.clock_offset + (1.0 + self.params.clock_drift) * time
 
     def project(self, points: np.ndarray) -> np.ndarray:

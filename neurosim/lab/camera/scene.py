@@ -1,4 +1,4 @@
-"""What the roof camera sees: the board on its floor, and the robot on top, painted pixel by pixel.
+"""The scene under the roof camera: floor, board and robot, painted pixel by pixel.
 
 Colours are blue, green, red grey levels in full light. Everything of the robot that shows is
 painted in the plane of its markers. A pixel is the mean of 2 x 2 samples (3 x 3 for the ground),
@@ -212,7 +212,7 @@ def paint_place(picture, light, plane, place: Place) -> None:
 
 
 def plate_of(markers: Mapping[str, Any]) -> tuple[np.ndarray, np.ndarray]:
-    """Return what :func:`paint_robot` takes for a robot that carries a tag.
+    """Return the tag of a robot in the form for :func:`paint_robot`.
 
     Args:
         markers: as recording.json has them, with a ``tag``.
@@ -355,7 +355,7 @@ def _on_tag(x, y, breadth, cells, plate):
 
 @_painted
 def _robot_colour(x, y, breadth, under, light, lamp, cells, plate):
-    """Return what is seen at a point of the robot frame, over the ground's colour there."""
+    """Return the colour at a point of the robot frame, over the ground's colour there."""
     colour = under
     body = _box(x, y, _BODY, breadth)
     if body < 1.0:

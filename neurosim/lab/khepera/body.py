@@ -31,7 +31,7 @@ class KheperaBody:
 
     Args:
         params: the robot.
-        place: what stands around it.
+        place: the place around it.
         seed: of every random draw.
         pose: where it stands (m, m, rad).
     """
@@ -124,7 +124,7 @@ class KheperaBody:
         self._zeros = [pulses[0] - left, pulses[1] - right]
 
     def proximity(self) -> list[int]:
-        """Return what the sensors read at their last scan, 8 numbers of 0..1023."""
+        """Return the readings of the last scan, 8 numbers of 0..1023."""
         params = self.params
         return physics.proximity(
             self.state[S.SCAN : S.SCAN + 3],
@@ -170,7 +170,7 @@ class KheperaLab(LabTime):
 
     Args:
         params: the robot.
-        place: what stands around it.
+        place: the place around it.
         seed: of every random draw.
         start: where it stands at first (m, m, rad).
 

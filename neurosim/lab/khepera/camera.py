@@ -24,7 +24,7 @@ class KheperaCamera(RoofCamera):
         params: optics, sensor and clock, as of the roof camera.
         seed: of the floor's texture and all noise.
         now: returns the lab's time in seconds.
-        centre: what it looks at (m).
+        centre: the point that it looks at (m).
     """
 
     def __init__(

@@ -2,11 +2,11 @@
 
 After K-Team's Khepera User Manual 5.02 (1999), appendix A, "Communication protocol": a command is
 an upper-case letter, numbers behind commas, and CR or LF; the answer is the letter in lower case,
-numbers behind commas, CR LF. What is no command is answered by ``z,Command not found``, one with
-wrong numbers by ``z,Protocol error``; the manual does not spell these two, they are what clients
-of the real robot expect. ``restart`` starts the robot anew.
+numbers behind commas, CR LF. Unknown commands are answered by ``z,Command not found``, wrong
+numbers by ``z,Protocol error``; the manual does not spell these two, they are what clients of the
+real robot expect. ``restart`` restarts the robot.
 
-The version of the protocol says that the robot is virtual, so that whoever connects to it knows.
+The version of the protocol says that the robot is virtual, so that its clients know it.
 
 Not modelled: the constants of the controllers (A, F) and the acceleration (J) are taken and have
 no effect; nothing is plugged into the extension bus, the converter's inputs or the turret's place.
@@ -105,7 +105,7 @@ class KheperaFirmware:
         self._reset()
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes as they come and return what the robot answers to whole commands."""
+        """Take bytes as they come and return the robot's answers to whole commands."""
         answers = b""
         for byte in data:
             if byte in b"\r\n":
@@ -123,7 +123,7 @@ class KheperaFirmware:
         return answers
 
     def reboot(self) -> bytes:
-        """Start anew, as after the reset button: motors off, counters 0; return what it says."""
+        """Start again, as after the reset button: motors off, counters 0; return its message."""
         self._line.clear()
         self._long = False
         with self._lock:

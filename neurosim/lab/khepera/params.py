@@ -1,4 +1,4 @@
-"""What makes one virtual Khepera differ from the next."""
+"""Parameters that differ from one virtual Khepera to the next."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class KheperaParams:
         )
 
     def motor_row(self) -> NDArray[np.float64]:
-        """Return what :func:`neurosim.lab.khepera.physics.advance` takes of it."""
+        """Return the parameters for :func:`neurosim.lab.khepera.physics.advance`."""
         return np.concatenate(
             [
                 self.gain,

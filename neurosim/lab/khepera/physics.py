@@ -209,7 +209,7 @@ def saturated(light):
 
 @njit(cache=True)
 def proximity(pose, angles, reach, threshold, offset, noises, drift, walls, cylinders, albedo, rng):
-    """Return what the sensors read, [8] int 0..1023.
+    """Return the sensors' readings, [8] int 0..1023.
 
     Args:
         pose: [3], where the robot was when they were scanned.

@@ -23,7 +23,7 @@ BITS = 11
 
 
 def sampling_places() -> tuple[Place, dict[str, tuple[float, float, float]]]:
-    """Return a lab to sample in, and where the robot is put down there (m, m, rad).
+    """Return a lab to sample in, and where the robot is placed there (m, m, rad).
 
     It faces a long ``wall`` and a ``cylinder`` of the paper's size and all but touches them;
     ``open`` is open floor.
@@ -45,7 +45,7 @@ class VirtualKheperaRig(Served):
     Args:
         robot_seed: which robot; the same number has the same motors and sensors.
         noise_seed: of everything that differs from one session to the next.
-        place: what stands in the lab; by default the arena of Lund and Miglino 1996.
+        place: the objects in the lab; by default the arena of Lund and Miglino 1996.
         start: where the robot stands at first (m, m, rad).
         device: ``pty``, ``socket``, or None for whichever the system has.
         port: of the socket; 0 for any free one.
@@ -60,7 +60,7 @@ class VirtualKheperaRig(Served):
         lab: the lab itself; no learner looks into it.
         camera: the camera, or None.
         robot: the driver, not connected yet, in the lab's own time.
-        address: what the driver takes as port.
+        address: the driver's port.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class VirtualKheperaRig(Served):
         self.robot = Khepera(self.address, baud=baud, timeout=timeout, clock=self.lab.clock)
 
     def describe(self) -> dict[str, Any]:
-        """Return what makes the same lab again."""
+        """Return the settings that make the same lab again."""
         return dict(self._seeds)
 
     def reboot(self) -> None:

@@ -1,4 +1,4 @@
-"""Bodies of virtual robots behind the text-line protocol, and what they say of themselves."""
+"""Bodies of virtual robots behind the text-line protocol, and their descriptions."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ class Hardware(Protocol):
         ...
 
     def values(self) -> list[int]:
-        """Return what ``read`` answers: sensors, counters, battery (mV)."""
+        """Return the answer to ``read``: sensors, counters, battery (mV)."""
         ...
 
     def lamp(self, on: bool) -> None:
@@ -42,7 +42,7 @@ class LinesFirmware:
 
     Args:
         hardware: the body.
-        greeting: what the robot says of itself.
+        greeting: the robot's description of itself.
         lock: held while the body is touched.
 
     Attributes:
@@ -57,7 +57,7 @@ class LinesFirmware:
         self._line = bytearray()
 
     def feed(self, data: bytes) -> bytes:
-        """Take bytes as they come and return what the robot answers to whole lines."""
+        """Take bytes as they come and return the robot's answers to whole lines."""
         answers = b""
         for byte in data:
             if byte in b"\r\n":
@@ -79,7 +79,7 @@ class LinesFirmware:
         self.hardware.halt()
 
     def reboot(self) -> bytes:
-        """Start anew, as after the reset button; return what it says."""
+        """Start again, as after the reset button; return its message."""
         with self._lock:
             self._line.clear()
             self.end()

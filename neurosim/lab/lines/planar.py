@@ -2,7 +2,7 @@
 
 No learner reads this. A drive answers with a gain, a dead band and a lag of its own, a steering
 servo no faster than it can turn; the car understeers at speed, the base slips more to its sides
-than forward and turns a little as it drives. The slip of each command is drawn anew.
+than forward and turns a little as it drives. The slip of each command is drawn again.
 """
 
 from __future__ import annotations
@@ -56,8 +56,8 @@ def _advance(state, given, drives, car, bends, slip, until):
     """Drive on to a time.
 
     Args:
-        state: [7] time, x, y, heading, and what each of three drives has reached; changed.
-        given: [3] what each drive is commanded.
+        state: [7] time, x, y, heading, and the speeds that three drives have reached; changed.
+        given: [3] the commanded speed of each drive.
         drives: [3, 5] see ``_DRIVES``.
         car: whether the second is a steering angle.
         bends: of a car its understeer (s^2/m^2), of a base its turn per metre sideways.
@@ -99,7 +99,7 @@ class PlanarBody:
         seed: of its slip.
 
     Attributes:
-        greeting: what it says of itself. The car has a counter and no lamp, the base a lamp.
+        greeting: its description. The car has a counter and no lamp, the base a lamp.
         driven_at: when it was first commanded to move, s, or None.
     """
 

@@ -37,7 +37,7 @@ class VirtualLinesRig(BoardRig):
         lab: the lab itself; no learner looks into it.
         robot: the driver, not connected yet, in the lab's own time.
         camera: the roof camera, or None.
-        address: what the driver takes as port.
+        address: the driver's port.
     """
 
     def __init__(

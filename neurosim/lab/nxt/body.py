@@ -36,7 +36,7 @@ TYPES_COLOUR_LIT = (13, 14, 15, 16)
 
 @dataclass(frozen=True)
 class Wiring:
-    """What is plugged in where: outputs A, B, C are 0, 1, 2; inputs 1 to 4 are 0 to 3."""
+    """The wiring: outputs A, B, C are 0, 1, 2; inputs 1 to 4 are 0 to 3."""
 
     left: int = 1
     right: int = 2
@@ -101,7 +101,7 @@ class NxtBody:
         params: the robot.
         seed: of every random draw.
         pose: where it stands (m, m, rad, board frame).
-        wiring: what is plugged in where.
+        wiring: the wiring.
         around: the place that it drives in.
     """
 
@@ -256,7 +256,7 @@ class NxtBody:
             self._lamp.switch(self.time)
 
     def input(self, port: int) -> InputValues:
-        """Return what an input reads now; nothing plugged in reads 1023."""
+        """Return the reading of an input now; nothing plugged in reads 1023."""
         type, mode = self._types[port]
         sides = (self.wiring.light_left, self.wiring.light_right)
         if port not in sides:

@@ -164,8 +164,8 @@ class VirtualBrick:
         """Carry out one telegram; return the reply, or None where none is due.
 
         Never raises for what is in a telegram: an unknown opcode is answered by status 0xBE,
-        a body of the wrong length by 0xBF, a value out of range by 0xC0. What is not a
-        command at all (a reply, an unknown type, fewer than two bytes) is ignored.
+        a body of the wrong length by 0xBF, a value out of range by 0xC0. Telegrams that are not
+        commands (a reply, an unknown type, fewer than two bytes) are ignored.
         """
         if len(telegram) < 2 or telegram[0] & ~NO_REPLY not in (DIRECT, SYSTEM):
             return None
@@ -381,7 +381,7 @@ _COLOUR_BLACK, _COLOUR_WHITE, _BLACK_BELOW = 1, 6, 110
 
 
 def _convert(raw: int, type_: int) -> tuple[int, int]:
-    """Return what the converter reads, and the normalised value that the firmware makes of it.
+    """Return the converter's value, and the firmware's normalised value of it.
 
     A light sensor uses only a part of the converter's range, so its normalised values have
     the coarse steps of a real brick's.

@@ -31,7 +31,7 @@ def printed_fraction(line: Line, x: float, y: float, spot: float) -> float:
     Args:
         line: the line.
         x, y: m, board frame.
-        spot: radius, m; small beside the line's bends.
+        spot: radius, m; small next to the line's bends.
     """
     away = distance_to(line.loop.points, x, y)
     near, far = line.width / 2 - away, line.width / 2 + away

@@ -30,7 +30,7 @@ SPACING = 0.00125
 
 
 class Handler(Protocol):
-    """What answers telegrams: a :class:`neurosim.lab.nxt.brick.VirtualBrick`."""
+    """An object that answers telegrams: a :class:`neurosim.lab.nxt.brick.VirtualBrick`."""
 
     def handle(self, telegram: bytes) -> bytes | None:
         """Carry out one telegram; return the reply, or None where none is due."""
@@ -49,7 +49,7 @@ class Radio:
     after the other leave at the same time, however slowly its computer runs.
 
     Args:
-        brick: what answers.
+        brick: the answering object.
         clock: the lab's clock; ``sleep_until`` brings the lab to a time.
         rng: draws the delays; may be None where ``jitter`` is 0.
         delay: mean delay one way, s.

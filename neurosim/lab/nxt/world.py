@@ -25,7 +25,7 @@ _TRUTH_COLUMNS = ("time", "x", "y", "theta", "voltage")
 
 @dataclass(frozen=True)
 class Truth:
-    """What truly happened, for tests and reports alone; no learner reads it."""
+    """The true motion, for tests and reports alone; no learner reads it."""
 
     #: Lab time, which is also the robot clock, [N] (s); poses [N, 3] (m, m, rad, unwrapped);
     #: the battery's voltage under load, [N] (V).
@@ -45,7 +45,7 @@ class Push:
 
     Attributes:
         metres: how far.
-        after: so long after a wheel was first told to turn, s.
+        after: delay after the first command to a wheel, s.
         direction: rad, board frame.
         seconds: for so long, at a steady speed.
     """
@@ -114,7 +114,7 @@ class Body(Protocol):
 class LabTime:
     """A time that moves only when asked to, or, under a :class:`Pacer`, with the wall clock.
 
-    Hold :attr:`lock` while touching what stands in the lab.
+    Hold :attr:`lock` while touching the objects in the lab.
 
     Attributes:
         program: of a robot that ends its commands by itself, or None.
@@ -154,7 +154,7 @@ class Lab(LabTime):
         params: the robot and its ground; by default drawn from the seed.
         camera: the roof camera, or None for a lab without one (a hundred times faster).
         start: where the robot stands at first (m, m, rad, board frame).
-        wiring: what is plugged into the brick.
+        wiring: the wiring of the brick.
         truth_rate: true poses kept per second of lab time; 0 for none.
         around: the place: what lies and stands on the floor.
         push: what pushes the robot, or None.
@@ -270,7 +270,7 @@ class Lab(LabTime):
 
     @property
     def truth(self) -> Truth:
-        """What truly happened so far."""
+        """The true motion so far."""
         with self.lock:
             rows = self._truth[: self._kept].copy()
         return Truth(rows[:, 0], rows[:, 1:4], rows[:, 4])
@@ -279,7 +279,7 @@ class Lab(LabTime):
         """Add what truly happened since the last call to ``truth/truth-001.csv`` in ``folder``.
 
         Columns are time, x, y, theta, voltage, as in :class:`Truth`; the number in the name is
-        the session's. The first call of a lab starts the file anew.
+        the session's. The first call of a lab begins a new file.
 
         Returns:
             The file.
@@ -298,7 +298,7 @@ class Lab(LabTime):
 
 
 def read_truth(folder: str | Path, session: int = 1) -> Truth:
-    """Read what :meth:`Lab.write_truth` wrote beside a recording.
+    """Read what :meth:`Lab.write_truth` wrote next to a recording.
 
     Raises:
         FileError: if it is missing or damaged.

@@ -55,7 +55,7 @@ class BaseNode:
         seed: of odometry's errors.
         stamped: whether it takes TwistStamped.
         timeout: without a message for so long it stops, s; infinity: it goes on.
-        walls, cylinders: [W, 4] and [N, 3], what the laser sees, m.
+        walls, cylinders: [W, 4] and [N, 3], objects for the laser, m.
 
     Attributes:
         bridge: to it.
@@ -99,8 +99,8 @@ class BaseNode:
         return min(self._tick * EVERY, self._stops)
 
     def end(self) -> None:
-        """Do what is due."""
-        # The body's time may be short of what is due by its last digits.
+        """Do the due steps."""
+        # The body's time may be short of the due steps by its last digits.
         now = self._body.time + 1e-9
         if now >= self._stops:
             self._drive((0.0, 0.0))

@@ -1,9 +1,9 @@
 """A virtual rosbridge: operations of its protocol, and the few types and nodes of a small graph.
 
 After rosbridge_suite for ROS 2 (rosbridge_library/capabilities, internal/message_conversion.py,
-internal/publishers.py) and its rosapi. It shares nothing with the driver. What it does not take it
-writes into its log, as that server does; as the protocol's document has it, and other servers do,
-it can also send a ``status``.
+internal/publishers.py) and its rosapi. It shares nothing with the driver. It logs messages that it
+rejects, as that server does; as the protocol's document has it, and other servers do, it can also
+send a ``status``.
 """
 
 from __future__ import annotations
@@ -162,7 +162,7 @@ class RosBridge:
         return name in self._subscribed
 
     def publish(self, name: str, message: dict[str, Any]) -> list[str]:
-        """Return what the client is sent as the robot publishes a message."""
+        """Return the bytes for the client when the robot publishes a message."""
         subscription = self._subscribed.get(name)
         # A little less, or rounding would leave out every other message.
         if subscription is None or self._now() - subscription.last < subscription.every - 1e-6:

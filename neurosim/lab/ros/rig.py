@@ -48,7 +48,7 @@ class BridgeEnd(SocketEnd):
 
     @property
     def url(self) -> str:
-        """What a client takes as its address."""
+        """The address for a client."""
         host, port = self.address
         return f"ws://{host}:{port}"
 
@@ -123,7 +123,7 @@ class VirtualRosRig(BoardRig):
         walls: half the length and half the width of the room that its laser sees, m.
         robot: the driver, not connected yet, in the lab's own time.
         camera: the roof camera, or None.
-        address: what the driver takes as url.
+        address: the driver's url.
     """
 
     def __init__(

@@ -68,11 +68,11 @@ class Hardware(Protocol):
         ...
 
     def proximity(self) -> list[int]:
-        """Return what the seven sensors read."""
+        """Return the readings of the seven sensors."""
         ...
 
     def ground(self) -> list[int]:
-        """Return what the two ground sensors read, without ambient light."""
+        """Return the readings of the two ground sensors, without ambient light."""
         ...
 
     def lamp(self, on: bool) -> None:
@@ -104,7 +104,7 @@ class ThymioFirmware:
         self.reboot()
 
     def reboot(self) -> None:
-        """Start anew, as after the reset button: no program, motors off."""
+        """Start again, as after the reset button: no program, motors off."""
         with self._lock:
             self._data = b""
             self.memory = [0] * self._size

@@ -64,7 +64,7 @@ class ThymioBody(PlanarBody):
         return round(left), round(right)
 
     def proximity(self) -> list[int]:
-        """Return what the seven sensors read; 0 without anything near."""
+        """Return the readings of the seven sensors; 0 without anything near."""
         if not self.around.solid:
             return [0] * 7
         seen = se2.compose(self.pose, PROXIMITY)
@@ -73,7 +73,7 @@ class ThymioBody(PlanarBody):
         return np.where(far <= REACH, np.clip(np.rint(noisy), 0, 4600), 0).astype(int).tolist()
 
     def ground(self) -> list[int]:
-        """Return what the two ground sensors read, of 1000."""
+        """Return the readings of the two ground sensors, of 1000."""
         x, y, theta = self.pose
         cos, sin = math.cos(theta), math.sin(theta)
         lights = [
@@ -102,7 +102,7 @@ class VirtualThymioRig(BoardRig):
         lab: the lab itself; no learner looks into it.
         robot: the driver, not connected yet, in the lab's own time.
         camera: the roof camera, or None.
-        address: what the driver takes as port.
+        address: the driver's port.
     """
 
     def __init__(

@@ -274,7 +274,7 @@ def _bumps(place: Ground) -> tuple[tuple[float, float, float, float], ...]:
     count = round(place.bumps * side * side)
     centres = rng.uniform(-0.5 * side, 0.5 * side, (count, 2))
     radii, heights = rng.uniform(0.03, 0.08, count), place.height * rng.uniform(0.3, 1.0, count)
-    # Where the robot is put down the floor is flat.
+    # Where the robot is placed the floor is flat.
     kept: Sequence[bool] = (np.linalg.norm(centres, axis=1) > 0.3).tolist()
     rows = np.column_stack([centres, radii, heights]).tolist()
     return tuple(tuple(row) for row, keep in zip(rows, kept, strict=True) if keep)

@@ -1,4 +1,4 @@
-"""What sets the Kheperas and the e-pucks apart on the serial line.
+"""The dialects of the Kheperas and the e-pucks on the serial line.
 
 All take a letter with numbers behind commas and answer with the same letter in lower case, numbers
 behind commas, CR LF. Sources: K-Team, Khepera User Manual 5.02 (1999) and Khepera II User Manual
@@ -37,11 +37,11 @@ class Dialect:
         values: how many numbers an answer about the sensors has.
         angles: where the sensors look, degrees counter-clockwise from straight ahead.
         full_scale: of a proximity reading.
-        scan: in which all sensors are read in turn, s: what is told is half as old in the mean;
+        scan: in which all sensors are read in turn, s: a reading is half as old in the mean;
             0 where that is not known.
         pulses_per_metre: of the position counters.
         speed_unit: the wheel speed that a speed of 1 stands for, m/s.
-        full_speed: what 100 % is unless said otherwise, in the robot's own units.
+        full_speed: default speed at 100 %, in the robot's own units.
         max_speed: the largest number that may be sent.
         geometry: of the body.
         end: of a command.

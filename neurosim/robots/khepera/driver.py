@@ -30,8 +30,8 @@ class Khepera:
     where the dialect has them, ``Lamp`` and ``Battery``. Bytes that make no answer are passed over,
     commands without a good answer are sent again. A robot that reboots is noticed by what it
     says then: it is set to the speeds that it had, its counters to what was last read, and
-    :attr:`reboots` counts it. One that no longer answers is told to stop, several times, before
-    the line is closed. It has nothing that would stop it by itself.
+    :attr:`reboots` counts it. A robot that no longer answers gets a stop, several times, before the
+    line is closed. It has nothing that would stop it by itself.
 
     Args:
         port: Serial port, such as ``/dev/ttyUSB0`` or COM3, or a URL such as socket://host:port.
@@ -51,7 +51,7 @@ class Khepera:
         speed_unit: the wheel speed that a speed of 1 stands for, m/s.
         angles: where the sensors look, [S] rad counter-clockwise from straight ahead, in the
             order of :meth:`read_proximity`.
-        reboots: how often the robot was seen to start anew.
+        reboots: number of observed restarts of the robot.
 
     Raises:
         UserError: for a dialect, a baud rate or a full speed that does not exist.
@@ -207,7 +207,7 @@ class Khepera:
         return dict(zip(self.sensor_names, map(float, self.activations()), strict=True))
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot."""
+        """Describe this robot for a recording."""
         return {
             "kind": "khepera",
             "dialect": self.dialect.name,
@@ -332,7 +332,7 @@ class Khepera:
             self._notice_reboot(line)
 
     def _notice_reboot(self, line: bytes) -> bool:
-        """Set a robot that starts anew to what it was; return whether it did."""
+        """Restore the state of a robot that restarts; return whether it did."""
         text = line.decode("ascii", "replace")
         if not any(banner in text for banner in self.dialect.banners):
             return False

@@ -1,7 +1,7 @@
 """Whether a robot keeps to docs/lines.md: tried over its line, with nothing but its answers.
 
 The robot drives for moments, at up to a quarter of its limits: let it stand free, or lift its
-wheels. What breaks lines, cuts among them, is tried byte by byte.
+wheels. Broken and cut lines are tried byte by byte.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class _Check:
         self._gentle = " ".join(gentle)
 
     def all(self) -> None:
-        """Check all; the first that is wrong is said."""
+        """Check all; it reports the first wrong one."""
         self._settle()
         self._by_hand()
         self._times()

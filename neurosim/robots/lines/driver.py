@@ -36,7 +36,7 @@ class Lines:
     robot says so, ``Counters``, ``Proximity``, ``Lamp`` and ``Battery``; which of these it has is
     known once it is connected. Each command carries its duration, so the robot stops by itself,
     whatever becomes of the computer or the line. Requests without a good answer are sent again. A
-    robot that starts anew is noticed by its first line: its counters then count on from where they
+    robot that restarts is noticed by its first line: its counters then count on from where they
     were, and :attr:`reboots` counts it.
 
     Args:
@@ -47,8 +47,8 @@ class Lines:
         clock: the robot's clock; the virtual lab hands in its own.
 
     Attributes:
-        greeting: what the robot says of itself; None before it is connected.
-        reboots: how often the robot was seen to start anew.
+        greeting: the robot's description of itself; None before it is connected.
+        reboots: number of observed restarts of the robot.
         stamp: the robot's own time at its last answer, s since it was switched on.
     """
 
@@ -92,7 +92,7 @@ class Lines:
 
     @property
     def commands(self) -> Commands:
-        """What the robot takes for a command."""
+        """The numbers of the robot's command."""
         return self._known().commands
 
     def drive(self, command: Sequence[float]) -> None:
@@ -143,7 +143,7 @@ class Lines:
         }
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot."""
+        """Describe this robot for a recording."""
         greeting = self.greeting
         about: dict[str, Any] = {"kind": "lines", "port": self._line.port, "baud": self._line.baud}
         if greeting is not None:
@@ -286,7 +286,7 @@ class Lines:
         self._stamp_ms = milliseconds
 
     def _notice_reboot(self, words: list[str] | None) -> bool:
-        """Return whether these are the first words of a robot that starts anew."""
+        """Return whether these are the first words of a robot that restarts."""
         if not words or words[:2] != ["0", "robot"]:
             return False
         self.reboots += 1

@@ -77,7 +77,7 @@ class Counter:
 
 @dataclass(frozen=True)
 class Greeting:
-    """What a robot says of itself.
+    """A robot's description of itself.
 
     Attributes:
         name: of the robot, one word.
@@ -125,7 +125,7 @@ class Greeting:
 
     @classmethod
     def read(cls, lines: list[list[str]]) -> Greeting:
-        """Return what a greeting says, line by line in words; lines of other kinds are passed over.
+        """Return a greeting from its lines, split into words; other lines are ignored.
 
         Raises:
             GreetingError: naming the line that is not as it must be.
@@ -141,7 +141,7 @@ class Greeting:
 
 
 class _GreetingParts:
-    """What the lines of a greeting have said so far."""
+    """The part of a greeting that was read so far."""
 
     def __init__(self) -> None:
         self.first: list[str] | None = None

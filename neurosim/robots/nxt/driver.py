@@ -72,9 +72,9 @@ class NXT:
     :class:`neurosim.robots.base.Robot`, ``SelfStopping``, ``Battery``, ``Sensors`` and, with a
     lamp, ``Lamp``.
 
-    When the brick's replies fail, are late or say that a command was not taken, motors are told
-    to stop, several times, without waiting for an answer. All commands end by themselves, wherever
-    the line is cut: each motor has a limit, or stands, after every telegram.
+    When the brick's replies fail, are late or say that a command was not taken, motors get a stop,
+    several times, without waiting for an answer. All commands end by themselves, wherever the line
+    is cut: each motor has a limit, or stands, after every telegram.
 
     Args:
         host: Bluetooth address, such as ``00:16:53:01:02:03``.
@@ -213,7 +213,7 @@ class NXT:
         Raises:
             UserError: for a speed that is not within -100 to 100.
             LinkLost: if the brick does not acknowledge it.
-            RobotError: if a motor did not take it; both were told to stop.
+            RobotError: if a motor did not take it; both got a stop.
         """
         self._drive(*command, LONGEST)
 
@@ -253,7 +253,7 @@ class NXT:
         """Stop both motors; the regulation holds them where they are.
 
         Raises:
-            RobotError: if the brick does not acknowledge it; it was then told several times.
+            RobotError: if the brick does not acknowledge it; the stop was then sent several times.
         """
         try:
             self.drive((0, 0))
@@ -283,7 +283,7 @@ class NXT:
         return tuple(name for name, port in self._lights.items() if port is not None)
 
     def read_sensors(self) -> dict[str, float]:
-        """Return what the light sensors read, by name, each 0 (dark) to 1."""
+        """Return the light sensors' readings by name, each 0 (dark) to 1."""
         return {
             name: self._read_valid(port, SensorType.LIGHT_ACTIVE) / FULL_SCALE
             for name, port in self._lights.items()
@@ -375,7 +375,7 @@ class NXT:
         """Ask motors for the power and the limit that they took, after all that was sent before.
 
         Raises:
-            RobotError: if they are others; the motors were told to stop.
+            RobotError: if they are others; the motors got a stop.
         """
         if self.clock.now() - self._kept_awake > KEEP_AWAKE_EVERY:
             telegram = Telegram(Opcode.DIRECT_KEEP_ALIVE, reply_req=False)

@@ -108,7 +108,7 @@ class Guard:
     def post(self, data: bytes) -> None:
         """Send a telegram that asks for no reply, whatever became of the line; never raises.
 
-        What is sent this way is a stop: replies that are missing or make no sense do not mean that
+        Only a stop is sent this way: replies that are missing or make no sense do not mean that
         the brick does not hear.
         """
         deadline, self._deadline = self._deadline, min(self._deadline, POST_WITHIN)

@@ -165,7 +165,7 @@ class Bridge:
             topic: its name.
             kind: type of its messages.
             every: no more than one message in this time, s.
-            take: is called with each message, by whoever uses the bridge.
+            take: is called with each message, in the thread of the bridge's user.
         """
         with self._lock:
             self._takers[topic] = take
@@ -177,7 +177,7 @@ class Bridge:
         """Return when the server has all that was sent, and what it sent before that is taken.
 
         Raises:
-            RobotError: if it said that it does not take something.
+            RobotError: if it rejected a message.
             LinkLost: if it does not answer in time, or the connection is gone.
         """
         with self._lock:
@@ -199,7 +199,7 @@ class Bridge:
             self._until(lambda: None, 0.0)
 
     def lose(self, why: str) -> LinkLost:
-        """Close the connection for good and return the error, which whoever uses it meets again.
+        """Close the connection for good and return the error, which later calls raise again.
 
         First the farewell is sent: that nothing comes back does not mean that nothing arrives.
         """

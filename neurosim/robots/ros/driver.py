@@ -230,7 +230,7 @@ class Ros:
             self._publish((0.0, 0.0))
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot."""
+        """Describe this robot for a recording."""
         about: dict[str, Any] = {
             "kind": "ros",
             "url": self._bridge.url,

@@ -79,7 +79,7 @@ class Reader:
 
 @dataclass
 class Description:
-    """What a node says of itself, message by message.
+    """A node's description of itself, message by message.
 
     Attributes:
         name: of its kind.

@@ -82,7 +82,7 @@ class Thymio:
     Attributes:
         geometry: radius and wheel base, m.
         pulses_per_metre: of the counters.
-        reboots: how often the robot was seen to start anew.
+        reboots: number of observed restarts of the robot.
     """
 
     geometry = BODY
@@ -190,7 +190,7 @@ class Thymio:
         self._block(self._set(_LIGHT, colour), lambda words: words[_LIGHT:_SUMS] == colour)
 
     def describe(self) -> dict[str, Any]:
-        """Return what a recording should say of this robot."""
+        """Describe this robot for a recording."""
         about: dict[str, Any] = {"kind": "thymio", "port": self._line.port}
         if self._firmware:
             version, variant = self._firmware
@@ -319,7 +319,7 @@ class Thymio:
     def _block(self, change: bytes, done: Callable[[tuple[int, ...]], bool]) -> tuple[int, ...]:
         """Send a change; return the program's words once they are as they are to be.
 
-        A robot that has started anew has lost the program, and is given it again.
+        A robot that has restarted has lost the program, and is given it again.
         """
         request = change + encode(aseba.GET_VARIABLES, [self._node, self._known.free, _WORDS])
 

@@ -1,4 +1,4 @@
-"""What a legged robot's build says, and that of the walking robot, as MJCF (extra ``mujoco``)."""
+"""Builds of legged robots, among them the walking robot's, as MJCF (extra ``mujoco``)."""
 
 from __future__ import annotations
 
@@ -230,7 +230,7 @@ def mujoco() -> Any:
 
 
 def compile_model(build: LeggedBuild) -> Any:
-    """Return the compiled model, an ``MjModel``; one that blows up is not begun anew."""
+    """Return the compiled model, an ``MjModel``; one that blows up is not begun again."""
     package = mujoco()
     model = package.MjModel.from_xml_string(build.mjcf())
     model.opt.disableflags |= int(package.mjtDisableBit.mjDSBL_AUTORESET)

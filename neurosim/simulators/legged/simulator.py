@@ -9,7 +9,7 @@ square of a direction's friction coefficient. So ``slip`` is the time constant, 
 says how much more a foot creeps to the side than ahead; the coefficient to the side is divided by
 its square root.
 
-The model is compiled anew for other parameters: inertias go with the masses.
+The model is compiled again for other parameters: inertias go with the masses.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ class LeggedSimulator(Simulator):
 
     @cached_property
     def physics(self) -> Physics:
-        """What it runs in."""
+        """The physics that it runs in."""
         return self._shared or Physics(self.model, make=type(self.build))
 
     @property
@@ -155,7 +155,7 @@ class LeggedSimulator(Simulator):
         return _OpenLoop(self, controller, episode)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what makes it again: its threads are not copied with it."""
+        """Return the settings that make it again: its threads are not copied with it."""
         return {"build": self.build, "_shared": None}
 
     def write(self, folder: str | Path) -> None:

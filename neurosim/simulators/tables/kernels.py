@@ -82,14 +82,14 @@ def _nearest(wall, x, y):
 
 @kernel(forceinline=True)
 def _light(begin, end, height, ahead, aside):
-    """Return what light a straight surface throws back to a sensor, 1/m2.
+    """Return the light that a straight surface reflects to a sensor, 1/m2.
 
     The surface lies from ``begin`` to ``end`` (m) along a line at the height ``height`` (m) above
     the sensor, which looks ahead (to the line) and aside (along it) so far: a unit vector. By
     Lambert's law the light of a small angle falls with the cosine of the incidence a and with the
     square of the way, height / cos a; sensor and emitter have lobes of which the product falls
-    with cos^2. Of what is behind the sensor it sees nothing: a ends where sin a is -ahead. What is
-    integrated over a, with s = sin a and c = cos a, is c^3 (ahead c + aside s)^2.
+    with cos^2. Of what is behind the sensor it sees nothing: a ends where sin a is -ahead. The
+    integrand over a, with s = sin a and c = cos a, is c^3 (ahead c + aside s)^2.
     """
     square = height * height
     c, k = height / math.sqrt(begin * begin + square), height / math.sqrt(end * end + square)

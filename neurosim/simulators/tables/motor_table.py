@@ -24,7 +24,7 @@ class MotorTable:
 
     A displacement sampled over some duration is kept as the constant twist that leads there, so
     that other durations follow from it; its spread grows with the square root of the duration,
-    as errors that are drawn anew all the time do.
+    as errors that are drawn again all the time do.
 
     Attributes:
         levels: (L,) speeds in percent, the same for both motors, evenly spaced and ascending.
@@ -146,7 +146,7 @@ class MotorTable:
         """Make a table of a CSV file or a dataset with left, right, duration, dx, dy, dtheta.
 
         Raises:
-            FileError: if the file is not what it should be, has a duration that is not above
+            FileError: if the file is wrong, has a duration that is not above
                 zero, or does not sample every pair of evenly spaced speeds.
         """
         path = Path(path) / "dataset.csv" if Path(path).is_dir() else Path(path)

@@ -21,7 +21,7 @@ class Reaction(Checked):
 
     Attributes:
         hold: from the moment that sensors are asked for to the one in which the command that
-            follows from them is sent, s; whoever drives the robot keeps to it.
+            follows from them is sent, s; drives on the robot keep to it.
         answer: from then until the wheels begin to answer it, and how old readings are when they
             are asked for, s.
         lag: of the left and of the right wheel, s.
@@ -40,12 +40,12 @@ class Reaction(Checked):
         return self.hold + self.answer
 
     def to_json(self) -> dict[str, Any]:
-        """Return what :meth:`from_json` takes."""
+        """Return the content for :meth:`from_json`."""
         return {"hold": self.hold, "answer": self.answer, "lag": list(self.lag)}
 
     @classmethod
     def from_json(cls, content: Mapping[str, Any]) -> Reaction:
-        """Return what :meth:`to_json` gave.
+        """Return the delays from the content of :meth:`to_json`.
 
         Raises:
             UserError: if something is no time of 0 to 1 s.

@@ -1,4 +1,4 @@
-"""The ``.sample`` format: what a robot's sensors said while it turned in front of an object.
+"""The ``.sample`` format: a robot's readings while it turned in front of an object.
 
 A header ``sensors angles distances first-distance-mm distance-step-mm``; for each distance a line
 ``TURN k`` and, for each angle, a line of as many activations (0 to 1) as there are sensors; a

@@ -135,7 +135,7 @@ class SensorTable:
                 :func:`~neurosim.simulators.tables.samples.as_evorobotpy2`.
 
         Raises:
-            FileError: if a file is not what it should be.
+            FileError: if a file is wrong.
             UserError: if a name names no class of objects or two, and as :meth:`from_samples`.
         """
         samples: dict[str, list[Samples]] = {name: [] for name in OBJECTS}

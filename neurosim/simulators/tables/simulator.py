@@ -1,6 +1,6 @@
 """The table simulator: a robot that samples its own sensors and motors, and moves in an arena.
 
-Lund and Miglino 1996: what the sensors say in front of a wall and of an obstacle, and how the
+Lund and Miglino 1996: the sensors' readings in front of a wall and of an obstacle, and how the
 motors move the robot, is looked up in tables that the robot filled itself.
 
 Readings. Obstacles, and all walls together, add what the table says above ambient, at the
@@ -9,7 +9,7 @@ interpolated between samples in both; the sum is clipped to 0..1, as a sensor sa
 are of a wall that does not end: a sensor reads what it would before such a wall alone, so far
 away that it throws back as much light as the walls do (Lambert's law). Nearer than the first
 sampled distance the first counts; beyond the last a reading fades to ambient over half of the
-sampled reach. What a wall hides is not seen.
+sampled reach. Objects behind a wall are not seen.
 
 Collisions. The robot is a disc. Where a motion ends in a wall or an obstacle, the disc is moved
 straight out of it, so that it slides along; where it does not fit, as in a gap that is too
@@ -65,7 +65,7 @@ class TableSimulator(Simulator):
     """A simulator of a robot in an arena, from tables.
 
     Attributes:
-        sensors: what the sensors say.
+        sensors: the sensors' readings.
         motors: how the motors move the robot.
         place: where it moves.
         radius: of the robot, m.
@@ -249,7 +249,7 @@ class TableSimulator(Simulator):
 
     @cached_property
     def arrays(self) -> TableArrays:
-        """What :mod:`neurosim.simulators.tables.kernels` computes with."""
+        """The numbers for :mod:`neurosim.simulators.tables.kernels`."""
         sensors, motors = self.sensors, self.motors
         _, distances, _, _ = sensors.mean.shape
         ambient, variance = sensors.ambient, sensors.ambient_spread**2
@@ -502,7 +502,7 @@ class TableSimulator(Simulator):
             shapes["sensor_spread"] = shapes["sensor_mean"]
         if motors.get("repeated"):
             shapes["motor_spread"] = shapes["motor_twist"]
-        # Compiled loops would be compiled anew for numbers of another kind.
+        # Compiled loops would be compiled again for numbers of another kind.
         arrays = {
             name: np.asarray(tensor, np.float64)
             for name, tensor in files.read_tensors(tables, shapes).items()
@@ -553,7 +553,7 @@ def _closed(table: np.ndarray) -> np.ndarray:
 
 
 def _light(begin: Tensor, end: Tensor, height: Tensor, ahead: Tensor, aside: Tensor) -> Tensor:
-    """Return what light straight surfaces throw back to sensors, 1/m2; the kernel of this name."""
+    """Return the light that straight surfaces reflect to sensors, 1/m2; the kernel of this name."""
     behind = -height * ahead / aside
     begin = torch.where(aside > 0.0, torch.maximum(begin, behind), begin)
     end = torch.where(aside < 0.0, torch.minimum(end, behind), end)
